@@ -14,7 +14,10 @@ import inspect
 import itertools
 import math
 import reprlib
+import sys
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
@@ -233,6 +236,21 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
         rule = f"it must be one of {', '.join(choices)}"
         raise InputError(f"{name} = {short_repr(value)}: {rule}{did_you_mean(value, choices)}")
     return value
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn at the line outside this package that called it, through decorators and contexts."""
+    ours, level, frame = str(Path(__file__).parent), 1, sys._getframe()
+    while frame.f_back is not None and frame.f_code.co_filename.startswith((ours, contextlib.__file__)):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
+def require_suffix(path: Path, suffixes: Collection[str]) -> None:
+    """Refuse the name of a file that ends in none of the suffixes."""
+    refuse_if(
+        not path.name.lower().endswith(tuple(suffixes)), f"{path}: give a name that ends in {' or '.join(suffixes)}"
+    )
 
 
 def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> None:

@@ -404,14 +404,13 @@ class PlenopticCamera(CameraGeometry, Displayed):
                 sensor[name] = ", ".join(map(repr, value)) if isinstance(value, tuple) else value
         if to_world is not None:
             sensor["to_world"] = to_world
+        crop = {"crop_offset_x": left, "crop_offset_y": top, "crop_width": width, "crop_height": height}
         sensor["film"] = {
             "type": "hdrfilm",
             "width": columns,
             "height": rows,
-            "crop_offset_x": left,
-            "crop_offset_y": top,
-            "crop_width": width,
-            "crop_height": height,
+            # Of a full film a crop would remain where its size is changed later.
+            **(crop if self.is_cropped else {}),
             "rfilter": {"type": "box"},
             "pixel_format": "luminance",
             "component_format": "float32",

@@ -15,7 +15,6 @@ import re
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -61,6 +60,8 @@ class StoppedError(Exception):
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version
+
         typer.echo(f"{PROGRAM} {version(PROGRAM)}")
         raise typer.Exit
 
@@ -219,6 +220,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(absent)
     called = _called(words)
     group = command_group(called) if called else typer.main.get_command(_outline())
+    if called:
+        # Options before the command, of which none is given: Typer would import pydantic to judge them.
+        group.params.clear()
+        group.add_help_option = False
     with _remarks():
         try:
             # Progress begins before the options are read, thus before --quiet is.

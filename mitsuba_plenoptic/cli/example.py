@@ -10,11 +10,14 @@ import typer
 
 from .choices import EXAMPLES
 from .inputs import output_option
+from .judging import ends_in, one_of
 
 
 def example(
-    name: Annotated[str, typer.Argument(metavar="|".join(EXAMPLES), help="Which capture.")],
-    output: Annotated[Path | None, output_option("FILE.exr", "File to write. Default: named as the capture.")] = None,
+    name: Annotated[str, typer.Argument(metavar="|".join(EXAMPLES), help="Which capture."), one_of(EXAMPLES)],
+    output: Annotated[
+        Path | None, output_option("FILE.exr", "File to write. Default: named as the capture."), ends_in(".exr")
+    ] = None,
 ) -> None:
     """Write a finished capture, with its ground truth next to it, to try the other commands on.
 
@@ -31,7 +34,7 @@ def example(
     from ..runtime.files import require_writable
 
     capture, truth = examples.example(name), examples.example_truth(name)
-    path = require_writable(output or Path(f"{name}.exr"), ".exr")
+    path = require_writable(output or Path(f"{name}.exr"))
     truth_file = require_writable(truth_path(path))
     write_ground_truth(truth_file, truth)
     write_capture(path, replace(capture, metadata={**capture.metadata, NAME: truth_file.name}))

@@ -6,21 +6,21 @@ import contextlib
 import dataclasses
 import logging
 import re
-import warnings
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from xml.etree.ElementTree import Element
 
 import typer
 
-from ..errors import InputError, refuse_if, require_count, require_number
+from ..errors import InputError, naming, refuse_if, require_count, require_number, warn
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
 from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
     from ..report.images import Drawing
@@ -297,6 +297,22 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
     return None if source is None else load_camera(source, {})[0]
 
 
+def require_in_sight(source: Path, camera: PlenopticCamera | None, *distances: float) -> PlenopticCamera | None:
+    """Refuse distances that a camera, or else the one in the source's header, cannot focus on; return the first."""
+    seen_by = camera
+    if camera is None and source.suffix.lower() == ".exr":
+        from ..camera import PlenopticCamera
+        from ..io.exr import read_attributes
+
+        record = read_attributes(source).get("camera")
+        with naming(source):
+            seen_by = PlenopticCamera.from_dict(record) if isinstance(record, dict) else None
+    if seen_by is not None:
+        for distance in distances:
+            seen_by.lens_data.require_distance(seen_by, distance)
+    return camera
+
+
 def open_scene(
     scene: str,
     parameters: dict[str, str],
@@ -325,7 +341,7 @@ def open_scene(
     if colours:
         _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
     for text in design_warnings(seen):
-        warnings.warn(text, stacklevel=2)
+        warn(text)
     return loaded
 
 
@@ -376,6 +392,8 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
+    from xml.etree.ElementTree import Element
+
     from ..light.scene import scene_defaults
 
     roots = scene_roots(scene, parameters)

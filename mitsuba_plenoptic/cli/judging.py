@@ -9,7 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError, did_you_mean, refuse_if, require_choice, require_count, require_wavelength
+from ..errors import (
+    InputError,
+    did_you_mean,
+    refuse_if,
+    refusing,
+    require_choice,
+    require_count,
+    require_suffix,
+    require_wavelength,
+    short_repr,
+)
 from ..extension import missing
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
@@ -49,6 +59,19 @@ def one_of(choices: Collection[str]) -> Judged:
     return Judged(lambda name, value: require_choice(name, value, choices))
 
 
+def ends_in(*suffixes: str) -> Judged:
+    """Return the metadata of the name of a file to be written."""
+    return Judged(lambda _, path: None if path.is_dir() else require_suffix(path, suffixes))
+
+
+def _require_wavelengths(name: str, text: str) -> None:
+    wrong = f"{name} = {short_repr(text)}: it must be nanometres, or three of them separated by commas"
+    with refusing(wrong, ValueError):
+        parts = [float(part) for part in text.split(",")]
+    for part in parts:
+        require_wavelength(part, name)
+
+
 def _require_scene(name: str, value: str) -> None:
     if not Path(value).is_file():
         scene_path(value)
@@ -71,4 +94,5 @@ def require_camera_name(name: str, source: str) -> None:
 
 
 COUNTED, WAVELENGTH = Judged(require_count), Judged(lambda name, value: require_wavelength(value, name))
+WAVELENGTHS = Judged(_require_wavelengths)
 SCENE, CAMERA, FILE = Judged(_require_scene), Judged(require_camera_name), Judged(_require_file)

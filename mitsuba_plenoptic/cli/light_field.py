@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..errors import naming, refuse_if, require_choice
+from ..errors import naming, refuse_if, require_choice, warn
 from ..runtime.progress import progress_bar
-from .choices import AXES, VIEW_METHODS
+from .choices import ANIMATED, AXES, PICTURES, VIEW_METHODS
 from .inputs import (
     CameraFile,
     Distances,
@@ -27,7 +26,9 @@ from .inputs import (
     named_camera,
     numeric,
     output_option,
+    require_in_sight,
 )
+from .judging import ends_in
 
 
 def views(
@@ -39,6 +40,7 @@ def views(
             "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled "
             "grid if in .pdf, a tour round the pupil if in .gif or .mp4.",
         ),
+        ends_in(*PICTURES, *ANIMATED),
     ],
     count: Annotated[int | None, numeric("Write N x N views, evenly spread over the pupil.", "all")] = None,
     white: White = None,
@@ -65,7 +67,6 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
     from ..runtime.files import require_apart
     from ..views import pick_views
@@ -88,7 +89,7 @@ def views(
 
 def epi(
     source: LightFieldSource,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes.")],
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes."), ends_in(*PICTURES)],
     axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float | None,
@@ -150,6 +151,7 @@ def stack(
             "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
             "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif or .mp4.",
         ),
+        ends_in(*PICTURES, *ANIMATED),
     ],
     distance: Distances,
     method: Annotated[
@@ -176,8 +178,10 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
+    known = require_in_sight(source, named_camera(camera), *distance)
+
+    # Brings libraries that take a while to load.
     from ..report.animations import sweep_distances
-    from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
     from ..runtime.files import require_apart
     from ..views import focal_stack
@@ -185,7 +189,7 @@ def stack(
 
     require_apart(require_picture_path(output, animated=True), source, white)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera))
+    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, sweep_distances(distance) if animated else distance, method=method, progress=progress)
@@ -213,6 +217,7 @@ def depth(
             "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence; if in .pdf "
             "these with their scales.",
         ),
+        ends_in(*PICTURES),
     ],
     near: Annotated[
         float | None, numeric("Nearest distance to search.", "as near as the capture shows depth", unit="MM")
@@ -264,16 +269,14 @@ def depth(
     ends = dict(zip(("near", "far"), beyond_search(found), strict=True))
     for end, beyond in ends.items():
         if beyond >= _LITTLE:
-            warnings.warn(
+            warn(
                 f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
-                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}",
-                stacklevel=2,
+                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}"
             )
     if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
-        warnings.warn(
+        warn(
             "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
-            "farther than --far; look at the confidence before you use a depth",
-            stacklevel=2,
+            "farther than --far; look at the confidence before you use a depth"
         )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")

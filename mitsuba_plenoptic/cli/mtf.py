@@ -10,7 +10,7 @@ import typer
 
 from ..errors import naming, refuse_if
 from ..refocus_options import METHODS
-from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded
+from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
 from .judging import FILE, one_of
 
 if TYPE_CHECKING:
@@ -53,6 +53,11 @@ def mtf(
 
       mitsuba-plenoptic mtf out.exr --region 20,30,60,40
     """
+    known = named_camera(camera)
+    if distance is not None:
+        require_in_sight(source, known, distance)
+
+    # Brings libraries that take a while to load.
     from ..refocus import read_reconstruction
     from ..refocus import reconstruct as refocus
     from ..report.sharpness import edge_sharpness
@@ -63,7 +68,7 @@ def mtf(
             refuse_if(value is not None, f"--{name}: it is for captures, with --distance; leave it out")
         seen = read_reconstruction(source)
     else:
-        recorded = read_recorded(source, named_camera(camera), linear)
+        recorded = read_recorded(source, known, linear)
         (seen,) = refocus(recorded, [distance], method=method or "ray", oversample=oversample or 1)
     left, top, width, height = _parsed(region, seen)
     with naming(source):

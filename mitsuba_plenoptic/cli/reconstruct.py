@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError
+from ..errors import InputError, refuse_if
 from ..refocus_options import METHODS, OPTIONS, Option, with_parameters
 from ..runtime.progress import in_words, progress_bar
+from .choices import PICTURES, VOLUMES
 from .inputs import (
     EXPERT,
     WAVES,
@@ -31,9 +32,10 @@ from .inputs import (
     numeric,
     output_option,
     read_recorded,
+    require_in_sight,
     require_linear,
 )
-from .judging import COUNTED, WAVELENGTH, one_of
+from .judging import COUNTED, WAVELENGTH, ends_in, one_of
 from .stopping import Resume, checkpoint_of, stopped_by_hand
 
 if TYPE_CHECKING:
@@ -75,6 +77,7 @@ def reconstruct(
             "All go into one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif "
             "(ImageJ), .ome.tif (OME) or .zarr.",
         ),
+        ends_in(*PICTURES, *VOLUMES),
     ] = None,
     method: Annotated[
         str,
@@ -110,6 +113,7 @@ def reconstruct(
             "depth as colour.",
             rich_help_panel=EXPERT,
         ),
+        ends_in(".png"),
     ] = None,
     resume: Resume = False,
     workers: Annotated[
@@ -162,6 +166,9 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
+    known = require_in_sight(capture, named_camera(camera), *distance)
+
+    # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
     from ..refocus.methods import used_by
     from ..refocus.results import SUFFIXES, require_volume_path
@@ -188,7 +195,6 @@ def reconstruct(
     )
     white, resume, workers, scheduler = (used.pop(name) for name in ("white", "resume", "workers", "scheduler"))
     used |= {"method": method, "oversample": oversample}
-    known = named_camera(camera)
     require_linear(linear, capture, white)
     if output is None:
         with progress_bar("Estimating") as progress:
@@ -203,7 +209,7 @@ def reconstruct(
     if whole:
         require_volume_path(output, distance)
     if overview:
-        require_writable(overview, ".png")
+        require_writable(overview)
     written = [*(paths or [output]), overview]
     require_different(*written)
     for path in filter(None, written):
@@ -234,7 +240,11 @@ def sheet(
     results: Annotated[
         list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
     ],
-    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.")],
+    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png."), ends_in(".pdf", ".png")],
+    distance: Annotated[
+        list[float] | None,
+        numeric("Show the results at this distance alone; repeat for several.", "all", unit="MM"),
+    ] = None,
     exposure: Exposure = None,
     percentile: Percentile = None,
 ) -> None:
@@ -242,16 +252,25 @@ def sheet(
 
     All share one scale. They must be by one camera.
 
-    [bold]Example:[/bold]
+    [bold]Examples:[/bold]
 
       mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
+
+      mitsuba-plenoptic sheet *.exr -o sheet.png --distance 210 --distance 240
     """
     from ..refocus import read_reconstruction
     from ..report.images import Brightness
     from ..runtime.files import require_apart, require_writable
 
-    require_apart(require_writable(output, ".pdf", ".png"), *results)
+    require_apart(require_writable(output), *results)
     read = [read_reconstruction(path) for path in results]
+    there = sorted({one.distance for one in read})
+    for value in distance or ():
+        refuse_if(
+            value not in there,
+            f"distance = {value:g}: no result is refocused there, but to {', '.join(f'{one:g}' for one in there)}",
+        )
+    read = [one for one in read if not distance or one.distance in distance]
     # Brings Matplotlib, which takes a while to load.
     from ..report.figures import contact_sheet
 

@@ -12,7 +12,7 @@ import typer
 
 from ..errors import InputError
 from ..runtime.progress import MINUTE, Forecast, in_words, progress_bar
-from .choices import ALL_MOSAICS, QUANTITIES
+from .choices import ALL_MOSAICS, QUANTITIES, RAW_SUFFIXES
 from .inputs import (
     CameraFile,
     CaptureFile,
@@ -30,6 +30,7 @@ from .inputs import (
     output_option,
     parse_definitions,
 )
+from .judging import WAVELENGTHS, ends_in
 from .stopping import Resume, checkpoint_of, stopped_by_hand
 
 _log = logging.getLogger(__name__)
@@ -37,7 +38,9 @@ _log = logging.getLogger(__name__)
 
 def render(
     scene: Scene,
-    output: Annotated[Path | None, output_option("FILE.exr", "File to write; not needed with --estimate.")] = None,
+    output: Annotated[
+        Path | None, output_option("FILE.exr", "File to write; not needed with --estimate."), ends_in(".exr")
+    ] = None,
     model: Model = None,
     spp: Samples = None,
     seed: Seed = 0,
@@ -48,6 +51,7 @@ def render(
             "the scene's, else 633",
             unit="NM",
         ),
+        WAVELENGTHS,
     ] = None,
     method: Annotated[
         str | None,
@@ -82,6 +86,7 @@ def render(
     white: Annotated[
         Path | None,
         typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
+        ends_in(".exr"),
     ] = None,
     aov: Annotated[
         str | None,
@@ -155,7 +160,7 @@ def render(
     # Before the rendering, which may take long.
     names = None if aov is None else require_quantities(name.strip() for name in aov.split(","))
     for path in filter(None, (output, white)):
-        require_writable(path, ".exr")
+        require_writable(path)
     truth_file = require_writable(truth_path(output))
     require_different(output, white, truth_file if names else None)
     saved = checkpoint_of(output, resume, checkpoint)
@@ -207,7 +212,11 @@ def render(
 
 def expose(
     capture: CaptureFile,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.")],
+    output: Annotated[
+        Path,
+        output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers."),
+        ends_in(".exr", *RAW_SUFFIXES),
+    ],
     photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,
     full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = 8000.0,
@@ -245,13 +254,12 @@ def expose(
 
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
-    from ..io.captures import RAW_SUFFIXES, read_capture, write_capture, write_raw
+    from ..io.captures import read_capture, write_capture, write_raw
     from ..light.detector import Detector
     from ..light.detector import expose as record
     from ..runtime.files import require_apart, require_writable
 
-    require_writable(output, ".exr", *RAW_SUFFIXES)
-    require_apart(output, capture)
+    require_apart(require_writable(output), capture)
     detector = Detector(
         quantum_efficiency=quantum_efficiency,
         full_well=full_well,

@@ -97,8 +97,7 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
             (("if these are metres, multiply them by 1000", in_millimetres(camera)),),
         )
     directions = direction_count(camera, wavelength)
-    # Two pixels a lens are for the sides of the pupil, not for directions.
-    if directions < 2 * (1 - SINGLE) and abs(camera.pixels_per_lens / 2 - 1) > _DUAL:
+    if directions < 2 * (1 - SINGLE) and not _is_dual(camera):
         factor = 2 / directions * (1 + SINGLE)
         finer = ("make pixels finer", finer_pixels(camera, factor))
         larger = ("make lenses larger", larger_lenses(camera, factor))
@@ -109,6 +108,11 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
         )
     if wavelength is not None:
         yield from _diffraction(camera, wavelength)
+
+
+def _is_dual(camera: PlenopticCamera) -> bool:
+    """Return whether there are two pixels a lens, for the sides of the pupil, not for directions."""
+    return abs(camera.pixels_per_lens / 2 - 1) <= _DUAL
 
 
 def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
@@ -226,10 +230,12 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding
             ),
         )
     fresnel = mla_fresnel_number(camera, wavelength)
-    if fresnel < 1 - SINGLE:
+    # The spot is as wide as half a lens at 0.5, which keeps the sides of the pupil apart.
+    least = 0.5 if _is_dual(camera) else 1
+    if fresnel < least * (1 - SINGLE):
         yield Finding(
             f"the microlenses hardly focus: their Fresnel number is {fresnel:.2g}",
-            (("make lenses larger", larger_lenses(camera, 1 / fresnel)),),
+            (("make lenses larger", larger_lenses(camera, least / fresnel)),),
         )
     aberration = parabolic_aberration(camera, wavelength) if camera.lens_model == "parabolic" else 0
     if aberration > _RAYLEIGH:

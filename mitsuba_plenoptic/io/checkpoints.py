@@ -17,7 +17,6 @@ import math
 import os
 import sys
 import time
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -27,7 +26,7 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_choice, require_count, require_number
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number, warn
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum, Snapshot
 from ..runtime.files import FilesUsed, atomic_output, read_text, remove_leftovers, write_text
@@ -61,7 +60,8 @@ _log = logging.getLogger(__name__)
 def locked(path: Path, refusal: str) -> Iterator[None]:
     """Hold a lock file next to `path`; refuse if another process holds it.
 
-    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
+    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock, and
+    some network drives have none, of which a warning tells.
     """
     new = not path.parent.exists()
     try:
@@ -78,7 +78,8 @@ def locked(path: Path, refusal: str) -> Iterator[None]:
         except (BlockingIOError, FileNotFoundError):
             mine = False
         except OSError as error:
-            raise InputError(f"{path.parent}: it cannot be locked: {error.strerror}") from error
+            mine = True
+            warnings.warn(f"{path.parent}: it cannot be locked: {error.strerror}", stacklevel=4)
         refuse_if(not mine, f"{refusal}; wait until it has ended")
         try:
             yield
@@ -229,7 +230,7 @@ class Checkpoint:
         except (OSError, InputError) as error:
             if not self._complained:
                 cause = getattr(error.__cause__ or error, "strerror", None) or str(error).removeprefix(f"{self.path}: ")
-                warnings.warn(f"{self.path}: no checkpoint can be written: {cause}", stacklevel=2)
+                warn(f"{self.path}: no checkpoint can be written: {cause}")
                 self._complained = True
         now = time.monotonic()
         self._due = now + max(INTERVAL, (now - start) / FRACTION)
@@ -349,8 +350,13 @@ def _read(
             header = json.loads(str(archive["header"]))
             # Those of version 1.0 and earlier state none.
             version = {KEY: header[KEY]} if KEY in header else {}
-            there = {"format": header["format"], **version, **header["run"]}
-            differences = _differences(there, {"format": FORMAT, KEY: VERSION, **run})
+            there = flattened({"format": header["format"], **version, **header["run"]})
+            here = flattened({"format": FORMAT, KEY: VERSION, **run})
+            differences = [
+                f"{name} = {there.get(name, 'nothing')} there, {here.get(name, 'nothing')} here"
+                for name in {**here, **there}
+                if name not in there or name not in here or there[name] != here[name]
+            ]
             if not differences:
                 return take(archive, header)
     except Exception as error:
@@ -417,16 +423,6 @@ def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32
     if not np.isfinite(array).all():
         raise ValueError(f"{name} holds numbers that are not finite")
     return array
-
-
-def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return the names of entries in which a checkpoint's run differs from this one."""
-    found, wanted = flattened(there), flattened(here)
-    return [
-        f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"
-        for name in {**wanted, **found}
-        if name not in found or name not in wanted or found[name] != wanted[name]
-    ]
 
 
 def flattened(values: Any, name: str = "") -> dict[str, Any]:

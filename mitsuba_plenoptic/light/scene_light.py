@@ -8,7 +8,6 @@ each ray once for its radiance and once more for the derivative.
 from __future__ import annotations
 
 import re
-import warnings
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..design import depth_ranges
-from ..errors import InputError, advice, refuse_if
+from ..errors import InputError, advice, refuse_if, warn
 from ..lenses.main_lens import Pair
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
@@ -254,8 +253,7 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     else:
         return
     instead = advice(python='load_scene(..., unit="m") scales them', shell="--unit m scales them")
-    warnings.warn(
+    warn(
         f"the whole scene is nearer than {farthest:.4g} mm, {where}: lengths are taken as millimetres; if the scene's "
-        f"are metres, {instead}",
-        stacklevel=3,
+        f"are metres, {instead}"
     )

@@ -13,7 +13,6 @@ mixing of a ray's values into channels by the nodes is linear as well, and is tr
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.vector import Values
+from ..errors import warn
 from ..io.checkpoints import digest
 from ..runtime.batches import Job, SumTask
 from .cost import Cost
@@ -113,10 +113,9 @@ class SignedCapture:
         channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         if not found.any():
-            warnings.warn(
-                "plenoptic_wave: none of some rays meets anything that shines; a nested integrator with "
-                "hide_emitters sees no emitters",
-                stacklevel=2,
+            warn(
+                "plenoptic_wave: none of some rays meets anything that shines; plain BSDFs are black from "
+                "behind, and a nested integrator with hide_emitters sees no emitters"
             )
         image = job.run(tasks, shape, sum(task.items for task in tasks), lambda: {"scene_digest": digest(found)})
         if noise:

@@ -7,14 +7,11 @@ in the computed fields and thus checks that choice. All bounds are defined here,
 from __future__ import annotations
 
 import contextlib
-import sys
-import warnings
 from collections.abc import Iterator
 from contextvars import ContextVar
 from dataclasses import dataclass
-from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, warn
 
 _DIGITS = 3
 """Digits of reported fractions: further digits vary with the number of threads."""
@@ -279,15 +276,4 @@ def _sentence(guard: Guard, fraction: float) -> str:
 
 def _warn(guard: Guard, fraction: float) -> None:
     if fraction > guard.warn:
-        warnings.warn(_sentence(guard, fraction), PhysicsWarning, stacklevel=_callers_level())
-
-
-def _callers_level() -> int:
-    """Return the number of frames from `_warn` up to the first one outside this package."""
-    ours = str(Path(__file__).parent.parent)
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back is not None and (
-        frame.f_code.co_filename.startswith(ours) or frame.f_code.co_filename == contextlib.__file__
-    ):
-        level, frame = level + 1, frame.f_back
-    return level
+        warn(_sentence(guard, fraction), PhysicsWarning)

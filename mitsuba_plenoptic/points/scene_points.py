@@ -13,7 +13,6 @@ from which rays start: only rays of this fraction could have found the point.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.plenoptic_camera import require_ideal
-from ..errors import InputError, refuse_if
+from ..errors import InputError, refuse_if, warn
 from ..io.checkpoints import digest
 from ..light.cost import Cost
 from ..light.entrance import Entrances, LensWindow
@@ -287,7 +286,7 @@ class PointsCapture:
         refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
-            warnings.warn("plenoptic_wave: no ray from the pupil meets anything that shines", stacklevel=2)
+            warn("plenoptic_wave: no ray from the pupil meets anything that shines")
         operator = self._operator(points)
         image = job.run(
             operator.tasks(self._weights(points), job),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import warnings
 from dataclasses import dataclass, replace
 from importlib import resources
 from typing import Any
@@ -24,6 +23,7 @@ from ..errors import (
     require_number,
     require_wavelength,
     short_repr,
+    warn,
 )
 from ..runtime.backend import safe_sqrt
 from . import lenses
@@ -332,7 +332,7 @@ class Prescription(LensData):
                 position < _LEAST_CLIPPED * min(pair),
                 f"{text}: they must stay apart within a tenth of the smaller of their semi-apertures, {min(pair):.4g}",
             )
-            warnings.warn(f"{text}: their semi-apertures, {pair[0]:.4g} and {pair[1]:.4g}, end there", stacklevel=2)
+            warn(f"{text}: their semi-apertures, {pair[0]:.4g} and {pair[1]:.4g}, end there")
             for index in (first, second):
                 least = min(surfaces[index].semi_aperture, position)
                 surfaces[index] = replace(surfaces[index], semi_aperture=least)

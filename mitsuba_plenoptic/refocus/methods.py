@@ -5,7 +5,6 @@ Each method is a module that registers one function of a `Task`.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +22,7 @@ from ..errors import (
     require_number,
     require_wavelength,
     short_repr,
+    warn,
 )
 from ..io.captures import Capture, as_array, require_demosaiced
 from ..io.checkpoints import Checkpoint
@@ -142,8 +142,7 @@ def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
         named = ", ".join(f"{argument(name)} (of {takers[name]})" for name in unused)
-        # From where `reconstruct` is called, through its decorators.
-        warnings.warn(f"method {chosen.name} has no use for {named}", stacklevel=5)
+        warn(f"method {chosen.name} has no use for {named}")
     return {**given, **dict.fromkeys(unused)}
 
 

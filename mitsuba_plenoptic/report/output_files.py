@@ -21,14 +21,14 @@ from ..views.viewpoints import view_mosaic
 from .animations import require_animation, write_animation
 from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
 
-_SUFFIXES = (".exr", ".png", ".pdf")
+SUFFIXES = (".exr", ".png", ".pdf")
 
 _AUTOMATIC = Drawing()
 
 
 def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
     """Check, before a long computation, that a file of a picture or of data can be written."""
-    path = require_writable(path, *_SUFFIXES, *(ANIMATED if animated else ()))
+    path = require_writable(path, *SUFFIXES, *(ANIMATED if animated else ()))
     if path.suffix.lower() in ANIMATED:
         require_animation(path)
     return path

@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, short_repr
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -65,10 +65,8 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
         refuse_if(path.exists() and not path.is_file(), f"{path}: it is a device or a pipe; give a file name")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    refuse_if(
-        suffixes and not path.name.lower().endswith(suffixes),
-        f"{path}: give a name that ends in {' or '.join(suffixes)}",
-    )
+    if suffixes:
+        require_suffix(path, suffixes)
     refuse_if(
         not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)),
         f"{path}: no permission to write it",

@@ -8,18 +8,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    SpinnerColumn,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 1.0, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
@@ -105,10 +97,14 @@ def progress_bar(label: str) -> Iterator[ProgressBar]:
 
 def moving_bar() -> Progress:
     """Return bars with percentage and time left on standard error, which show where they can move."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
-    times = (TimeElapsedColumn(), TimeRemainingColumn())
+    # Not needed for the help of commands, which imports this module.
+    from rich import progress
+    from rich.console import Console
+
+    shown = (progress.SpinnerColumn(), "{task.description}", progress.BarColumn(), progress.TaskProgressColumn())
+    times = (progress.TimeElapsedColumn(), progress.TimeRemainingColumn())
     console = Console(stderr=True, highlight=False)
-    return Progress(*columns, *times, console=console, transient=True, disable=is_quiet() or not has_screen())
+    return progress.Progress(*shown, *times, console=console, transient=True, disable=is_quiet() or not has_screen())
 
 
 def is_quiet() -> bool:
@@ -118,6 +114,8 @@ def is_quiet() -> bool:
 
 def has_screen() -> bool:
     """Return whether standard error is a terminal or a notebook, where a bar can move."""
+    from rich.console import Console
+
     console = Console(stderr=True)
     return console.is_terminal or console.is_jupyter
 

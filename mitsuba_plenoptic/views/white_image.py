@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import warnings
 from collections.abc import Sequence
 
 import drjit as dr
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, are_alike
 from ..design import crosstalk_neighbours
-from ..errors import InputError, refuse_if, short_repr
+from ..errors import InputError, refuse_if, short_repr, warn
 from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps, hashed
@@ -315,7 +314,7 @@ def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
     """Refuse a white capture with less than a required fraction, and warn below one half."""
     refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
-        warnings.warn(f"{text}: {rule}", stacklevel=2)
+        warn(f"{text}: {rule}")
 
 
 def _mean_response(camera: PlenopticCamera) -> float:

@@ -78,6 +78,13 @@ def test_a_camera_survives_its_other_forms(numbers):
     np.testing.assert_array_equal(np.ravel(sensor.world_transform().translation()), [1, 2, 3])
 
 
+def test_a_film_whose_size_is_changed_later_is_whole():
+    sensor = PlenopticCamera(resolution=(64, 48)).to_sensor()
+    sensor["film"] |= {"width": 1920, "height": 1080}
+    film = mi.load_dict(sensor).film()
+    assert tuple(film.crop_size()) == (1920, 1080) and tuple(film.crop_offset()) == (0, 0)
+
+
 def test_a_camera_is_a_value():
     camera = PlenopticCamera(main_lens="tessar", mla_glass=1.5)
     for name in ("focal_length", "focal_lenght"):

@@ -62,9 +62,8 @@ def test_a_verbose_command_names_what_it_reads_and_writes(raw, tmp_path, capfd):
 def test_every_bar_has_a_percentage_and_a_time_left(line, label, raw, tmp_path, monkeypatch):
     shown = io.StringIO()
     monkeypatch.setattr(progress, "has_screen", lambda: True)
-    monkeypatch.setattr(
-        progress, "Console", lambda **_: Console(file=shown, force_terminal=True, width=120, color_system=None)
-    )
+    made = Console(file=shown, force_terminal=True, width=120, color_system=None)
+    monkeypatch.setattr("rich.console.Console", lambda **_: made)
     assert main(line.format(raw=raw, out=tmp_path / "out").split()) == 0
     assert re.search(rf"{label} +[━╸╺ ]+ +\d+% \S+ (-:--:--|\d:\d\d:\d\d)", shown.getvalue())
 
@@ -174,6 +173,24 @@ BEFORE_A_REFUSAL |= {
         ("reconstruct {there} -o out.exr --distance 240 --method rey", "did you mean ray?"),
         ("reconstruct {there} -o out.exr --distance nan", "--distance = nan"),
         ("reconstruct {there} -o out.exr --distance 240 --wavelength 0.5", "from 200 to 2500 nm"),
+        ("render letters -o raw.exr --wavelength abc", "--wavelength = 'abc': it must be nanometres"),
+        ("render letters -o raw.exr --wavelength 611,549,0.4", "from 200 to 2500 nm"),
+        ("render letters -o raw.png", "raw.png: give a name that ends in .exr"),
+        ("render letters -o raw.exr --white white.png", "white.png: give a name that ends in .exr"),
+        ("expose {there} -o out.jpg --photons 9", "out.jpg: give a name that ends in .exr or .png"),
+        ("reconstruct {there} -o out.jpg --distance 240", "out.jpg: give a name that ends in .exr or .png or .pdf"),
+        ("reconstruct {there} -o out.exr --distance 240 --overview all.jpg", "all.jpg: give a name that ends in .png"),
+        ("sheet {there} -o sheet.exr", "sheet.exr: give a name that ends in .pdf or .png"),
+        ("views {there} -o views.jpg", "views.jpg: give a name that ends in .exr or .png or .pdf or .gif or .mp4"),
+        ("stack {there} -o stack.jpg --distance 240", "stack.jpg: give a name"),
+        ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
+        ("view {there} -o page.pdf", "page.pdf: give a name that ends in .html"),
+        ("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc"),
+        (
+            "fit {there} --scene letters -o camera.xml --parameter mla_pitch",
+            "camera.xml: give a name that ends in .json",
+        ),
+        ("example letterz", "it must be one of letters-ray"),
         ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
         ("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?"),
         ("depth missing.exr -o depth.exr", "missing.exr: there is no such file"),
@@ -201,3 +218,19 @@ def test_values_are_refused_before_the_library_is_imported(words, rule, raw, cap
         "yaml",
         "h5py",
     }
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "reconstruct {there} -o out.exr --distance -240",
+        "stack {there} -o out.exr --distance 3",
+        "mtf {there} --distance 3",
+    ],
+)
+def test_distances_that_the_camera_cannot_see_are_refused_before_methods_are_imported(words, raw, complaint):
+    words = words.format(there=raw).split()
+    assert "it must be greater than the focal length 80" in complaint(*words)
+    own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
+    assert not {name.partition(".")[0] for name in own} & {"refocus", "views", "report", "points", "light"}
+    assert not libraries & {"pandas", "xarray", "matplotlib", "skimage", "h5py"}

@@ -13,11 +13,12 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, render_capture, with_camera, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, render_capture, with_camera, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
+from mitsuba_plenoptic.exchange import open_light_field
+from mitsuba_plenoptic.extensions.raw.hci import read_hci
 from mitsuba_plenoptic.report.images import Brightness, srgb, to_bytes
-from mitsuba_plenoptic.views import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
+from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, refocus, white_image
 from mitsuba_plenoptic.views.coordinates import camera_of
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
@@ -225,6 +226,20 @@ def test_refused_drawings(raw, tmp_path, complaint):
     ]:
         command, *options = arguments
         assert complaint(command, raw, *options).startswith(message), message
+
+
+def test_hci_states_the_size_of_pictures_of_a_cropped_capture(tmp_path, run):
+    camera = PlenopticCamera(resolution=(128, 128), detector_width=0.512, crop_offset=(40, 16), crop_size=(64, 80))
+    raw, folder = tmp_path / "raw.exr", tmp_path / "hci"
+    write_capture(raw, Capture(np.ones(camera.shape, np.float32), camera))
+    run("convert", raw, "-o", folder, "--format", "hci")
+    stated = configparser.ConfigParser()
+    stated.read(folder / "parameters.cfg")
+    with Image.open(folder / "input_Cam000.png") as picture:
+        size = tuple(int(stated["intrinsics"][f"image_resolution_{axis}_px"]) for axis in "xy")
+        assert size == picture.size
+    assert size != camera.bin_count
+    assert read_hci(folder).shape[2:4] == size[::-1]
 
 
 def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run, complaint):

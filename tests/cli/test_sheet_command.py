@@ -48,3 +48,12 @@ def test_refused(results, raw, tmp_path, complaint):
     assert "Missing argument" in complaint("sheet", "-o", path)
     with pytest.raises(InputError, match="there is no such file"):
         read_reconstruction(tmp_path / "none.exr")
+
+
+def test_distances_are_chosen(results, tmp_path, run, complaint):
+    path = tmp_path / "sheet.png"
+    words = f"{path}: 2 images, 1 methods at 1 distances\n"
+    assert run("sheet", *results[0], "-o", path, "--distance", "240") == words
+    assert run("sheet", *results[0], "-o", path, "--distance", "inf").startswith(f"{path}: 1 images")
+    rule = "--distance = 210: no result is refocused there, but to 240, inf"
+    assert complaint("sheet", *results[0], "-o", path, "--distance", "210") == rule

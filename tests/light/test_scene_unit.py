@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import warnings
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.scene_files import scene_names
 
 _WORDS = r"the whole scene is nearer than 4\.9 mm, within the main lens's focal length of 6\.84 mm: .* "
 
@@ -187,7 +187,25 @@ def test_a_scene_in_metres_that_is_larger_than_the_focal_length_is_told(depth, t
     assert [bool(re.search(words, str(one.message))) for one in found] == [True] * told
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("depth", [79.0, 81.0, 94.0])
+def test_scenes_beyond_the_focal_length_but_within_half_of_what_is_sharp_are_told(depth):
+    """The camera's focal length is 80 mm, and it makes sharp what is 188.5 mm away or more."""
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, depth]).scale(0.5)}
+    scene = {"type": "scene", "wall": wall, "sensor": mp.PlenopticCamera.preset("paper").to_sensor()}
+    with pytest.warns(UserWarning, match=f"the whole scene is nearer than {depth:g} mm"):
+        mp.load_scene(scene, variant="llvm_ad_mono")
+
+
+def test_warnings_point_at_the_line_of_the_user():
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 2])}
+    scene = {"type": "scene", "wall": wall, "sensor": mp.PlenopticCamera.preset("paper").to_sensor()}
+    with pytest.warns(UserWarning, match="the whole scene is nearer") as found:
+        mp.load_scene(scene, variant="llvm_ad_mono")
+    assert [one.filename for one in found] == [__file__]
+    assert "mp.load_scene(scene" in Path(__file__).read_text().splitlines()[found[0].lineno - 1]
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in mp.scene_path("letters").parent.glob("*.xml")))
 def test_no_scene_of_the_package_is_taken_for_one_in_metres(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

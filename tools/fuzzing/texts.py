@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import read_camera
 from mitsuba_plenoptic.camera.phase_screen import known_screen
@@ -14,6 +16,7 @@ from mitsuba_plenoptic.dataset import read_recipe
 from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
 from mitsuba_plenoptic.extensions.data.shards import read_manifest, recorded_checksums
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response
+from mitsuba_plenoptic.extensions.raw.hci import read_hci
 from mitsuba_plenoptic.extensions.studio.sweep import read_grid
 from mitsuba_plenoptic.microlens.shape import known_shape
 from mitsuba_plenoptic.optics.spectrum import read_responses
@@ -77,6 +80,24 @@ ray: {spp: {from: 1, to: 2, step: 1}}
 """
 RESPONSE = {"angles_x": [-1, 0, 1], "angles_y": [-1, 1], "responses": [[[[1, 1, 1], [1, 1, 1]]]]}
 
+HCI = f"""[extrinsics]
+num_cams_x = 2
+num_cams_y = 2
+[mitsuba_plenoptic]
+camera = {mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256).to_json()}
+white = 1.5
+channels = 1
+""".replace("\n ", " ").replace("\n}", "}")
+
+
+def read_views(path: str) -> Any:
+    """Read a folder of the 4D Light Field Benchmark from the text and four pictures, which are put beside it."""
+    folder = Path(path).parent
+    for number in range(4):
+        Image.new("RGB", (4, 4)).save(folder / f"input_Cam{number:03d}.png")
+    return read_hci(folder)
+
+
 TEXTS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "camera.json": (mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256).to_json(), read_camera),
     "lens.yaml": (LENS, read_prescription),
@@ -102,6 +123,7 @@ TEXTS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "centres.json": (json.dumps({"mic_list": [[8.0, 8.0, 0, 0], [8.0, 24.0, 0, 1]]}), read_foreign_centres),
     "recipe.yaml": (RECIPE, read_recipe),
     "varied.yaml": ("samples: [1, 2]\ndistance: [210.0, 2.8e2]\n", lambda path: read_grid(Path(path))),
+    "parameters.cfg": (HCI, read_views),
     "dataset.json": (json.dumps({"count": 2, "samples_per_shard": 1}), lambda path: read_manifest(Path(path).parent)),
     "checksums.sha256": ("0" * 64 + "  README.md\n", lambda path: recorded_checksums(Path(path).parent)),
 }

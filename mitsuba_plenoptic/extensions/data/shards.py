@@ -11,7 +11,6 @@ import hashlib
 import json
 import logging
 import os
-import warnings
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
+from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr, warn
 from ...io.captures import MODELS
 from ...io.checkpoints import digest, flattened, write_json
 from ...io.versions import KEY, is_of_1_0, stamped
@@ -204,10 +203,9 @@ def read_sample(
         compared = with_digests or _DIGESTS in group
         digests, arrays = json.loads(read(_DIGESTS).tobytes()) if compared else {}, {}
         if not compared:
-            warnings.warn(
+            warn(
                 f"{path.parent.parent}: its samples have no digests, as those of version 0.2.0: what is damaged in "
-                f"them is not noticed, other than by DataSet.damaged()",
-                stacklevel=3,
+                f"them is not noticed, other than by DataSet.damaged()"
             )
         for name in (digests or set(group) - {_DIGESTS}) if names is None else [*names, _FACTS]:
             arrays[name] = read(name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
-from ...errors import require_wavelength
+from ...errors import require_wavelength, warn
 from ...views.grid_estimation import estimate_lens_grid
 from .fit_light import View, check_views
 from .point_rays import RayModels, check_numbers, vector_of
@@ -152,9 +151,7 @@ def coarse_fit(
     stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
     if stuck.any():
         named = ", ".join(f"{vector.labels[one]} = {x[one]:.6g}" for one in np.flatnonzero(stuck))
-        warnings.warn(
-            f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters", stacklevel=2
-        )
+        warn(f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters")
     return found
 
 

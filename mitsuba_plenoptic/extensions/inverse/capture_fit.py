@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple
 from functools import partial
@@ -22,6 +21,7 @@ from ...errors import (
     require_number,
     require_wavelength,
     suggest_keywords,
+    warn,
 )
 from ...io.captures import MODELS
 from ...io.checkpoints import Checkpoint, digest
@@ -165,12 +165,9 @@ def fit(
         rows = (slopes / pixels.weight).reshape(len(start), -1).T * unit
         found = summary(*named, rows, residuals(x, pixels), pixels, trial.count)
     if result.status == 0:
-        warnings.warn(
-            f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters",
-            stacklevel=2,
-        )
+        warn(f"fit: it ended after {trial.count} cameras before it had settled: start nearer, or fit fewer parameters")
     for doubt in doubts(found, given, trial.expected(x)):
-        warnings.warn(f"fit: {doubt}", stacklevel=2)
+        warn(f"fit: {doubt}")
     return found
 
 

@@ -18,6 +18,7 @@ from ...cli.inputs import (
     parse_definitions,
     require_in_use,
 )
+from ...cli.judging import ends_in
 from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
@@ -34,7 +35,7 @@ def fit(
     captures: Annotated[
         list[Path], typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.")
     ],
-    output: Annotated[Path, output_option("FILE.json", "File to write: the camera.")],
+    output: Annotated[Path, output_option("FILE.json", "File to write: the camera."), ends_in(".json")],
     scenes: Annotated[
         list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
     ],
@@ -100,7 +101,7 @@ def fit(
 
     if len(scenes) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
-    require_apart(require_writable(output, ".json"), *captures, mask)
+    require_apart(require_writable(output), *captures, mask)
     read = [read_capture(path) for path in captures]
     noises = [_recorded_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
     left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import mitsuba as mi
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_ideal
-from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength
+from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
 from ...light.cost import Cost
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -188,7 +187,7 @@ def make_class() -> type:
             system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
             points = LaserScene(scene, sensor, lasers, system).points(self.points_per_spot, seed)
             if not len(points.positions):
-                warnings.warn(f"{NAME}: the camera sees no surface that the lasers light", stacklevel=2)
+                warn(f"{NAME}: the camera sees no surface that the lasers light")
                 return np.zeros((*camera.shape, 1), np.float32)
             operator = CaptureOperator(camera, points.positions, wavelength=wavelength, method="full_field")
             modes = self._modes_of(camera, points)

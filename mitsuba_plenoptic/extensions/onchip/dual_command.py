@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ...cli.choices import LAYOUTS
+from ...cli.choices import LAYOUTS, PICTURES
 from ...cli.inputs import CaptureFile, Exposure, Figure, Percentile, Scale, drawing_of, output_option
-from ...errors import require_choice
+from ...cli.judging import ends_in, one_of
 
 
 def dual(
@@ -21,10 +21,12 @@ def dual(
             "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
             ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
         ),
+        ends_in(*PICTURES),
     ],
     layout: Annotated[
         str,
         typer.Option(metavar="|".join(LAYOUTS), help="Photodiodes of a lens: beside each other, above, or four."),
+        one_of(LAYOUTS),
     ] = "2x1",
     exposure: Exposure = None,
     percentile: Percentile = None,
@@ -50,7 +52,7 @@ def dual(
 
     require_apart(require_picture_path(output), capture)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
-    along, across = require_choice("layout", layout, LAYOUTS).split("x")
+    along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     write_photodiodes(output, halves, photodiode_names(halves), drawing)
     views, lenses = (f"{halves.sizes[x]} x {halves.sizes[y]}" for x, y in (("u", "v"), ("s", "t")))

@@ -19,12 +19,13 @@ from ...cli.inputs import (
     read_recorded,
     require_linear,
 )
+from ...cli.judging import ends_in
 from ...errors import refuse_if
 
 
 def demosaic(
     capture: CaptureFile,
-    output: Annotated[Path, output_option("FILE.exr", "File to write.")],
+    output: Annotated[Path, output_option("FILE.exr", "File to write."), ends_in(".exr")],
     mosaic: Annotated[
         str | None,
         typer.Option(
@@ -70,7 +71,7 @@ def demosaic(
     from ...runtime.files import require_apart, require_writable
     from .lytro_file import nearest_white
 
-    require_writable(output, ".exr")
+    require_writable(output)
     require_apart(output, capture, white)
     # Brings libraries that take a while to load.
     from .demosaic import balanced

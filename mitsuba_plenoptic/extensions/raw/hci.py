@@ -115,21 +115,23 @@ def write_hci(
             _write_pfm(folder / f"{kind}.pfm", values)
         shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
     ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
-    _write_parameters(folder / PARAMETERS, camera, name, version, shifts, 2 * half + 1, ours)
+    size = lf.sizes["s"], lf.sizes["t"]
+    _write_parameters(folder / PARAMETERS, camera, size, name, version, shifts, 2 * half + 1, ours)
     return 2 * half + 1
 
 
 def _write_parameters(
     path: Path,
     camera: PlenopticCamera,
+    size: tuple[int, int],
     name: str,
     version: str,
     shifts: tuple[float, float],
     views: int,
     ours: dict[str, str],
 ) -> None:
-    """Write the geometry of `views` cameras in a row, and entries that only this package reads."""
-    columns, rows = camera.bin_count
+    """Write the geometry of `views` cameras in a row, with pictures of a size, and what only this package reads."""
+    columns, rows = size
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)
     parser["intrinsics"] = {

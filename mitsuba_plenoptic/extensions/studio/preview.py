@@ -194,16 +194,21 @@ def _span(distance: np.ndarray) -> tuple[float, float]:
     return tuple(map(float, np.percentile(known, (5, 95)))) if known.size else (math.nan, math.nan)  # type: ignore[return-value]
 
 
+_LONGEST_TITLE = 30
+"""Letters of a picture's title, of which the plane in focus takes as many again."""
+
+
 def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
     """Draw pictures with outlines of what is in focus and what refocusing makes sharp, and views from above."""
-    canvas = Canvas(9.6, 4.9 * len(previews) + 0.1)
+    canvas = Canvas(9.8, 4.9 * len(previews) + 0.1)
     for index, (title, seen) in enumerate(previews):
         top = 0.45 + 4.9 * index
         rows, columns = seen.picture.shape
         width, height = (4.2, 4.2 * rows / columns) if rows <= columns else (4.2 * columns / rows, 4.2)
         axes = canvas.axes(0.2, top, width, height)
-        what = f"What the main lens sees, {seen.view.focus_label}"
-        heading = f"{title}: {what[0].lower()}{what[1:]}" if title else what
+        # One line of the picture's width.
+        named = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 3]}..."
+        heading = f"{named or 'What the main lens sees'}, {seen.view.focus_label}"
         show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
         if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
             scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)

@@ -18,6 +18,7 @@ from ...cli.inputs import (
     output_option,
     parse_definitions,
 )
+from ...cli.judging import ends_in
 from ...errors import InputError
 from ...runtime.progress import in_words, progress_bar
 
@@ -25,7 +26,9 @@ from ...runtime.progress import in_words, progress_bar
 def preview(
     scene: Scene,
     output: Annotated[
-        Path | None, output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.")
+        Path | None,
+        output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png."),
+        ends_in(".png", ".pdf"),
     ] = None,
     camera: CameraFile = None,
     unit: Unit = "mm",
@@ -61,7 +64,7 @@ def preview(
     from ...optics.guards import PhysicsError
     from ...runtime.files import require_writable
 
-    target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
+    target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     with progress_bar("Previewing") as progress:
         loaded = open_scene(scene, parse_definitions(define), variant, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
@@ -73,7 +76,7 @@ def preview(
         progress(2, 4)
         view = seen.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
-        previews = [(f"{scene}, in focus {where}", seen)]
+        previews = [(Path(scene).name, seen)]
         lines = []
         if fit:
             proposal = propose(loaded, seen)

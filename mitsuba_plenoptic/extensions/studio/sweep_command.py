@@ -23,7 +23,7 @@ from ...cli.inputs import (
     output_option,
     parse_definitions,
 )
-from ...cli.judging import one_of
+from ...cli.judging import ends_in, one_of
 from ...cli.stages import stage_lines
 from ...cli.stopping import Resume
 from ...errors import refuse_if
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def sweep(
     scene: Scene,
-    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write.")],
+    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write."), ends_in(".nc")],
     grid: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
     ] = None,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ...cli.inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
+from ...cli.judging import ends_in
 from ...errors import refuse_if
 from ...runtime.progress import progress_bar
 
@@ -22,7 +23,9 @@ def view(
         ),
     ],
     output: Annotated[
-        Path | None, output_option("FILE.html", "File to write. Default: named as the first source.")
+        Path | None,
+        output_option("FILE.html", "File to write. Default: named as the first source."),
+        ends_in(".html"),
     ] = None,
     white: White = None,
     view_count: ViewCount = None,
@@ -50,7 +53,7 @@ def view(
     from .viewer_sources import read_source
 
     refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
-    target = require_writable(output or sources[0].with_suffix(".html"), ".html")
+    target = require_writable(output or sources[0].with_suffix(".html"))
     require_apart(target, *sources, white)
     known = named_camera(camera)
     with progress_bar("Making the page"):

@@ -24,6 +24,7 @@ from ...errors import (
     require_count,
     require_wavelength,
     suggest_keywords,
+    warn,
 )
 from ...io.captures import as_array
 from ...lenses.common import main_lens
@@ -167,21 +168,17 @@ def fit_wavefronts(
         if settled and np.allclose(light, before, rtol=_SAME_LIGHT):
             break
     else:
-        warnings.warn(
-            f"fit_wavefronts: the zones had not settled after {_MOST_TURNS} turns: fit fewer modes, or fewer zones",
-            stacklevel=3,
-        )
+        warn(f"fit_wavefronts: the zones had not settled after {_MOST_TURNS} turns: fit fewer modes, or fewer zones")
     # Where zones overlap, pixels are weighted as no single fit expects, and its chi-square means nothing.
     for each in said if len(some) == 1 else ():
-        warnings.warn(str(each), stacklevel=3)
+        warn(str(each))
     for which, (zone, fitted) in enumerate(zip(some, found, strict=True)):
         beside = _distance_beside(camera, zone)
         if beside > 0:
             tilt = float(np.hypot(*terms_of(fitted.camera, 3)[1:]))
-            warnings.warn(
+            warn(
                 f"fit_wavefronts: zones: the image of zone {which} is {beside:.3g} mm beside the recorded lenses; a "
-                f"tilt of {tilt:.3g} waves was fitted to bring it there; check the positions of its points",
-                stacklevel=3,
+                f"tilt of {tilt:.3g} waves was fitted to bring it there; check the positions of its points"
             )
     return found
 

@@ -7,10 +7,11 @@ import re
 import mitsuba as mi
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, with_camera
 from mitsuba_plenoptic.extensions.studio import preview
-from mitsuba_plenoptic.extensions.studio.preview import framing_warnings, preview_of, propose
+from mitsuba_plenoptic.extensions.studio.preview import draw_preview, framing_warnings, preview_of, propose
 
 CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
 WIDTH = 16 * 0.064 * 240 / 120  # of the field in the plane in focus
@@ -149,3 +150,15 @@ def test_a_camera_without_a_plane_in_focus_is_refused():
     camera = CAMERA.replace(mla_distance=79.0)
     with pytest.raises(InputError, match=r"mla_distance = 79: no plane beyond the focal length 80 is in focus"):
         preview_of(scene_of(1.0, 240.0), camera)
+
+
+def test_no_text_runs_into_another_or_out_of_the_picture(tmp_path, monkeypatch):
+    seen, made = preview_of(scene_of(0.8 * WIDTH, 2400.0), CAMERA), []
+    monkeypatch.setattr(preview.Canvas, "save", lambda canvas, path: made.append(canvas.figure))
+    draw_preview(tmp_path / "seen.png", [("a_scene_with_the_name_of_a_very_long_file.xml", seen)])
+    made[0].canvas.draw()
+    shown = {one.get_text(): one.get_window_extent() for one in made[0].findobj(Text) if one.get_text()}
+    (title,) = (text for text in shown if text.endswith("..., in focus at 240 mm"))
+    (beside,) = (text for text in shown if text.startswith("From above"))
+    assert shown[title].x1 < shown[beside].x0
+    assert max(extent.x1 for extent in shown.values()) <= made[0].bbox.x1
