@@ -41,8 +41,7 @@ _NAMES = {
     "plugins.other_camera": ("with_camera",),
     "prescription": ("Prescription",),
     "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
-    "runtime.batches": ("Cluster",),
-    "runtime.jobs": ("Job",),
+    "runtime.batches": ("Cluster", "Job"),
     "runtime.progress": ("progress_bar",),
     "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
 }
@@ -60,7 +59,7 @@ MOVED = {
     "reconstruction.ray": "refocus.ray",
     "reconstruction.radiance": "refocus.radiance",
     "reconstruction.methods": "refocus.methods",
-    "reconstruction.partitions": "refocus.partitions",
+    "reconstruction.partitions": "extensions.paper.partitions",
     "reconstruction.waves": "refocus.wave_methods",
     "reconstruction.deconvolution": "refocus.deconvolution",
     "reconstruction.deconvolution.variation": "refocus.deconvolution.variation",

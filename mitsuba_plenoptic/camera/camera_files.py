@@ -9,8 +9,8 @@ from typing import Any
 
 from ..errors import NO_RECORD, naming, refuse_if, refusing
 from ..extension import entry_of
-from ..io.files import parse_yaml, read_text, read_yaml
 from ..presets import PRESETS
+from ..runtime.files import parse_yaml, read_text, read_yaml
 from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24

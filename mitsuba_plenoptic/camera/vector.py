@@ -78,16 +78,6 @@ class Component:
     label: str
 
 
-def _components(camera: PlenopticCamera, name: str) -> list[Component]:
-    """Return the vector entries of a parameter; the piston of aberrations is left out."""
-    count, entry = len(parts_of(camera, name)), PARAMETERS[name]
-    if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
-        return [Component(name, tuple(range(count)), name)]
-    refuse_if(count <= entry.unseen, f"{name}: the camera has no coefficients to start from; give it some, zeros too")
-    labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
-    return [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
-
-
 @dataclass(frozen=True)
 class CameraVector:
     """A vector of parameters of a camera; `of` returns the same `components` with the values of another camera."""
@@ -97,8 +87,21 @@ class CameraVector:
 
     @classmethod
     def by_names(cls, camera: PlenopticCamera, names: Iterable[str]) -> CameraVector:
-        """Return the vector of parameters; refuse coefficients of which the camera has none."""
-        return cls(camera, tuple(each for name in names for each in _components(camera, name)))
+        """Return the vector of parameters; refuse coefficients of which the camera has none.
+
+        The piston of aberrations is left out.
+        """
+        found = []
+        for name in names:
+            count, entry = len(parts_of(camera, name)), PARAMETERS[name]
+            if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
+                found.append(Component(name, tuple(range(count)), name))
+                continue
+            rule = "the camera has no coefficients to start from; give it some, zeros too"
+            refuse_if(count <= entry.unseen, f"{name}: {rule}")
+            labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
+            found += [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
+        return cls(camera, tuple(found))
 
     def of(self, camera: PlenopticCamera) -> CameraVector:
         """Return the same components of another camera."""

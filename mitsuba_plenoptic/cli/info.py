@@ -94,8 +94,8 @@ def info(
 
     from ..design import design_warnings, mended
     from ..extension import format_of
-    from ..io.files import require_writable, write_text
     from ..report.design_sheet import design_sheet
+    from ..runtime.files import require_writable, write_text
 
     if fix is not None:
         require_writable(fix, ".json")

@@ -84,7 +84,7 @@ def _word(name: str, value: Any) -> str:
 
 def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
-    from ..io.files import read_yaml
+    from ..runtime.files import read_yaml
 
     content = read_yaml(path)
     with naming(path):
@@ -139,7 +139,7 @@ def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, 
     @functools.wraps(function)
     def command(*, save_run: Path | None, context: typer.Context, **options: Any) -> None:
         if save_run is not None:
-            from ..io.files import require_writable
+            from ..runtime.files import require_writable
 
             require_writable(save_run, ".yaml", ".yml")
         function(**options)
@@ -176,8 +176,8 @@ def _seen_from(folder: Path, name: str, value: Any) -> str:
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
-    from ..io.files import parse_yaml, write_text
     from ..io.versions import KEY, VERSION
+    from ..runtime.files import parse_yaml, write_text
 
     # It is read as a run file first, which refuses what is none.
     steps = read_run_file(path, commands) if path.exists() else []
@@ -205,7 +205,7 @@ def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tupl
 
 def _yaml(value: Any) -> str:
     """Write a word, a list of words or a flag as YAML, as plain text where it is read back as the same word."""
-    from ..io.files import parse_yaml
+    from ..runtime.files import parse_yaml
 
     if isinstance(value, bool):
         return str(value).lower()

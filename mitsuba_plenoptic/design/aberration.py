@@ -9,7 +9,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
 from ..lenses.common import main_lens
-from .focus import best_distances
+from .quantities import best_distances
 
 _RINGS, _SPOKES, _HEIGHTS = 33, 24, 5
 """Radii and angles on the pupil, and image heights from the axis to the farthest pixel."""

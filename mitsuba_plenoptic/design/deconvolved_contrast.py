@@ -34,7 +34,7 @@ from ..errors import require_number, require_wavelength
 from ..optics.waves import in_millimetres
 from ..prescription.lens_data import image_distance
 from ..prescription.objective import Objective
-from .focus import pixel_footprint
+from .quantities import pixel_footprint
 
 _SPARROW = 0.94
 """Distance of two points that are just resolved (Sparrow), over wavelength and aperture."""

@@ -16,8 +16,7 @@ from ..errors import InputError, refuse_if, require_wavelength
 from ..optics.waves import in_millimetres
 from ..prescription.lens_data import SINGLE
 from ..prescription.objective import Objective
-from .focus import focus_types, mla_object_distances, sharp_images, vergence_slack
-from .micro_images import direction_count
+from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
 from .remedies import Finding, detector_at, finer_pixels
 
 

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal, one_if_single
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError
-from .focus import mla_object_distances
+from .quantities import mla_object_distances
 
 Changes = dict[str, Any] | None
 """Parameters by name; None where no parameters mend a design."""

@@ -9,9 +9,19 @@ from ..camera import PlenopticCamera
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE
 from .aberration import parabolic_aberration
-from .focus import best_distances, best_images, focus_type, lenses_across, mla_object_distances
-from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 from .microscope import microscope_findings
+from .quantities import (
+    best_distances,
+    best_images,
+    crosstalk_lenses,
+    direction_count,
+    focus_type,
+    lenses_across,
+    micro_image_distance,
+    mla_fresnel_number,
+    mla_object_distances,
+    spot_radius,
+)
 from .remedies import (
     Changes,
     Finding,

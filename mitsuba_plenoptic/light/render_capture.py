@@ -18,13 +18,12 @@ from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap
-from ..runtime.jobs import Job
+from ..runtime.batches import BatchMap, Job
 from ..runtime.limits import largest_fitting, require_memory
 from .cost import Cost
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
-from .scene_unit import warn_of_metres
+from .scene_light import warn_of_metres
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
@@ -36,6 +35,12 @@ MOST_SAMPLES = 2**24
 _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
+_RAYS_PER_PASS = 2**24
+"""Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one sample
+each need 0.25 GiB in addition to the film."""
+
+_SAMPLES_PER_PASS = 2**14
+"""Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
 """Parameters that captures hand on to the integrators."""
@@ -131,7 +136,7 @@ def render_capture(
     with guards.watch() as fractions:
         if wavelengths is None:
             guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
-            image, deviation = render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
+            image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
             if checkpoint:
                 checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
@@ -260,7 +265,7 @@ def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
-    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(RAYS_PER_PASS, pixels * spp), pixels)
+    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
 
 def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
@@ -397,15 +402,7 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
     return passes * count / seconds
 
 
-RAYS_PER_PASS = 2**24
-"""Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one sample
-each need 0.25 GiB in addition to the film."""
-
-_SAMPLES_PER_PASS = 2**14
-"""Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
-
-
-def render_passes(
+def _render_passes(
     scene: Any,
     sensor: Any,
     integrator: Any,
@@ -416,7 +413,7 @@ def render_passes(
     noise: bool,
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
-    most = max(1, RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
+    most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
     if noise:
         most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())
     counts = pass_counts(sensor, spp, most)
@@ -424,18 +421,18 @@ def render_passes(
         counts *= 2
     # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.
     seeds = np.random.SeedSequence(seed).generate_state(len(counts))
-    image, spread = np.zeros(()), PassSpread()
+    image, spread = np.zeros(()), PassSpread() if noise else None
     for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
         # `integrator.render` rather than `mi.render`, which hides the cause of an error.
         part = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
-        if noise:
+        if spread:
             spread.add(part, count)
         else:
             part *= count / sum(counts)
             image = np.add(image, part, out=image) if index else part
         if progress:
             progress(min(sum(counts[: index + 1]), spp), spp)
-    return (spread.image, spread.deviation()) if noise else (image, None)
+    return (spread.image, spread.deviation()) if spread else (image, None)
 
 
 def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:

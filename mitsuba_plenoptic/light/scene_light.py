@@ -8,13 +8,16 @@ each ray once for its radiance and once more for the derivative.
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from ..errors import InputError, refuse_if
+from ..design import depth_ranges
+from ..errors import InputError, advice, refuse_if
 from ..lenses.main_lens import Pair
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
@@ -222,3 +225,37 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
 def channels(radiance: Any) -> list[Any]:
     """Return the channels of a radiance; in spectral variants all lanes have the same wavelength, so there is one."""
     return [radiance[0]] if mi.is_spectral else list(radiance)
+
+
+_FAR_TOO_NEAR = 0.5
+"""Distance over the nearest sharp one below which a scene is not just out of focus."""
+
+
+def warn_of_metres(scene: Any, sensor: Any) -> None:
+    """Warn if all of a scene is far too near to its plenoptic camera, as scenes in metres are.
+
+    That is within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Of other
+    cameras nothing is known.
+    """
+    camera, box = getattr(sensor, "camera", None), scene.bbox()
+    # An objective sees what is nearer than its focal length.
+    if camera is None or not box.valid() or not camera.lens_data.converges:
+        return
+    to_camera = np.linalg.inv(np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4))
+    corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)])
+    farthest = float((corners @ to_camera[2]).max())
+    if farthest <= 0:
+        return
+    sharp = min((found[0] for found in depth_ranges(camera) if found), default=0.0)
+    if farthest < camera.focal_length:
+        where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"
+    elif farthest < _FAR_TOO_NEAR * sharp:
+        where = f"and refocusing makes nothing sharp that is nearer than {sharp:.4g} mm"
+    else:
+        return
+    instead = advice(python='load_scene(..., unit="m") scales them', shell="--unit m scales them")
+    warnings.warn(
+        f"the whole scene is nearer than {farthest:.4g} mm, {where}: lengths are taken as millimetres; if the scene's "
+        f"are metres, {instead}",
+        stacklevel=3,
+    )

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design.micro_images import turns_cosines
+from ..design.quantities import turns_cosines
 from ..lattice import Lattice
 from ..lenses.common import chief_points, main_lens
 from ..lenses.main_lens import MainLens, Pair, Traced
@@ -107,8 +107,7 @@ class Walk:
             weaker = self.camera.reduced_focal_lengths[0] / f2
             x, y = self.lattice.from_frame(*shape.slopes(*self.lattice.to_frame(x, y)))
             x, y = x * weaker, y * weaker
-        error = FigureError.of(self.camera)
-        if error is not None:
+        if any(self.camera.mla_figure_error) and (error := FigureError.of(self.camera)) is not None:
             right, up = error.slopes(mx, my)
             x, y = x + right, y + up
         return x, y

@@ -61,7 +61,12 @@ class Conic(MicrolensShape):
 
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves; see `MicrolensShape.waves`."""
-        return self._depth(x * x + y * y) * (-self._excess(wavelength) * per_millimetre(wavelength))
+        square = x * x + y * y
+        depth, power = square / (self.curvature_radius * (1 + self._root(square))), square
+        for coefficient in self.coefficients:
+            power = power * square
+            depth = depth + coefficient * power
+        return depth * (-self._excess(wavelength) * per_millimetre(wavelength))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
@@ -96,11 +101,3 @@ class Conic(MicrolensShape):
         module = module_of(square)
         # Corners of the cell beyond the aperture may lie beyond the surface.
         return module.sqrt(module.maximum(1 - square * ((1 + self.conic) / self.curvature_radius**2), 1e-6))
-
-    def _depth(self, square: Any) -> Any:
-        depth = square / (self.curvature_radius * (1 + self._root(square)))
-        power = square
-        for coefficient in self.coefficients:
-            power = power * square
-            depth = depth + coefficient * power
-        return depth

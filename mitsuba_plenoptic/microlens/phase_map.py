@@ -15,9 +15,7 @@ from ..errors import put, refuse_if, require_flag, require_number, require_wavel
 from ..prescription.glass import LINE_D
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples
-from .shape import MicrolensShape
-
-_MM_PER_NM = 1e-6
+from .shape import MM_PER_NM, MicrolensShape
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +114,7 @@ class PhaseMap(MicrolensShape):
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         parts = [(*self._grids[number].slopes(x, y), weight) for number, weight in self._parts(LINE_D)]
-        along, across = (sum(part[axis] * part[2] for part in parts) * (LINE_D * _MM_PER_NM) for axis in (0, 1))
+        along, across = (sum(part[axis] * part[2] for part in parts) * (LINE_D * MM_PER_NM) for axis in (0, 1))
         return along, across
 
     def strength(self, wavelength: float) -> float:
@@ -130,7 +128,7 @@ class PhaseMap(MicrolensShape):
 
     def _power(self, wavelength: float) -> float:
         phase = sum(self._smooth[number] * weight for number, weight in self._parts(wavelength))
-        return fitted_power(np.asarray(phase) * (wavelength * _MM_PER_NM), self._grids[0])
+        return fitted_power(np.asarray(phase) * (wavelength * MM_PER_NM), self._grids[0])
 
     def covers(self, x: Any, y: Any) -> Any:
         """Whether offsets lie within the samples."""

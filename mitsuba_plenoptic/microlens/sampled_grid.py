@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, short_repr
-from ..io.files import require_file
 from ..runtime.backend import drjit_array, module_of
+from ..runtime.files import require_file
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""

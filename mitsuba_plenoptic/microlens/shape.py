@@ -13,13 +13,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_wavelength, short_repr
-from ..io.files import read_json_value
 from ..lattice import Lattice
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import SINGLE
+from ..runtime.files import read_json_value
 
-_MM_PER_NM = 1e-6
+MM_PER_NM = 1e-6
 
 _RIM = np.linspace(0, 1, 65)
 """Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
@@ -156,7 +156,7 @@ def known_index(name: str, value: Any) -> Glass:
 
 def per_millimetre(wavelength: float) -> float:
     """Return the number of waves in a millimetre, from a wavelength in nanometres."""
-    return 1 / (require_wavelength(wavelength) * _MM_PER_NM)
+    return 1 / (require_wavelength(wavelength) * MM_PER_NM)
 
 
 def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:

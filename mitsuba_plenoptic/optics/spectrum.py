@@ -28,7 +28,7 @@ from ..errors import (
     require_wavelength,
     suggest_keywords,
 )
-from ..io.files import read_table
+from ..runtime.files import read_table
 
 MOST_WAVELENGTHS = 1024
 """Largest number of wavelengths of a spectrum."""

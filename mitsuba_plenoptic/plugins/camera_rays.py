@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design.micro_images import (
+from ..design.quantities import (
     SECTORS,
     cosine_limits,
     crosstalk_defocus,

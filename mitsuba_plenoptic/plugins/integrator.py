@@ -29,8 +29,19 @@ from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
 from ..points.scene_points import PointsCapture, require_matte
-from ..runtime.jobs import Job
-from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
+from ..runtime.batches import Job
+from .properties import (
+    NAME,
+    SHARED,
+    asked_for,
+    develop,
+    develop_back,
+    make_base,
+    put,
+    read_choice,
+    read_colours,
+    read_plain,
+)
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:

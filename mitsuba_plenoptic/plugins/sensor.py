@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, film_numbers
 from ..camera.documentation import with_sensor_parameters
 from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
@@ -22,7 +22,7 @@ from ..lenses.main_lens import Pair, Traced
 from ..lenses.real_lens import RealLens
 from ..optics.rays import pixel_response
 from .camera_rays import CameraRays, Candidates
-from .properties import film_numbers, read_camera, require_read
+from .properties import read_camera, require_read
 
 NAME = "plenoptic"
 

@@ -37,9 +37,8 @@ from ..light.sampling import check_memory
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
-from ..runtime.jobs import Job
 from .arrival import (
     FieldGrids,
     SampledField,
@@ -300,7 +299,7 @@ class FullFieldPlan:
 
 
 class FullFieldSum:
-    """A sum of full fields, with the interface of `runtime.jobs.LongSum`."""
+    """A sum of full fields, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights.astype(np.float32)

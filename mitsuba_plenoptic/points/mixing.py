@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing
 from ..light.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT, _ROUNDING = 0.1, 1e-6

@@ -21,7 +21,7 @@ from ..light.sampling import check_positions
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
-from ..runtime.jobs import Job, LongSum, SumTask
+from ..runtime.batches import Job, LongSum, SumTask
 from .accuracy import chosen_accuracy
 from .coherent import CoherentFields
 from .coherent_points import CoherentPoints

@@ -18,9 +18,8 @@ from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
 from ..runtime.fft import resting_drjit
-from ..runtime.jobs import Job
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
 from .patch_factors import Fields
@@ -328,7 +327,7 @@ def _some(count: int) -> list[NDArray[np.int64]]:
 
 
 class PatchSum:
-    """A sum of point spreads, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+    """A sum of point spreads, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights

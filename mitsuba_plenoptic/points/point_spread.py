@@ -14,8 +14,7 @@ from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import Threads
-from ..runtime.jobs import Job
+from ..runtime.batches import Job, Threads
 from . import full_field
 from .full_field import PointFields
 from .operator import CaptureOperator

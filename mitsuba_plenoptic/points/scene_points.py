@@ -33,7 +33,7 @@ from ..light.optical_system import OpticalSystem
 from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import drjit_array
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import Part, add
-from ..runtime.jobs import Job
+from ..runtime.batches import Job, Part, add
 from .full_field import FullFieldPlan
 from .patch_plan import PatchPlan
 from .recorder import Recorder

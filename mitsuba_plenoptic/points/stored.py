@@ -14,7 +14,7 @@ from ..errors import refuse_if, require_number
 from ..light.sampling import check_memory
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .mixing import mix
 from .operator import CaptureOperator
 from .spreads import FullFieldSpreads, PatchSpreads

@@ -110,16 +110,63 @@ class _CodevReader:
         if keyword in _ONCE:
             line.refuse_if(keyword in self.given, f"{keyword} is given twice")
             self.given.add(keyword)
-        if keyword in _DECENTRES:
-            line.require_zero("decentred and tilted surfaces are not read")
-        elif keyword in ("CUF", "DAR"):
-            line.require_zero("only surfaces around one axis are read")
-        elif keyword in _TERMS and len(keyword) == 1:
-            self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
-        elif (method := getattr(self, f"_take_{keyword.lower()}", None)) is not None:
-            method(line)
-        else:
-            raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
+        match keyword:
+            case "TIT" | "TITLE":
+                self.name = " ".join(line.words[1:]).strip("'\"")
+            case "DIM":
+                unit = line.word(1).upper()
+                line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
+                self.unit = _UNITS[unit]
+            case "RDM":
+                self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
+            case "WL":
+                self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
+            case "REF":
+                self.primary = int(line.value(1))
+            case "TEM":
+                low, high = _TEMPERATURES
+                line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
+            case "PRE":
+                line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
+            case "SO":
+                line.refuse_if(self.surfaces, "SO must be the first surface")
+                self._add(line)
+            case "S" | "SI":
+                line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
+                self._add(line)
+                self.ended = keyword == "SI"
+                line.refuse_if(self.ended and self.surfaces[-1].curvature, "the image is curved: the array is a plane")
+            case "STO" | "STOP":
+                if len(line.words) == 1:
+                    self._surface(line).stop = True
+                elif re.fullmatch(r"[Ss]\d+", line.words[1]):
+                    self.stop = line
+                else:
+                    raise line.refused("it must be STO, or STO S3 for the third surface")
+            case "K":
+                self._surface(line).conic = self._only_value(line)
+            case "CIR":
+                kind = line.word(1).upper()
+                if kind != "EDG":  # where the glass ends, beyond what light passes
+                    rule = "apertures must be CIR and their radius: obscurations and holes are not read"
+                    line.refuse_if(kind != "CLR" and len(line.words) != 2, rule)
+                    self._surface(line).semi_aperture = self._only_value(line, 1 + (kind == "CLR"))
+            case "IC":
+                rule = "rays must meet the surface's first intersection"
+                line.refuse_if(not line.word(1).upper().startswith("Y"), rule)
+            case "PIM" | "THI":
+                rule = "a thickness must be written in its surface's line"
+                line.refuse_if(keyword == "THI" and line.word(1).upper() not in ("HMY", "HCY"), rule)
+                self._surface(line)
+                self.solved[len(self.surfaces) - 1] = line
+            case "CUF" | "DAR":
+                line.require_zero("only surfaces around one axis are read")
+            case _ if keyword in _DECENTRES:
+                line.require_zero("decentred and tilted surfaces are not read")
+            case _ if keyword in _TERMS and len(keyword) == 1:
+                self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
+            case _:
+                raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
@@ -157,45 +204,6 @@ class _CodevReader:
         line.refuse_if(not self.surfaces, "it belongs to a surface: SO, S or SI must precede it")
         return self.surfaces[-1]
 
-    def _take_tit(self, line: Line) -> None:
-        self.name = " ".join(line.words[1:]).strip("'\"")
-
-    _take_title = _take_tit
-
-    def _take_dim(self, line: Line) -> None:
-        unit = line.word(1).upper()
-        line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
-        self.unit = _UNITS[unit]
-
-    def _take_rdm(self, line: Line) -> None:
-        self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
-
-    def _take_wl(self, line: Line) -> None:
-        self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
-
-    def _take_ref(self, line: Line) -> None:
-        self.primary = int(line.value(1))
-
-    def _take_tem(self, line: Line) -> None:
-        low, high = _TEMPERATURES
-        line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
-
-    def _take_pre(self, line: Line) -> None:
-        line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
-
-    def _take_so(self, line: Line) -> None:
-        line.refuse_if(self.surfaces, "SO must be the first surface")
-        self._add(line)
-
-    def _take_s(self, line: Line) -> None:
-        line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
-        self._add(line)
-
-    def _take_si(self, line: Line) -> None:
-        self._take_s(line)
-        line.refuse_if(self.surfaces[-1].curvature, "the image is curved: the array is a plane")
-        self.ended = True
-
     def _add(self, line: Line) -> None:
         """Add a surface of radius or curvature, thickness and glass."""
         if self.radii is None:
@@ -210,39 +218,6 @@ class _CodevReader:
             surface.glass = _glass(line, line.words[3].strip("'\""))
         self.surfaces.append(surface)
         self.taken.clear()
-
-    def _take_sto(self, line: Line) -> None:
-        if len(line.words) == 1:
-            self._surface(line).stop = True
-        elif re.fullmatch(r"[Ss]\d+", line.words[1]):
-            self.stop = line
-        else:
-            raise line.refused("it must be STO, or STO S3 for the third surface")
-
-    _take_stop = _take_sto
-
-    def _take_k(self, line: Line) -> None:
-        self._surface(line).conic = self._only_value(line)
-
-    def _take_cir(self, line: Line) -> None:
-        kind = line.word(1).upper()
-        if kind == "EDG":
-            return  # Where the glass ends, beyond what light passes.
-        if kind == "CLR" or len(line.words) == 2:
-            self._surface(line).semi_aperture = self._only_value(line, 1 + (kind == "CLR"))
-        else:
-            raise line.refused("apertures must be CIR and their radius: obscurations and holes are not read")
-
-    def _take_ic(self, line: Line) -> None:
-        line.refuse_if(not line.word(1).upper().startswith("Y"), "rays must meet the surface's first intersection")
-
-    def _take_pim(self, line: Line) -> None:
-        self._surface(line)
-        self.solved[len(self.surfaces) - 1] = line
-
-    def _take_thi(self, line: Line) -> None:
-        line.refuse_if(line.word(1).upper() not in ("HMY", "HCY"), "a thickness must be written in its surface's line")
-        self._take_pim(line)
 
 
 def _glass(line: Line, written: str) -> Glass | None:

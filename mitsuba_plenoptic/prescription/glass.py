@@ -105,26 +105,23 @@ class Glass:
             slope = (numbers[0] - 1) / (numbers[1] * (f - c))
             return float(numbers[0] + slope * (1 / wavelength**2 - d))
         if self.form == "table":
-            return self._interpolated(wavelength)
+            # SciPy takes a while to import, and few glasses are tables.
+            from scipy.interpolate import make_interp_spline
+
+            table = numbers.reshape(-1, 2)
+            if not table[0, 0] <= wavelength <= table[-1, 0]:
+                raise InputError(
+                    f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from "
+                    f"{table[0, 0]:g} to {table[-1, 0]:g} nm"
+                )
+            abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
+            return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
         if self.form == "sellmeier":
             below = square - numbers[3:]
             value = np.nan if np.any(below == 0) else 1 + np.sum(numbers[:3] * square / below)
         else:
             value = np.sum(numbers * square ** np.array([0, 1, -1, -2, -3, -4.0]))
         return float(np.sqrt(value)) if value > 0 else float("nan")
-
-    def _interpolated(self, wavelength: float) -> float:
-        # SciPy takes a while to import, and few glasses are tables.
-        from scipy.interpolate import make_interp_spline
-
-        table = np.reshape(self.numbers, (-1, 2))
-        if not table[0, 0] <= wavelength <= table[-1, 0]:
-            raise InputError(
-                f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from {table[0, 0]:g} to "
-                f"{table[-1, 0]:g} nm"
-            )
-        abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
-        return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
 
     def focal_ratio(self, wavelength: float) -> float:
         r"""Return by how much the focal length of a thin lens of this glass is longer than at the line d.

@@ -11,8 +11,10 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import InputError, naming, refuse_if, short_repr
-from ..io.files import require_size
+from ..runtime.files import require_size
 from . import Glass, Prescription
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
@@ -96,11 +98,13 @@ def to_prescription(
             not surface.semi_aperture > 0,
             f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
         )
+        terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
         entry = {
             "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
             "semi_aperture": surface.semi_aperture * unit,
             "conic": surface.conic,
-            "asphere": [term * unit ** -(2 * order + 3) for order, term in enumerate(_trimmed(surface.asphere))],
+            # Without the zeros at their end.
+            "asphere": [float(term) for term in np.trim_zeros(terms, "b")],
             "stop": surface.stop,
         }
         if surface.curvature:
@@ -111,9 +115,3 @@ def to_prescription(
     facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
     with naming(path):
         return Prescription.from_plain({**facts, "surfaces": plain})
-
-
-def _trimmed(terms: list[float]) -> list[float]:
-    """Return coefficients without the zeros at their end."""
-    count = max((number for number, term in enumerate(terms, start=1) if term), default=0)
-    return terms[:count]

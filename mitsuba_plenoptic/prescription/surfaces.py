@@ -1,4 +1,4 @@
-"""The surfaces of a lens, from the scene's side to the array's, as plain data with checks."""
+"""The surfaces of a lens, from the scene's side to the array's, as plain data with checks, and paraxial quantities."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 import warnings
 from dataclasses import dataclass, replace
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -29,9 +29,6 @@ from ..runtime.backend import safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 from .lens_data import SINGLE, LensData, require_alone, vergence
-
-if TYPE_CHECKING:
-    from .paraxial import Paraxial
 
 MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
@@ -148,6 +145,37 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Paraxial:
+    """Numbers of paraxial optics, in millimetres; positions are counted along the axis towards the array.
+
+    Parameters
+    ----------
+    focal_length : float
+        Effective focal length.
+    front_principal, entrance_pupil : float
+        Places of the front principal plane and of the entrance pupil behind the first vertex.
+    rear_principal, exit_pupil : float
+        Places of the rear principal plane and of the exit pupil behind the last vertex.
+    back_focal : float
+        Place of the rear focal point behind the last vertex.
+    length : float
+        Distance of the last vertex from the first.
+    entrance_radius, exit_radius : float
+        Radii of the pupils with the stop fully open.
+    """
+
+    focal_length: float
+    front_principal: float
+    rear_principal: float
+    back_focal: float
+    length: float
+    entrance_pupil: float
+    exit_pupil: float
+    entrance_radius: float
+    exit_radius: float
+
+
+@dataclass(frozen=True)
 class Prescription(LensData):
     """A lens as its designer writes it down. Lengths are millimetres.
 
@@ -187,8 +215,6 @@ class Prescription(LensData):
     @property
     def paraxial(self) -> Paraxial:
         """Its paraxial numbers at its own wavelength."""
-        from .paraxial import paraxial
-
         return paraxial(self)
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
@@ -322,7 +348,8 @@ class Prescription(LensData):
 
     def _crossing(self) -> tuple[int, int, float, str] | None:
         """Return the first refracting surfaces that cross where light may pass both: indices, distance, and words."""
-        indices = [index for index, surface in enumerate(self.surfaces) if surface.glass != self._before(index)]
+        glasses = [None, *(surface.glass for surface in self.surfaces)]
+        indices = [index for index, (before, after) in enumerate(itertools.pairwise(glasses)) if before != after]
         for first, second in itertools.pairwise(indices):
             front, back = self.surfaces[first], self.surfaces[second]
             thickness = sum(surface.thickness for surface in self.surfaces[first:second])
@@ -332,9 +359,61 @@ class Prescription(LensData):
                 return first, second, position, text
         return None
 
-    def _before(self, index: int) -> Glass | None:
-        """Return the glass before a surface."""
-        return self.surfaces[index - 1].glass if index else None
+
+# Checks, pupils and distances of cameras of one prescription ask for it again and again; a result is a few floats.
+@functools.lru_cache(maxsize=256)
+def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
+    """Return focal length, principal planes and pupils of a lens, by matrices of rays near the axis.
+
+    Heights and reduced angles n u pass a surface of power P by (y, n u - P y), and a thickness t of index n by
+    (y + t/n n u, n u) (Born and Wolf, "Principles of Optics", section 4.4; Kingslake and Johnson, "Lens Design
+    Fundamentals", chapter 3).
+
+    Parameters
+    ----------
+    prescription : Prescription
+        The lens.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: the prescription's own.
+
+    Raises
+    ------
+    InputError
+        If the lens does not converge, or a pupil is at infinity.
+    """
+    indices = [1.0, *prescription.indices(prescription.wavelength if wavelength is None else wavelength)]
+    whole, before, after = np.eye(2), np.eye(2), np.eye(2)
+    length = 0.0
+    for index, surface in enumerate(prescription.surfaces):
+        if index == prescription.stop:
+            before, after = whole, np.eye(2)
+        power = (indices[index + 1] - indices[index]) * surface.curvature
+        gap = surface.thickness / indices[index + 1] if index < len(prescription.surfaces) - 1 else 0.0
+        length += surface.thickness if gap else 0.0
+        step = np.array([[1, gap], [0, 1]]) @ np.array([[1, 0], [-power, 1]])
+        whole, after = step @ whole, step @ after
+    (A, _), (C, D) = whole
+    if not -C > 1e-12:
+        text = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
+        raise InputError(f"main_lens: its focal length is {text}: it must be positive, so that it forms an image")
+    refuse_if(
+        min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9,
+        "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported",
+    )
+    radius = prescription.surfaces[prescription.stop].semi_aperture
+    values = (
+        -1 / C,
+        (D - 1) / C,
+        (1 - A) / C,
+        -A / C,
+        length,
+        before[0, 1] / before[0, 0],
+        -after[0, 1] / after[1, 1],
+        radius / abs(before[0, 0]),
+        radius / abs(after[1, 1]),
+    )
+    refuse_if(not all(map(math.isfinite, values)), "main_lens: its numbers leave what a float holds")
+    return Paraxial(*map(float, values))
 
 
 def height(surface: Any, square: Any) -> Any:

@@ -12,7 +12,7 @@ from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError, argument, refuse_if
 from ..io.checkpoints import digest
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
 from .deconvolution.solver import Solved, State, Work, richardson_lucy

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
+from ..extension import Displayed
 from ..io.exr import read_exr, write_exr
-from ..io.files import atomic_output, require_writable
+from ..runtime.files import atomic_output, require_writable
 from ..runtime.limits import require_memory
-from ..runtime.notebook import Displayed
 from ..views.light_field_files import require_zarr
 
 SUFFIXES = (".tif", ".tiff", ".zarr")

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import argument, refuse_if, require_module, require_number
-from ..io.files import atomic_output
+from ..runtime.files import atomic_output
 from .images import ANIMATED, enlarge, enlargement, to_bytes
 
 _RATE = 12.5

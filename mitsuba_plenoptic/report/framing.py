@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from ..camera import PlenopticCamera
-from ..io.files import atomic_output
+from ..runtime.files import atomic_output
 from .experiment import Experiment
 from .images import to_bytes
 

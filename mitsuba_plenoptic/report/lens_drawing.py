@@ -12,11 +12,11 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..io.files import require_writable
 from ..lenses import sequential
 from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
+from ..runtime.files import require_writable
 from .framing import Canvas
 
 _ACROSS = 201

@@ -32,8 +32,8 @@ from ..io.checkpoints import (
     write_json,
 )
 from ..io.exr import read_exr, write_exr
-from ..io.files import FilesUsed, read_text, require_size
 from ..light.scene import LARGEST_SCENE
+from ..runtime.files import FilesUsed, read_text, require_size
 from ..runtime.limits import software as versions
 from ..scene_files import scene_path
 

@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of, drjit_array
+from .backend import backend_of, drjit_array, quotient
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -210,24 +210,19 @@ def array_types(array: Any) -> Any:
 def rows_and_columns(types: Any, rows: int, columns: int) -> tuple[Any, Any]:
     """Return the row and the column of each sample of an image, line by line."""
     index = dr.arange(types.UInt32, rows * columns)
-    row = quotient(types, index, columns)
+    row = quotient(index, columns, types)
     return row, index - row * dr.opaque(types.UInt32, columns)
 
 
 def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
     """Take a flat index apart into that of an image, its row and its column."""
-    line = quotient(types, index, columns)
-    image = quotient(types, line, rows)
+    line = quotient(index, columns, types)
+    image = quotient(line, rows, types)
     return (
         image,
         line - image * dr.opaque(types.UInt32, rows),
         index - line * dr.opaque(types.UInt32, columns),
     )
-
-
-def quotient(types: Any, index: Any, divisor: int) -> Any:
-    """Return the whole quotient by a multiplication, several times faster than Dr.Jit's division of integers."""
-    return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 
 
 _LARGE = 2**24

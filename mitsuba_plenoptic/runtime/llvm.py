@@ -97,14 +97,6 @@ def problem() -> str | None:
     return explain(loaded, os.environ.get(VARIABLE), candidates())
 
 
-def require() -> None:
-    """Make sure that Dr.Jit can compile with LLVM."""
-    from ..errors import InputError
-
-    if sentence := problem():
-        raise InputError(sentence)
-
-
 def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
     """Word the complaint about an unusable LLVM."""
     need = f"but the llvm variants need LLVM {MINIMUM} or newer"

@@ -10,7 +10,7 @@ import scipy
 import xarray as xr
 
 from ..errors import refuse_if, require_choice, require_number, suggest_keywords
-from ..runtime.jobs import Progress, counted
+from ..runtime.batches import Progress, counted
 from ..runtime.limits import require_memory
 from .coordinates import channel_planes, require_light_field, view_steps
 from .coordinates import disparity as disparity_at

@@ -9,7 +9,7 @@ from mitsuba_plenoptic.cli.render_command import expose
 from mitsuba_plenoptic.extensions.onchip.halves import LAYOUTS
 from mitsuba_plenoptic.io import captures, examples
 from mitsuba_plenoptic.io import truth_files as ground_truth
-from mitsuba_plenoptic.light import detector, scene_unit
+from mitsuba_plenoptic.light import detector, scene
 from mitsuba_plenoptic.refocus import methods
 from mitsuba_plenoptic.refocus_options import METHODS
 from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS
@@ -17,7 +17,7 @@ from mitsuba_plenoptic.views.viewpoints import AXES
 
 LIBRARY = {
     "MODELS": captures.MODELS,
-    "UNITS": scene_unit.UNITS,
+    "UNITS": scene.UNITS,
     "VIEW_METHODS": VIEW_METHODS,
     "AXES": AXES,
     "LAYOUTS": ["x".join(map(str, layout)) for layout in LAYOUTS],

@@ -26,7 +26,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.points.operator import CaptureOperator
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job
 
 SMALL = small_camera()
 SCENE = letters(4)

@@ -368,7 +368,7 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     """So that no two threads add samples of one pixel, in an order that varies."""
     mi.set_variant("llvm_ad_mono")
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
-    monkeypatch.setattr("mitsuba_plenoptic.light.render_capture.RAYS_PER_PASS", 28 * 32**2)
+    monkeypatch.setattr("mitsuba_plenoptic.light.render_capture._RAYS_PER_PASS", 28 * 32**2)
     for spp in (28, 40):
         render_capture(scene, model="ray", spp=spp, progress=lambda count, total: done.append(count))
     assert done == [16, 24, 28, 16, 32, 40]

@@ -23,8 +23,7 @@ from mitsuba_plenoptic.light.signed_camera import (
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.light.signed_draws import Pixels
 from mitsuba_plenoptic.light.walk import Walk
-from mitsuba_plenoptic.runtime.batches import Box
-from mitsuba_plenoptic.runtime.jobs import Job, SumTask
+from mitsuba_plenoptic.runtime.batches import Box, Job, SumTask
 
 PIXELS = 192
 MODELS = {

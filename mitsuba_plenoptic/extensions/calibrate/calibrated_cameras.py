@@ -18,8 +18,8 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...camera.camera_files import camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
-from ...io.files import write_text
 from ...lenses.distortion import undistort
+from ...runtime.files import write_text
 from .board_model import NAMES, camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ...io.files import write_text
 from ...report.page import template
+from ...runtime.files import write_text
 from .board_model import UNITS
 from .calibration_result import Calibration, ResidualMap, field_cells, group_means, residual_map
 from .observations import Board, Table, placed

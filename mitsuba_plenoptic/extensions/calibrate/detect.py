@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...io.captures import require_pixels
-from ...io.files import atomic_output
+from ...runtime.files import atomic_output
 from ...runtime.limits import require_memory
 from ...views.lens_grid import lens_types
 from .blur import CutBlur

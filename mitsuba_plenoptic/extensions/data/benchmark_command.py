@@ -103,7 +103,7 @@ def score_answers(
       mitsuba-plenoptic benchmark score bench answers/ray answers/mine -o scores.json
     """
     from ...io.checkpoints import write_json
-    from ...io.files import require_writable
+    from ...runtime.files import require_writable
     from .benchmark import Benchmark, score, table
 
     require_writable(output, ".json")

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...io.files import write_text
 from ...report.images import enlarge, shrink, write_png
-from ...runtime.batches import BatchMap
-from ...runtime.jobs import Progress
+from ...runtime.batches import BatchMap, Progress
+from ...runtime.files import write_text
 from .contents import (
     CAPTURES,
     DISTANCES,

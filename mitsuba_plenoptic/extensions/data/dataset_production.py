@@ -16,11 +16,10 @@ import yaml
 
 from ...errors import naming
 from ...io.checkpoints import locked
-from ...io.files import remove_leftovers, write_text
 from ...report.images import shrink, write_png
 from ...runtime.backend import set_variant
-from ...runtime.batches import BatchMap
-from ...runtime.jobs import Progress
+from ...runtime.batches import BatchMap, Progress
+from ...runtime.files import remove_leftovers, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (

@@ -26,13 +26,13 @@ from ...errors import (
     short_repr,
 )
 from ...io.captures import MODELS
-from ...io.files import read_yaml
 from ...io.truth_files import QUANTITIES, require_quantities
 from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
-from ...light.scene_unit import UNITS
+from ...light.scene import UNITS
 from ...presets import PRESETS
 from ...runtime.backend import DEFAULT_VARIANT
+from ...runtime.files import read_yaml
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs

@@ -18,7 +18,7 @@ import xarray as xr
 
 from ...errors import naming, refuse_if, refusing, require_choice
 from ...io.exr import read_exr_parts
-from ...io.files import require_file, require_size
+from ...runtime.files import require_file, require_size
 from .contents import CAPTURES, FINER, PUPIL_POINTS, Benchmark, central_truth
 from .dataset import Sample
 

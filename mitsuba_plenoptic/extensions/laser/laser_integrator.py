@@ -17,12 +17,11 @@ from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins.integrator import make_base
-from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain
+from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
-from ...runtime.jobs import Job
+from ...runtime.batches import Job
 from .lit_points import LaserScene, LitPoints, named_lasers, without
 from .modes import mode_count
 from .realisations import coherent_capture

@@ -23,8 +23,7 @@ from ...points.coherent import CoherentFields
 from ...points.full_field import recorded_pixels
 from ...points.operator import CaptureOperator
 from ...runtime.backend import one_at_a_time
-from ...runtime.batches import Part, PartialSum
-from ...runtime.jobs import Job, SumTask
+from ...runtime.batches import Job, Part, PartialSum, SumTask
 
 _BRIGHTEST = 1e30
 """Largest power of a point, whose intensities are held in single precision."""
@@ -130,7 +129,7 @@ class _Realisation:
 
 
 class _Realisations:
-    """The mean of all modes, with the interface of `runtime.jobs.LongSum`."""
+    """The mean of all modes, with the interface of `runtime.batches.LongSum`."""
 
     channels = 1
     arrays: Any = np

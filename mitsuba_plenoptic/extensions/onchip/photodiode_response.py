@@ -23,7 +23,7 @@ from ...errors import (
     require_wavelength,
     short_repr,
 )
-from ...io.files import read_text
+from ...runtime.files import read_text
 
 if TYPE_CHECKING:
     from ...camera.geometry import CameraGeometry

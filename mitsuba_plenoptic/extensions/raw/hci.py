@@ -16,9 +16,9 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number
-from ...io.files import atomic_output, read_text, write_text
 from ...io.pictures import read_picture
 from ...report.images import Brightness, write_png
+from ...runtime.files import atomic_output, read_text, write_text
 from ...runtime.limits import require_memory
 from ...views import disparity
 from ...views.coordinates import camera_of, light_field
@@ -103,7 +103,7 @@ def write_hci(
     middle = lf.sizes["v"] // 2
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-    white = Brightness().white([lf.values]) if white is None else white
+    white = Brightness().peak([lf.values]) if white is None else white
     folder.mkdir(parents=True, exist_ok=True)
     for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
         colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)

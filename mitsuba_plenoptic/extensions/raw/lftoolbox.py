@@ -24,7 +24,7 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
-from ...io.files import atomic_output, h5py_module, require_file, stored_array
+from ...runtime.files import atomic_output, h5py_module, require_file, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ...views.coordinates import grid_of, light_field, require_light_field
 from ...views.lens_grid import LensGrid, bin_grid

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io.captures import RECORDED, Capture, recording_of
-from ...io.files import read_text, require_size
+from ...runtime.files import read_text, require_size
 from ...runtime.limits import require_memory
 
 CONTAINERS = (".lfp", ".lfr")

@@ -39,8 +39,8 @@ def run(
       mitsuba-plenoptic run run.yaml
     """
     from ...io.checkpoints import finished_step, lock_of, locked, note_step
-    from ...io.files import files_used, read_yaml
     from ...io.versions import VERSION, is_of_1_0
+    from ...runtime.files import files_used, read_yaml
 
     commands = step_commands()
     parameters = parameters_of(commands)

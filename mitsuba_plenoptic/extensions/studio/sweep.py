@@ -27,7 +27,6 @@ from ...errors import (
 )
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
-from ...io.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
 from ...light.render_capture import is_wave_capture, refuse_by_rays, render_capture
 from ...prescription.lens_data import image_distance
 from ...refocus import METHODS
@@ -35,6 +34,7 @@ from ...report.experiment import load_with_sensor, refocused
 from ...report.stage_store import Progress, StageOptions, Stages, scene_fingerprint, software
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
 from ...runtime.batches import BatchMap
+from ...runtime.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
 
 __all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
 

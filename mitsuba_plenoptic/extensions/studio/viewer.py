@@ -14,10 +14,10 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
 from ...io.captures import Capture
-from ...io.files import write_text
 from ...refocus import Reconstruction
 from ...report.images import Brightness, encode, shrink
 from ...report.page import scene_name, template
+from ...runtime.files import write_text
 from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
 from ...views.coordinates import DIMS, light_field, require_light_field, view_steps
 from ...views.lens_grid import bin_grid
@@ -170,7 +170,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
     )
     shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
-    white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
+    white = Brightness().peak(shown or [np.asarray(depths[0]["image"])])
     # Alike for both, so that they have the same views.
     wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
     thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]

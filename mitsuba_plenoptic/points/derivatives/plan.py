@@ -17,8 +17,7 @@ from ...light.optical_system import OpticalSystem
 from ...light.sampling import MEMORY_LIMIT
 from ...optics import guards
 from ...runtime.backend import backend
-from ...runtime.batches import BatchMap, PartialSum, Threads, add
-from ...runtime.jobs import Job, SumTask
+from ...runtime.batches import BatchMap, Job, PartialSum, SumTask, Threads, add
 from ...runtime.limits import largest_fitting, memory_limit, single_threaded_blas
 from ..accuracy import derivative_band_for, derivatives_share
 from ..mixing import WavelengthPlans, groups, mix
@@ -199,7 +198,7 @@ class DerivativePlan(PatchPlan):
 
 
 class JvpSum:
-    """Changes of a sum in several directions, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+    """Changes of a sum in several directions, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
         self._plan, self._weights, self._directions = plan, weights, directions

@@ -28,8 +28,8 @@ from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
+from ...runtime.batches import Job
 from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
-from ...runtime.jobs import Job
 from .kernels import StoredResponse, require_response_memory
 from .variation import TotalVariation
 

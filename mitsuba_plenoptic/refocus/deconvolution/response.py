@@ -30,8 +30,7 @@ from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
-from ...runtime.batches import Box, Part
-from ...runtime.jobs import Job
+from ...runtime.batches import Box, Job, Part
 from .cells import BinCells, bins_matrix, to_bins
 from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation

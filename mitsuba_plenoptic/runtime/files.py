@@ -277,7 +277,11 @@ _LARGEST_TABLE = 2**22
 def read_table(path: str | Path) -> NDArray[np.float64]:
     """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names."""
     lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
-    if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
+    for cell in lines[0].split(",") if lines else ():
+        with contextlib.suppress(ValueError):
+            float(cell)
+            break
+    else:
         lines = lines[1:]
     with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
@@ -286,15 +290,6 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
         row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
     return np.asarray(rows)
-
-
-def _is_number(text: str) -> bool:
-    """Whether a cell is a number, or is meant to be one."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 # Chunks of arrays that are smaller than this may be larger than they are.
