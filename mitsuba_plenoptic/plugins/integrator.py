@@ -71,7 +71,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Accumulate the gradient of a parameter of the camera."""
+    """Add to the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
@@ -87,7 +87,7 @@ _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticWaveIntegrator(make_base()):  # type: ignore[misc]
         r"""Wave capture: the incoherent, non-paraxial wave-optical image on a plenoptic camera's detector.
@@ -221,7 +221,7 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Propagate the gradient of the capture to the parameters, for `mi.render`."""
+            """Add the gradients by parameters from a gradient by the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
@@ -253,7 +253,7 @@ def make_class() -> type:
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it."""
+            """Return the film that holds the computed capture."""
             crosstalk, film = PlenopticCamera.from_sensor(sensor).pixel_crosstalk, sensor.film()
             require_wave_film(film)
             capture = self._capture(scene, sensor)
@@ -267,7 +267,7 @@ def make_class() -> type:
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Estimate the cost of `record` from a fraction of its work."""
+            """Return the estimated cost of `record`, from a fraction of its work."""
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
@@ -313,7 +313,7 @@ def make_class() -> type:
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
-            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 **self.colours.parameters(),
                 "method": self.method,
