@@ -83,11 +83,6 @@ class TelecentricLens(UniformLens):
         r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
 
         It is that of the parabolic wave with the same difference from the wave in focus at the edge of the stop.
-
-        Parameters
-        ----------
-        distance : array
-            Depth d beyond the native object plane.
         """
         lens = self.objective
         drop = 2 * math.sin(lens.half_angle / 2) ** 2
@@ -135,29 +130,11 @@ class TelecentricLens(UniformLens):
         return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return 0: wavefronts of all points of an object plane differ by their tilts alone.
-
-        Parameters
-        ----------
-        radius, step : array
-            Distance of the images from the axis, and from each other.
-        wavelength : float
-            Wavelength in nanometres.
-        """
+        """Return 0: wavefronts of all points of an object plane differ by their tilts alone."""
         return 0 * radius
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path from a scene point to a point of the stop, less that to its centre, in waves.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point of the stop in millimetres.
-        point : (array, array, array)
-            Scene point in the camera frame in millimetres.
-        wavelength : float
-            Wavelength in vacuum in nanometres.
-        """
+        """Return the path from a scene point to a point of the stop, less that to its centre, in waves."""
         (x, y), (X, Y, d), n = self._sines(pupil), point, self.objective.immersion
         # cos - 1 without cancellation
         drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))

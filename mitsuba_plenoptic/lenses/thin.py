@@ -250,15 +250,6 @@ class ThinLens(UniformLens, FinitePupil):
 
         Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), spheres about the points are
         parabolas, which differ by tilts only. Tilts are left out.
-
-        Parameters
-        ----------
-        pupil : (array, array)
-            Point on the exit pupil in millimetres.
-        distance : array
-            Distance g of the points from the lens in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
         """
         (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
         waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
@@ -305,15 +296,6 @@ class ThinLens(UniformLens, FinitePupil):
         r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
 
         For an ideal lens this is an upper bound: its light changes with the field only as defocus does in tilted cones.
-
-        Parameters
-        ----------
-        radius : array
-            Distance of the images from the axis in millimetres.
-        step : array
-            Distance between the images in millimetres.
-        wavelength : float
-            Wavelength in nanometres.
         """
         a, b = self.pupil_radius, self.pupil_distance
         return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))

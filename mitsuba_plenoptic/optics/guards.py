@@ -200,7 +200,7 @@ def watch() -> Iterator[dict[str, float]]:
     finally:
         _findings.reset(token)
     for guard, fraction in findings.items():
-        fractions[guard.name] = _rounded(fraction)
+        fractions[guard.name] = float(f"{fraction:.{_DIGITS}g}")
         _warn(guard, fraction)
 
 
@@ -264,10 +264,6 @@ def check_window(in_rim: float, before: float = 0.0) -> None:
     """
     check(WINDOW, in_rim)
     check(WRAPPED, in_rim - before)
-
-
-def _rounded(number: float) -> float:
-    return float(f"{number:.{_DIGITS}g}")
 
 
 def _sentence(guard: Guard, fraction: float) -> str:

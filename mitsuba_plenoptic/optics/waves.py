@@ -177,17 +177,12 @@ class StepGuard:
 
     def _of_field(self, field: Field) -> tuple[float, float]:
         """Total power, and power in the rim of the window."""
-        rows = _some_rows(field)
+        rows = field[:: _row_step(field)]
         high, wide = (rim(size) for size in field.shape)
         position = np.arange(len(rows)) * self._step
         outer = (position < high) | (position >= len(field) - high)
         sides = sum(weighted(~outer, side) for side in (rows[:, :wide], rows[:, -wide:]))
         return self._step * power(rows), self._step * (weighted(outer, rows) + sides)
-
-
-def _some_rows(field: Field) -> Field:
-    """Return some rows of a field, as a view, from which a fraction of its power is estimated."""
-    return field[:: _row_step(field)]
 
 
 def _row_step(field: Field) -> int:

@@ -6,7 +6,7 @@ Messages state the plugin, the parameter, its value and the rule.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -47,7 +47,6 @@ from ..optics.spectrum import (
     interpolated,
     read_responses,
 )
-from ..prescription.lens_data import LensData
 from ..prescription.lens_file import read_lens
 from ..runtime.backend import drjit_array
 
@@ -94,7 +93,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     """Return the camera of a plugin's properties and its film, which is the detector."""
     with naming(plugin):
         given = {
-            name: _READERS.get(entry.form, _read_one)(props, name)
+            name: _READERS[entry.form](props, name) if entry.form in _READERS else _plain(props[name])
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
@@ -105,11 +104,6 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
         "bounds its micro-images for rays; use CaptureOperator with method full_field",
     )
     return camera
-
-
-def _read_one(props: Any, name: str) -> Any:
-    """Read a value that the camera will check."""
-    return _plain(props[name])
 
 
 def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
@@ -129,12 +123,16 @@ def _read_position(props: Any, name: str) -> tuple[float, ...]:
     return position[:2] if len(position) == 3 and position[2] == 0 else position
 
 
-def _read_main_lens(props: Any, name: str) -> LensData:
-    """Return the data of a main lens, given as a file, a bundled lens or the text of a JSON file."""
-    source = _plain(props[name])
-    if not isinstance(source, str):
-        raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
-    return read_lens(source, lambda path: str(mi.file_resolver().resolve(path)))
+def _text_for(read: Callable[..., Any], what: str) -> Callable[[Any, str], Any]:
+    """Return the reader of values that are given as files or their texts, which the function `read` takes."""
+
+    def read_text(props: Any, name: str) -> Any:
+        source = _plain(props[name])
+        if not isinstance(source, str):
+            raise InputError(f"{name} = {source!r}: it must be text: {what}")
+        return read(source, lambda path: str(mi.file_resolver().resolve(path)))
+
+    return read_text
 
 
 def _read_glass(props: Any, name: str) -> Any:
@@ -144,22 +142,6 @@ def _read_glass(props: Any, name: str) -> Any:
         return source
     with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
         return json.loads(source)
-
-
-def _read_shape(props: Any, name: str) -> Any:
-    """Return the shape of microlenses, given as a JSON file or its text."""
-    source = _plain(props[name])
-    if not isinstance(source, str):
-        raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
-    return known_shape(source, lambda path: str(mi.file_resolver().resolve(path)))
-
-
-def _read_screen(props: Any, name: str) -> Any:
-    """Return a phase screen, given as a JSON file or its text."""
-    source = _plain(props[name])
-    if not isinstance(source, str):
-        raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
-    return known_screen(source, lambda path: str(mi.file_resolver().resolve(path)))
 
 
 def _read_response(props: Any, name: str) -> Any:
@@ -174,10 +156,10 @@ _READERS = {
     Form.SEVERAL: _read_numbers,
     Form.NUMBERS: _read_numbers,
     Form.PLACE: _read_position,
-    Form.LENS: _read_main_lens,
+    Form.LENS: _text_for(read_lens, "a file or a bundled lens"),
     Form.GLASS: _read_glass,
-    Form.SHAPE: _read_shape,
-    Form.SCREEN: _read_screen,
+    Form.SHAPE: _text_for(known_shape, "a JSON file, or its content"),
+    Form.SCREEN: _text_for(known_screen, "a JSON file, or its content"),
     Form.RESPONSE: _read_response,
 }
 """Readers for the forms of parameters that scene files write differently from Python."""

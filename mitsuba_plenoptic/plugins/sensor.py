@@ -130,7 +130,11 @@ def make_class() -> type:
             # Parameters whose value is an empty tuple are not exposed.
             self._numbers = [name for name, value in own.items() if PARAMETERS[name].is_exposed and value != ()]
             for name, value in own.items():
-                setattr(self, name, _as_drjit(PARAMETERS[name], value) if name in self._numbers else value)
+                if name in self._numbers:
+                    # In its shortest form, as an array that can carry gradients.
+                    kind = mi.Point2f if PARAMETERS[name].form is Form.PLACE else mi.Float
+                    value = kind(PARAMETERS[name].plain(value))
+                setattr(self, name, value)
             self.m_needs_sample_3 = True
             self._update()
 
@@ -351,11 +355,6 @@ def make_class() -> type:
 def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
     """Return the camera parameters that the film does not determine."""
     return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
-
-
-def _as_drjit(entry: Parameter, value: Any) -> Any:
-    """Return the value of a parameter in its shortest form, as a Dr.Jit array that can carry gradients."""
-    return (mi.Point2f if entry.form is Form.PLACE else mi.Float)(entry.plain(value))
 
 
 def _flags(entry: Parameter) -> Any:

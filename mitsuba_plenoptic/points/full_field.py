@@ -31,7 +31,6 @@ from ..camera import PlenopticCamera
 from ..lenses.collimated import CollimatedLens
 from ..lenses.telecentric import TelecentricLens
 from ..light.cost import Cost
-from ..light.microlens_orders import ArrayFactor
 from ..light.microlenses import transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards
@@ -141,13 +140,8 @@ def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -
     """Multiply a field just before the array in place by the transmission of the microlenses."""
     if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
         samples *= _irregular(system, grids)
-    else:
-        _apply(system.microlenses.factors(grids.bend), grids, samples)
-
-
-def _apply(factors: list[ArrayFactor], grids: FieldGrids, samples: Field) -> None:
-    """Multiply a field by the factors of the microlenses."""
-    for factor in factors:
+        return
+    for factor in system.microlenses.factors(grids.bend):
         if len(factor.axes) == 2:
             for block, x, y in _places(grids):
                 samples[block] *= as_field(pack(factor.at(x, y)), samples[block].shape)

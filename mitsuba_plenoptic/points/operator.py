@@ -128,7 +128,11 @@ class CaptureOperator(CoherentPoints):
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if system is not None:
-            _require_bound(system, camera, wavelength)
+            bound = system.wavelength
+            refuse_if(
+                bound != wavelength or system.camera != camera.at_wavelength(bound),
+                f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}",
+            )
         systems = {} if system is None else {system.wavelength: system}
         planned_for = self.points, self._pupil_weights, self._accuracy
         self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
@@ -421,12 +425,3 @@ class CaptureOperator(CoherentPoints):
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as an array (n, columns); refuse anything else."""
         return self._channels.check_weights(weights, len(self.points))
-
-
-def _require_bound(system: OpticalSystem, camera: PlenopticCamera, wavelength: float | None) -> None:
-    """Refuse a system of another camera or wavelength."""
-    bound = system.wavelength
-    refuse_if(
-        bound != wavelength or system.camera != camera.at_wavelength(bound),
-        f"system: it is bound to another camera, or to {bound:g} nm, not {wavelength}",
-    )

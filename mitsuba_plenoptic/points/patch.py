@@ -66,7 +66,8 @@ class PatchWorkspace:
     def __init__(self, batch: PatchBatch) -> None:
         arrays, count, m = batch.libraries.arrays, batch.together, batch.mla_samples
         self.rows = arrays.empty((count, batch.pupil.shape[1], m), np.complex64)
-        longest = max(_largest(_blocks(size, m, batch.sizes.block)) for size in (batch.samples, m))
+        blocks = (block for size in (batch.samples, m) for block in _blocks(size, m, batch.sizes.block))
+        longest = max(block.stop - block.start for block in blocks)
         self.columns = arrays.empty((count, longest, m), np.complex64)
         self.plane = arrays.empty((0 if batch.is_separable else count, m, batch.samples), np.complex64)
         self.field = arrays.empty((count, batch.samples, batch.samples), np.complex64)
@@ -167,10 +168,6 @@ def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
     parts = max(1, round(count * length / samples))
     edges = [count * part // parts for part in range(parts + 1)]
     return (slice(*pair) for pair in itertools.pairwise(edges))
-
-
-def _largest(blocks: Iterator[slice]) -> int:
-    return max(block.stop - block.start for block in blocks)
 
 
 def forward_along(field: Field, axis: int) -> Field:
