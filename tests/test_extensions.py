@@ -200,17 +200,6 @@ def test_types_are_right_without_extensions(core):
     assert made.returncode == 0, made.stdout
 
 
-@pytest.mark.slow
-def test_the_suite_of_the_core_passes_without_extensions(core):
-    """Tests that need an extension are skipped, by the plugin in `without_extensions.py`."""
-    code = _ALONE + "import pytest\nsys.exit(pytest.main(sys.argv[1:]))"
-    options = ["-q", "-p", "without_extensions", "-p", "no:cacheprovider", "--tb=short"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(core), str(core / "tests")])}
-    command = [sys.executable, "-c", code, *options]
-    made = subprocess.run(command, cwd=core, env=environment, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stdout[-5000:]
-
-
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     """The page on extensions shows a whole one; here the package is installed by its entry point alone."""
     page = (PACKAGE.parent / "docs" / "develop" / "extension.md").read_text()

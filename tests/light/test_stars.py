@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic.light.noise import Mended
-from tools.bench.cases.lamps import light_of_stars, sky
+from tools.bench.cases.scenes import light_of_stars, sky
 
 
 @pytest.fixture(scope="module")
