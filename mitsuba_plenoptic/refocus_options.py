@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, TypedDict, TypeVar, get_args, get_type_hints
 
-from .errors import InputError, require_choice, require_count, require_flag, require_number, short_repr
+from .errors import InputError, require_count, require_number, short_repr
 
 METHODS = ("ray", "coherent", "partial", "incoherent", "deconvolved")
 FOOTPRINTS = ("lens", "point")
@@ -39,8 +39,8 @@ class Option:
     # What methods get where it is not given, and that in words where the value does not say it.
     default: Any = None
     shown: str = ""
-    # From name, value and capture to what methods get. Default: one of the choices, a flag, or a count.
-    check: Callable[[str, Any, Any], Any] | None = None
+    # From name, value and the lenses along an axis to what methods get. Default: a choice, a flag, or a count.
+    check: Callable[[str, object, int], object] | None = None
     choices: tuple[str, ...] = ()
     # What the help shows for the value, where it is neither a choice nor a number.
     metavar: str = ""
@@ -48,16 +48,6 @@ class Option:
     waves: bool = False
     # The types of its values, which its annotation states.
     types: tuple[type, ...] = ()
-
-    def checked(self, name: str, value: Any, capture: Any) -> Any:
-        """Return what methods get for a value; the default where none is given."""
-        if value is None:
-            return self.default
-        if self.check:
-            return self.check(name, value, capture)
-        if self.choices:
-            return require_choice(name, value, self.choices)
-        return require_flag(name, value) if bool in self.types else require_count(name, value)
 
     @property
     def label(self) -> str:
@@ -70,11 +60,10 @@ class Option:
         return self.shown or str(self.default)
 
 
-def _require_interleave(name: str, value: Any, capture: Any) -> int | str:
+def _require_interleave(name: str, value: object, lenses: int) -> int | str:
     """Return the period of the subsets of lenses, or ``"auto"``."""
     if isinstance(value, str) and value == "auto":
         return value
-    lenses = max(capture.camera.lens_count)
     try:
         return require_count(name, value, maximum=lenses)
     except InputError:

@@ -59,7 +59,7 @@ MOVED = {
     "reconstruction.ray": "refocus.ray",
     "reconstruction.radiance": "refocus.radiance",
     "reconstruction.methods": "refocus.methods",
-    "reconstruction.partitions": "refocus.partitions",
+    "reconstruction.partitions": "extensions.paper.partitions",
     "reconstruction.waves": "refocus.wave_methods",
     "reconstruction.deconvolution": "refocus.deconvolution",
     "reconstruction.deconvolution.variation": "refocus.deconvolution.variation",

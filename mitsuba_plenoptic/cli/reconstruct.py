@@ -34,7 +34,7 @@ from .inputs import (
     require_linear,
 )
 from .judging import COUNTED, WAVELENGTH, one_of
-from .stopping import Resume, existing_checkpoint, stopped_by_hand
+from .stopping import Resume, checkpoint_of, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
@@ -163,7 +163,6 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
     from .. import refocus as reconstruction
-    from ..io.checkpoints import SUFFIX, Checkpoint
     from ..refocus.methods import used_by
     from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
@@ -210,9 +209,7 @@ def reconstruct(
     for path in filter(None, written):
         require_apart(path, capture, white)
     recorded, reference = _recorded(capture, white, known, linear, variant)
-    saved = (
-        Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(bool(resume))) if chosen.long else None
-    )
+    saved = checkpoint_of(output, bool(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
             results = reconstruction.reconstruct(
@@ -258,7 +255,7 @@ def sheet(
     # Brings Matplotlib, which takes a while to load.
     from ..report.figures import contact_sheet
 
-    contact_sheet(read, Brightness(exposure, percentile).white([one.image for one in read])).save(output)
+    contact_sheet(read, Brightness(exposure, percentile).peak([one.image for one in read])).save(output)
     methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images, {len(methods)} methods at {len(distances)} distances")
 
@@ -299,7 +296,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
         # Brings libraries that take a second to load.
         from ..report.volumes import write_volume_overview
 
-        write_volume_overview(overview, made, drawing.brightness.white([made.values]))
+        write_volume_overview(overview, made, drawing.brightness.peak([made.values]))
         typer.echo(f"{overview}: overview")
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import functools
 import json
 import logging
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from ..camera import PlenopticCamera, are_alike, require_camera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import (
     NO_ARRAY,
     NO_RECORD,
@@ -47,8 +45,6 @@ from .versions import camera_of_waves, is_of_1_0, stamped
 MODELS = ("ray", "wave")
 
 _log = logging.getLogger(__name__)
-
-_MOST_SATURATED = 0.01
 
 BRIGHTEST = 1e30
 """Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
@@ -193,24 +189,6 @@ def recording_of(capture: Capture) -> dict[str, Any]:
     """Return what a capture's metadata state of the detector that recorded it, an empty record if nothing."""
     found = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
     return found if isinstance(found, dict) else {}
-
-
-def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
-    """Refuse a white capture by another camera than a capture's, `lens_model` aside, or with many saturated pixels."""
-    saturated = recording_of(white).get("saturated_pixels", 0)
-    pixels = math.prod(white.camera.shape)
-    refuse_if(
-        isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
-        f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
-    )
-    if not cameras or any(are_alike(white.camera, camera) for camera in cameras):
-        return
-    theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
-    name = next(name for name in {**ours, **theirs} if name != "lens_model" and theirs.get(name) != ours.get(name))
-    raise InputError(
-        f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
-        f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
-    )
 
 
 def write_capture(path: str | Path, capture: Capture) -> None:

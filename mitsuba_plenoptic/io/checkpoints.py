@@ -117,14 +117,14 @@ class Checkpoint:
         require_choice("existing", existing, get_args(Existing))
         self.path = Path(path)
         self.run: dict[str, Any] = {}
-        self._existing = existing
+        self.existing = existing
         self._due = math.inf
         self._complained = False
         self._stopping = False
         self._lock = contextlib.ExitStack()
 
     def __enter__(self) -> Checkpoint:
-        if self._existing == "refuse" and self.path.exists():
+        if self.existing == "refuse" and self.path.exists():
             raise InputError(
                 f"{self.path}: the checkpoint of a run that was stopped; resume from it with existing='resume', or "
                 "remove the file"
@@ -179,7 +179,7 @@ class Checkpoint:
         try:
             found = _read(self.path, self.run, take, shapes)
         except InputError as error:
-            if self._existing == "resume":
+            if self.existing == "resume":
                 raise
             _log.info("%s; beginning anew", error)
             return None

@@ -1,4 +1,4 @@
-r"""Irregular arrays: microlenses with individual displacements and focal lengths, tilted arrays, shifts to chief rays.
+r"""Irregular arrays: displaced lenses of uneven focal lengths, tilted arrays, shifts to chief rays, figure errors.
 
 The lens with the indices (i, j) is displaced along x and y, and its focal length is scaled, by normal deviates. These
 depend only on the indices and a seed, so that a lens is the same in all computations. Deviates are clipped at three
@@ -7,6 +7,7 @@ standard deviations.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal
 from ..errors import InputError
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array
+from ..runtime.backend import drjit_array, module_of
 from .random_numbers import hashed
 
 MOST_DEVIATIONS = 3.0
@@ -104,6 +105,69 @@ def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
     if dr.is_array_v(bits):
         return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
     return (bits.astype(np.float64) + 0.5) * 2.0**-23
+
+
+_COSINES = 32
+"""Count of cosines."""
+
+
+@dataclass(frozen=True, eq=False)
+class FigureError:
+    r"""Figure error of one array: a random optical path of a given size and correlation length all over the array.
+
+    The path is a sum of cosines of random directions, periods and phases,
+
+    .. math:: W(x, y) = \sigma \sqrt{2 / K} \sum_{k=1}^{K} \cos(2 \pi (u_k x + v_k y) + \varphi_k),
+
+    whose frequencies are normally distributed with the standard deviation :math:`1 / 2 \pi l`. Over all seeds the root
+    mean square is :math:`\sigma`, and the correlation of points at a distance d is :math:`\exp(-d^2 / 2 l^2)`. The path
+    has slopes everywhere, and depends on the position and the seed alone.
+    """
+
+    amplitude: float  # of each cosine, in millimetres
+    frequencies: NDArray[np.float64]  # (2, cosines), in 1/mm
+    phases: NDArray[np.float64]  # in periods
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera) -> FigureError | None:
+        """Return the figure error of a camera's array, or None if it has none."""
+        size, length = camera.mla_figure_error
+        return _drawn(size, length, camera.mla_seed) if size else None
+
+    def path(self, x: Any, y: Any) -> Any:
+        """Return the path in millimetres at positions on the array, NumPy or Dr.Jit arrays."""
+        return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path at positions."""
+        across: Any = 0.0
+        up: Any = 0.0
+        for _, sine, u, v in self._waves(x, y):
+            across, up = across - sine * u, up - sine * v
+        scale = 2 * math.pi * self.amplitude
+        return scale * across, scale * up
+
+    def _waves(self, x: Any, y: Any) -> list[tuple[Any, Any, Any, Any]]:
+        """Return cosine and sine of each wave, and its frequencies along x and y."""
+        module, rows = module_of(x), [*self.frequencies, self.phases]
+        if module is dr:
+            # In tables, other numbers need no other kernel.
+            tables = [drjit_array(type(x), row) for row in rows]
+            rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
+        found = []
+        for u, v, phase in zip(*rows, strict=True):
+            turns = u * x + v * y + phase
+            turns = 2 * math.pi * (turns - module.floor(turns))
+            found.append((module.cos(turns), module.sin(turns), u, v))
+        return found
+
+
+@functools.lru_cache(maxsize=4)
+def _drawn(size: float, length: float, seed: int) -> FigureError:
+    """Return a figure error drawn at random."""
+    random = np.random.default_rng([seed, _COSINES])
+    frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
+    return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))
 
 
 _STEP = 0.4

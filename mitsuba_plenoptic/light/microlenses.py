@@ -20,8 +20,7 @@ from ..camera import PlenopticCamera
 from ..lattice import Lattice, make_lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
-from .figure_error import FigureError
-from .lens_kinds import irregularities
+from .lens_kinds import FigureError, irregularities
 
 _HARD_EDGES = 1.4
 """Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""

@@ -23,8 +23,7 @@ from ..lenses.common import chief_points, main_lens
 from ..lenses.main_lens import MainLens, Pair, Traced
 from ..optics import rays
 from ..runtime.backend import drjit_array
-from .figure_error import FigureError
-from .lens_kinds import chief_ray_shift, irregularities
+from .lens_kinds import FigureError, chief_ray_shift, irregularities
 from .optical_system import OpticalSystem
 
 

@@ -9,9 +9,7 @@ from ..extension import register
 from .api import reconstruct
 from .estimates import estimate_reconstruction
 from ..refocus_options import FOOTPRINTS, RESPONSES
-from .differentiable import RayRefocus
-from .differentiable import CoherentRefocus
-from .differentiable_steps import DeconvolvedRefocus
+from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 from .methods import METHODS
 from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
 

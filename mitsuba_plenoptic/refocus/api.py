@@ -16,15 +16,12 @@ from ..camera.plenoptic_camera import require_ideal, require_no_shape
 from ..errors import (
     InputError,
     argument,
-    refuse_if,
     require_choice,
     require_count,
-    short_repr,
     suggest_keywords,
 )
-from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
+from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
 from ..optics import guards
 from ..refocus_options import OPTIONS, MethodOptions, with_options
@@ -32,7 +29,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.limits import GIB, memory_asked
 from ..runtime.progress import Forecast, in_words
-from ..views.white_image import scaled_white
+from .displacement import is_known
 from .methods import (
     METHODS,
     Found,
@@ -41,48 +38,15 @@ from .methods import (
     portion,
     require_distances,
     require_image_memory,
+    require_option,
     require_response,
     require_upright,
     require_wavelengths,
     used_by,
     work_of,
 )
-from .radiance import is_known
-from .ray import white_pixels
+from .radiance import as_reference
 from .results import Reconstruction
-
-
-def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
-    """Return a white capture as an array with the channels of the capture that it is to divide."""
-    pixels = white.image if isinstance(white, Capture) else as_array("white", white)
-    require_pixels("white", pixels)
-    image = np.atleast_3d(capture.image)
-    if pixels.shape not in {image.shape[:2], (*image.shape[:2], 1), image.shape}:
-        raise InputError(f"white of shape {pixels.shape}: it must have the pixels of the capture, {image.shape[:2]}")
-    if isinstance(white, Capture):
-        require_demosaiced(white)
-        own = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
-        require_suitable_white(white, own)
-        _require_same_light(white, capture, image.shape[2])
-    scaled = scaled_white(np.atleast_3d(pixels), white_pixels(capture.camera), capture.camera)
-    return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
-
-
-def _require_same_light(white: Capture, capture: Capture, channels: int) -> None:
-    """Refuse a white wave capture that lost a different part of the light at the edges of its micro-images."""
-    refuse_if(
-        white.model == "wave" and capture.model != "wave",
-        "white: it was captured by waves, and the capture by rays, which lose no light at edges",
-    )
-    if white.wavelength is None or capture.wavelength is None:
-        return
-    theirs, own = (np.broadcast_to(light, channels) for light in (white.wavelength, capture.wavelength))
-    refuse_if(
-        not np.array_equal(theirs, own),
-        f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
-        "it must be of the same wavelengths",
-    )
-
 
 _log = logging.getLogger(__name__)
 
@@ -92,35 +56,26 @@ _LONG = 30.0
 """Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
 
 
+class ReconstructOptions(MethodOptions, total=False):
+    """Arguments of `reconstruct` beside capture and distance."""
+
+    method: str
+    camera: PlenopticCamera | None
+    wavelength: float | Sequence[float] | None
+    oversample: int
+    white: Capture | np.ndarray | None
+    progress: Callable[[int, int], None] | None
+    checkpoint: Checkpoint | None
+    batch_map: BatchMap | None
+
+
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: float,
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Unpack[MethodOptions],
+    capture: Capture | np.ndarray, distance: float, **options: Unpack[ReconstructOptions]
 ) -> Reconstruction: ...
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: Sequence[float],
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
-    **options: Unpack[MethodOptions],
+    capture: Capture | np.ndarray, distance: Sequence[float], **options: Unpack[ReconstructOptions]
 ) -> list[Reconstruction]: ...
 @functools.partial(suggest_keywords, gone={"partition": "interleave, which takes every K-th lens along both axes"})
 @one_at_a_time
@@ -170,10 +125,10 @@ def reconstruct(
     white : Capture or array, optional
         A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
-        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.white_radiance`). It is refocused by the
+        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.scaled_white`). It is refocused by the
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
-        `mitsuba_plenoptic.refocus.radiance`). This takes the time of one refocusing for the white and of two
+        `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two
         more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
         at their edges, then read less than the radiance (0.85 for the paper's camera), except with
         ``incoherent``, whose computed white has lost the same light.
@@ -242,7 +197,7 @@ def reconstruct(
         batch_map=batch_map,
     )
     white, wavelength = used["white"], used["wavelength"]
-    settings = {name: OPTIONS[name].checked(name, used[name], capture) for name in chosen.options}
+    settings = {name: require_option(name, used[name], camera) for name in chosen.options}
     if "response" in settings:
         settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)
@@ -257,7 +212,7 @@ def reconstruct(
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else reference_white(white, capture, recorded)
+    reference = None if white is None else as_reference(white, capture, recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -298,7 +253,7 @@ def reconstruct(
         Reconstruction(
             image=made.image.reshape(*made.image.shape[:2], *capture.image.shape[2:]),
             distance=value,
-            bin_size=_bin_size(camera, value) / oversample,
+            bin_size=camera.bin_size(1.0 if math.isinf(value) else value) / oversample,
             method=method,
             camera=camera,
             options=settings,
@@ -347,7 +302,3 @@ def _side_by_side(parts: list[Any]) -> list[Found]:
         )
         for of_distance in zip(*found, strict=True)
     ]
-
-
-def _bin_size(camera: PlenopticCamera, distance: float) -> float:
-    return camera.bin_size(1.0 if math.isinf(distance) else distance)

@@ -26,8 +26,7 @@ from ..runtime.batches import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
 from .methods import Progress, Task, method, portion, work_of
-from .radiance import captures, to_radiance
-from .ray import white_pixels, white_sums
+from .radiance import captures, to_radiance, white_pixels, white_sums
 
 
 @method("incoherent", waves=True, as_it_is=True)

@@ -17,6 +17,9 @@ from ..errors import (
     InputError,
     argument,
     refuse_if,
+    require_choice,
+    require_count,
+    require_flag,
     require_number,
     require_wavelength,
     short_repr,
@@ -215,6 +218,18 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
         camera.lens_data.require_distance(camera, value)
     refuse_if(not distances, "distance = []: give at least one")
     return distances
+
+
+def require_option(name: str, value: Any, camera: PlenopticCamera) -> Any:
+    """Return what methods get for an option; the default of its record where none is given."""
+    option = OPTIONS[name]
+    if value is None:
+        return option.default
+    if option.check:
+        return option.check(name, value, max(camera.lens_count))
+    if option.choices:
+        return require_choice(name, value, option.choices)
+    return require_flag(name, value) if bool in option.types else require_count(name, value)
 
 
 def require_response(response: str | None, capture: Capture, wavelength: Any) -> str:

@@ -225,7 +225,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     names = ["truth", *(method.name for method in METHODS)]
     distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
-    peak = Brightness().white([window.of(experiment.truths[distance]) for distance in distances])
+    peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
     wide, gap, left, title, foot = 2.3, 0.1, 0.4, 0.34, 0.32
     tall, lines = wide * window.aspect, math.ceil(len(names) / _ACROSS)
     high = title + tall + foot
@@ -245,7 +245,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
     """Draw micro-images by rays, by waves, and their difference."""
     ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
-    peak = Brightness().white([ray[zoom.rows, zoom.columns] for zoom in zooms])
+    peak = Brightness().peak([ray[zoom.rows, zoom.columns] for zoom in zooms])
     size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.3
     figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + foot))
     drawn: Any = None

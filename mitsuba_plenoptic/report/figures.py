@@ -223,7 +223,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
         if (across := _in_focus(found)) is not None:
             scale_bar(axes, across, IN_FOCUS, size=_TEXT)
         if values.ndim == 3:
-            _state(axes, _white(norm))
+            _state(axes, f"white: radiance {norm.vmax:.3g}")
         else:
             below, end = _TITLE + tall + 0.07, _end(values, norm)
             bar = canvas.colour_bar(drawn, left, below, 0.09, label, width=wide, text=_TEXT, extend=end)
@@ -245,7 +245,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
     titles = [_TITLE if any(panel.title for panel in row) else _GAP for row in rows]
     tops = [sum(titles[: index + 1]) + index * tall for index in range(len(rows))]
     norm, drawn = _grey(images, white), None
-    stated = [] if grey else [_white(norm)]
+    stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
     stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
     canvas = Canvas(across, tops[-1] + tall + (_TITLE if stated else _GAP), _DPI)
     for down, row in enumerate(rows):
@@ -270,7 +270,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
 
 def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
     """Return the scale of radiances from black to white, encoded in sRGB as pictures are."""
-    peak = Brightness().white(images) if white is None else white
+    peak = Brightness().peak(images) if white is None else white
     return FuncNorm(
         (lambda values: srgb(np.clip(np.asarray(values) / peak, 0, None)), lambda codes: peak * linear_of(codes)),
         vmin=0,
@@ -291,11 +291,6 @@ def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray"
         return axes.imshow(np.ma.masked_where(~known, values), cmap=colours, norm=norm, **options)
     opaque = 255 * known.astype(np.uint8)
     return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
-
-
-def _white(norm: Normalize) -> str:
-    """State which radiance is white in colour images, which have no scale."""
-    return f"white: radiance {norm.vmax:.3g}"
 
 
 def _state(axes: Axes, text: str) -> None:

@@ -120,7 +120,7 @@ class Brightness:
         if self.percentile is not None:
             require_number("percentile", self.percentile, positive=True, maximum=100)
 
-    def white(self, images: Sequence[np.ndarray]) -> float:
+    def peak(self, images: Sequence[np.ndarray]) -> float:
         """Return the value that becomes white in pictures that are looked at together; NaN is ignored."""
         if self.exposure is not None:
             return float(2.0**-self.exposure)

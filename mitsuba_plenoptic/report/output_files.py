@@ -59,7 +59,7 @@ def write_reconstructions(
 
     Pictures share one scale. OpenEXR files keep in their headers the metadata of the capture, `source`.
     """
-    peak = drawing.brightness.white([result.image for result in results])
+    peak = drawing.brightness.peak([result.image for result in results])
     if drawing.is_figure(paths[0]):
         report.figures.contact_sheet(results, peak).save(paths[0])
         return
@@ -82,7 +82,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
         for j in range(lf.sizes["v"])
         for i in range(lf.sizes["u"])
     }
-    white = drawing.brightness.white([lf.values])
+    white = drawing.brightness.peak([lf.values])
     picture = _enlarged(view_mosaic(lf), drawing)
     _write(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
 
@@ -91,7 +91,7 @@ def write_photodiodes(
     path: str | Path, halves: xr.DataArray, names: NDArray[np.str_], drawing: Drawing = _AUTOMATIC
 ) -> None:
     """Write the pictures of photodiodes, named by row and column, and their sum: a part each, or side by side."""
-    white = drawing.brightness.white([halves.values])
+    white = drawing.brightness.peak([halves.values])
     total = np.asarray(halves.sum(("v", "u")).values)
     pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
     picture = _enlarged(view_mosaic(halves), drawing)
@@ -104,7 +104,7 @@ def write_photodiodes(
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
     """Write an epipolar image, as PNG enlarged."""
     values = np.asarray(image.values)
-    white = drawing.brightness.white([values])
+    white = drawing.brightness.peak([values])
     picture = _enlarged(values, drawing)
     parts = _images(epipolar=values)
     _write(
@@ -122,7 +122,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
     """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
-    white = drawing.brightness.white([stack.values])
+    white = drawing.brightness.peak([stack.values])
     picture = _enlarged(_tiled(list(images.values())), drawing)
     parts = _images(**images)
     _write(
@@ -134,14 +134,14 @@ def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     """Write a focal stack as an animation, there and back; return the number of its frames."""
     frames = [(np.asarray(image.values), f"{float(image.distance):.4g} mm") for image in stack]
     frames += frames[-2:0:-1]
-    write_animation(path, frames, drawing.brightness.white([stack.values]), drawing.scale)
+    write_animation(path, frames, drawing.brightness.peak([stack.values]), drawing.scale)
     return len(frames)
 
 
 def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
     """Write views along a circle on the pupil as an animation; return the number of its frames."""
     frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
-    write_animation(path, frames, drawing.brightness.white([image for image, _ in frames]), drawing.scale)
+    write_animation(path, frames, drawing.brightness.peak([image for image, _ in frames]), drawing.scale)
     return len(frames)
 
 
@@ -169,7 +169,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
     closeness = (high - parts["disparity"]) / ((high - low) or 1)
-    white = drawing.brightness.white([parts["image"]])
+    white = drawing.brightness.peak([parts["image"]])
     maps = [parts["image"] / white, closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]

@@ -209,7 +209,7 @@ def shown_distances(experiment: Experiment) -> list[float]:
 def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
     """Return pictures by method and distance, with the metrics of those that have some."""
     distances = shown_distances(experiment)
-    peak = Brightness().white([window.of(experiment.truths[distance]) for distance in distances])
+    peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
     facts: dict[str, dict[str, list[list[str]]]] = {}
     for row in measured["reconstructions"]:
         metrics = [

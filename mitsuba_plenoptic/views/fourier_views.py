@@ -22,7 +22,7 @@ from ..lenses.common import main_lens
 from ..prescription.objective import Objective
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, labelled
-from .white_image import MINIMUM_WEIGHT, divide_by_white, white_radiance
+from .white_image import MINIMUM_WEIGHT, divide_by_white, scaled_white
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""
@@ -86,10 +86,10 @@ def decode_views(
     there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
     weight = there * views.fraction[:, :, None, None]
     if white is not None:
-        computed = weight.sum(axis=(2, 3)).ravel()
-        weight = _sampled(white, camera, views)[..., 0]
-        radius = np.hypot(views.across, views.down[:, None]).ravel()
-        weight /= white_radiance(weight.sum(axis=(2, 3)).reshape(-1, 1), computed, radius)
+        number = np.arange(views.fraction.size).reshape(views.fraction.shape)
+        away = np.hypot(views.across, views.down[:, None])
+        lenses = (np.broadcast_to(number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
+        weight = scaled_white(_sampled(white, camera, views), weight, camera, lenses)[..., 0]
     divide_by_white(values, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}

@@ -80,7 +80,7 @@ def open_light_field(
         _refuse(path, views=views)
         capture = read_capture(path)
         known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
-        by = None if white is None else _white_capture(white, linear)
+        by = None if white is None else read_recording(white, linear)
         return decode(capture, camera=camera, white=by, truth=known)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
@@ -94,7 +94,9 @@ def open_light_field(
         if views is not None:
             layout = "lenses" if name.endswith(_LENSES) else "views"
             return read_mosaic(path, views, layout=layout, linear=linear)
-        reference = None if white is None else _white(white, linear)
+        reference = None if white is None else read_recording(white, linear)
+        # Pictures have no camera, by which a white capture could be refused.
+        reference = reference.image if isinstance(reference, Capture) else reference
         if camera is not None:
             return decode(read_picture(path, linear=linear), camera=camera, white=reference)
         if reference is None:
@@ -140,7 +142,7 @@ def open_micro_images(
     path = Path(path)
     if path.suffix.lower() != ".exr":
         return None
-    by = None if white is None else _white_capture(white, linear)
+    by = None if white is None else read_recording(white, linear)
     return micro_images(read_capture(path), camera=camera, white=by)
 
 
@@ -199,15 +201,9 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     return found if are_alike(found.camera, capture.camera) else None
 
 
-def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:
-    """Read a white capture with its camera, or a picture, which has no camera."""
+def read_recording(path: str | Path, linear: bool) -> Capture | np.ndarray:
+    """Read a capture with its camera, or the pixels of a picture, which has no camera."""
     return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
-
-
-def _white(path: str | Path, linear: bool) -> np.ndarray:
-    """Read a white image."""
-    found = _white_capture(path, linear)
-    return found.image if isinstance(found, Capture) else found
 
 
 def _refuse(path: Path, **options: object) -> None:

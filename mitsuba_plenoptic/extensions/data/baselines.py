@@ -6,6 +6,7 @@ Each is a function of a `Question` and returns answers by the names of tasks; a 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -85,22 +86,12 @@ def _images(capture: Capture, **options: Any) -> np.ndarray:
     return np.stack([each.image for each in reconstruct(capture, DISTANCES, **options)])
 
 
-def _by_white(question: Question, method: str) -> Answers:
+def _by_waves(question: Question, *, method: str) -> Answers:
     """Refocus capture and white capture by waves and divide; that takes less than the correction of displacements."""
     options = {"method": method, "wavelength": WAVELENGTH}
     if method not in question.of_white:
         question.of_white[method] = _images(question.white, **options)
     return {"refocus": _images(question.capture, **options) / question.of_white[method]}
-
-
-def _coherent(question: Question) -> Answers:
-    """Return pictures refocused by one coherent wave."""
-    return _by_white(question, "coherent")
-
-
-def _partial(question: Question) -> Answers:
-    """Refocus by four coherent waves of every second lens."""
-    return _by_white(question, "partial")
 
 
 def _deconvolved(question: Question) -> Answers:
@@ -111,8 +102,9 @@ def _deconvolved(question: Question) -> Answers:
 BASELINES: dict[str, Callable[[Question], Answers]] = {
     "plain": _plain,
     "ray": _ray,
-    "coherent": _coherent,
-    "partial": _partial,
+    "coherent": functools.partial(_by_waves, method="coherent"),
+    # Four coherent waves, of every second lens.
+    "partial": functools.partial(_by_waves, method="partial"),
     "deconvolved": _deconvolved,
 }
 """Baselines by name."""

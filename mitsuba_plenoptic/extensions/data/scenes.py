@@ -254,7 +254,7 @@ def _lamps(frame: Frame, random: np.random.Generator) -> Shapes:
     return shapes
 
 
-def _white(frame: Frame, random: np.random.Generator) -> Shapes:
+def _luminous(frame: Frame, random: np.random.Generator) -> Shapes:
     """Return an evenly luminous wall."""
     black = {"type": "diffuse", "reflectance": 0.0}
     return {"wall": frame.wall(random) | {"bsdf": black, "emitter": {"type": "area", "radiance": 1.0}}}
@@ -292,5 +292,5 @@ class SceneMaker:
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 8},
             **_LIGHT.get(self.name, Illumination(0.5, 0.4)).emitters(own, (NEAR + FAR) / 2),
-            **(_white if self.name == WHITE else SCENES[self.name])(self.frame, own),
+            **(_luminous if self.name == WHITE else SCENES[self.name])(self.frame, own),
         }

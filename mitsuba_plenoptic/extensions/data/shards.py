@@ -124,13 +124,14 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
 
 def recorded_checksums(folder: Path) -> dict[str, str]:
     """Return the checksums that were written for a data set, by file; an empty dictionary if there are no checksums."""
-    path = folder / CHECKSUMS
-    if not path.exists():
-        return {}
     try:
-        pairs = [line.partition("  ") for line in read_text(path, LARGEST_LIST).splitlines()]
+        return _checksums(folder)
     except InputError:
         return {}
+
+
+def _checksums(folder: Path) -> dict[str, str]:
+    pairs = [line.partition("  ") for line in read_text(folder / CHECKSUMS, LARGEST_LIST).splitlines()]
     return {name: expected for expected, _, name in pairs}
 
 
@@ -159,18 +160,14 @@ def write_samples(path: Path, samples: Iterable[Sample]) -> None:
     with atomic_output(path) as temporary, Sink(temporary, "w+") as sink:
         with h5py.File(sink, "w") as file:
             for sample in samples:
-                _write_sample(file, sample)
+                arrays: dict[str, Any] = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
+                arrays[_FACTS] = _as_bytes(sample.facts)
+                arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
+                group = file.create_group(group_name(sample.index))
+                for name, array in arrays.items():
+                    group.create_dataset(name, data=array)
                 sink.check(path)
         sink.check(path)
-
-
-def _write_sample(file: Any, sample: Sample) -> None:
-    group = file.create_group(group_name(sample.index))
-    arrays: dict[str, NDArray[Any]] = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
-    arrays[_FACTS] = _as_bytes(sample.facts)
-    arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
-    for name, array in arrays.items():
-        group.create_dataset(name, data=array)
 
 
 def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
@@ -307,9 +304,8 @@ class DataSet:
         InputError
             If there are no checksums.
         """
-        lines = read_text(self.folder / CHECKSUMS, LARGEST_LIST).splitlines()
         found = []
-        for expected, _, name in (line.partition("  ") for line in lines):
+        for name, expected in _checksums(self.folder).items():
             # No name in the file leads out of the folder.
             path = self.folder / name
             inside = path.resolve().is_relative_to(self.folder.resolve())

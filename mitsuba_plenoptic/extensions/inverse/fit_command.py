@@ -18,7 +18,7 @@ from ...cli.inputs import (
     parse_definitions,
     require_in_use,
 )
-from ...cli.stopping import Resume, existing_checkpoint, stopped_by_hand
+from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
 
@@ -91,7 +91,6 @@ def fit(
     import numpy as np
 
     from ...io.captures import read_capture
-    from ...io.checkpoints import SUFFIX, Checkpoint
     from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
@@ -137,11 +136,10 @@ def fit(
             saturation=full if saturation is None else saturation,
         )
         views.append(view)
-    checkpoint = require_writable(output.with_name(output.name + SUFFIX))
-    with Checkpoint(checkpoint, existing_checkpoint(resume)) as steps:
+    with checkpoint_of(output, resume) as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
             # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
-            if afar and not (resume and checkpoint.exists()):
+            if afar and not (resume and steps.path.exists()):
                 first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,

@@ -30,6 +30,7 @@ from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite
 from ...light.signed_capture import SignedCapture
 from ...light.signed_colours import Node, SignedColours, mixed
+from ...light.signed_rays import means_of
 from ...light.walk import walks_of
 from ...runtime.backend import drjit_array
 from ...runtime.batches import Box, Part, PartialSum

@@ -6,10 +6,10 @@ from typing import Any
 
 from ...errors import InputError
 from ...refocus import reconstruct
-from ...refocus.partitions import blocks, coloured, refocused, sublattice
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
 from ...report.stage_store import Stages
+from .partitions import blocks, coloured, refocused, sublattice
 
 
 def measure_readings(experiment: Experiment, store: Stages, near: str, far: str) -> list[dict[str, Any]]:

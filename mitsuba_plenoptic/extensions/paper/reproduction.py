@@ -217,7 +217,7 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))
     images = [experiment.images[panel] for panel in panels]
-    peak = Brightness().white([window.of(image) for image in images])
+    peak = Brightness().peak([window.of(image) for image in images])
     edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
     tall = wide * window.aspect
     figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
-from ...io.captures import EXPOSED, RECORDED, Capture, recording_of, require_suitable_white
-from ...light.detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
+from ...io.captures import EXPOSED, RECORDED, Capture, recording_of
+from ...light.detector import MOSAICS, QUAD, filters, mosaic_of
 from ...views.lens_grid import lens_numbers
-from ...views.white_image import scaled_white, white_image
+from ...views.white_image import recorded_white, scaled_white, white_image
 
 METHODS = ("micro-images", "plain")
 
@@ -115,13 +115,7 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     """Return the white image, (rows, columns, 3)."""
     if white is None:
         return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
-    require_demosaiced(white)
-    refuse_if(
-        white.image.shape[:2] != capture.image.shape,
-        f"white of shape {white.image.shape}: it must have the pixels of the capture",
-    )
-    require_suitable_white(white, [capture.camera])
-    image = np.atleast_3d(white.image)
+    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera])
     if capture.camera.lens_data.is_thin:
         image = scaled_white(image, white_image(capture.camera), capture.camera)
     return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))

@@ -103,7 +103,7 @@ def write_hci(
     middle = lf.sizes["v"] // 2
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-    white = Brightness().white([lf.values]) if white is None else white
+    white = Brightness().peak([lf.values]) if white is None else white
     folder.mkdir(parents=True, exist_ok=True)
     for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
         colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)

@@ -204,7 +204,7 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
         axes = canvas.axes(0.2, top, width, height)
         what = f"What the main lens sees, {seen.view.focus_label}"
         heading = f"{title}: {what[0].lower()}{what[1:]}" if title else what
-        show(axes, seen.picture, heading, peak=Brightness().white([seen.picture]))
+        show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
         if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
             scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
         axes.set_frame_on(True)

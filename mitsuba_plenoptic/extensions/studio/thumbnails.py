@@ -50,7 +50,7 @@ def show_camera(camera: PlenopticCamera) -> str:
 def _figure(image: np.ndarray, caption: str) -> str:
     """Return a picture in its own aspect; NaN is transparent."""
     grey = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
-    white = Brightness().white([grey])
+    white = Brightness().peak([grey])
     style = f"width: {_SHOWN}px; image-rendering: {'pixelated' if max(grey.shape[:2]) < _SHOWN else 'auto'}"
     picture = f'<img src="{encode(grey, 8, white)["source"]}" style="{style}" alt="{escape(caption)}">'
     return f"<figure>{picture}<figcaption>{escape(caption)}; white is {white:.3g}</figcaption></figure>"

@@ -170,7 +170,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
     )
     shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
-    white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
+    white = Brightness().peak(shown or [np.asarray(depths[0]["image"])])
     # Alike for both, so that they have the same views.
     wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
     thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct
-from mitsuba_plenoptic.refocus.partitions import blocks, coloured, refocused, sublattice
+from mitsuba_plenoptic.extensions.paper.partitions import blocks, coloured, refocused, sublattice
 from mitsuba_plenoptic.report.experiment import bounding_boxes
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.metrics import interference, shape_window

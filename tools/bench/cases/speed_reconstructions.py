@@ -19,9 +19,9 @@ import scipy.fft
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.extensions.paper.paper_limits import plain_seconds, plain_sums, run_plain_sums
-from mitsuba_plenoptic.refocus.full_fields import lit_window
 from mitsuba_plenoptic.refocus.planning import plan
-from mitsuba_plenoptic.refocus.ray import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.wave_methods import lit_window
 from mitsuba_plenoptic.views import distance_of, refocus
 
 from .. import Row, at_most, case

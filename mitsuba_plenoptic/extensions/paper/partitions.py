@@ -35,13 +35,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..camera import PlenopticCamera
-from ..io.captures import Capture
-from ..light.walk import follow_back
-from ..optics import rays
-from ..optics.waves import in_millimetres
-from ..runtime.limits import require_memory
-from .api import reconstruct
+from ...camera import PlenopticCamera
+from ...io.captures import Capture
+from ...light.walk import follow_back
+from ...optics import rays
+from ...optics.waves import in_millimetres
+from ...refocus import reconstruct
+from ...runtime.limits import require_memory
 
 Labels = NDArray[np.int64]
 
@@ -128,7 +128,7 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
     row, column = np.indices(lenses.shape)
     i, j = column + lenses.first[0], row + lenses.first[1]
     steps, basis = list(_sublattices(subsets)), np.array(camera.lattice.basis)
-    predicted = np.round(white_interference(camera, distance, wavelength, steps), 6)
+    predicted = np.round(sublattice_interference(camera, distance, wavelength, steps), 6)
     # Where no images overlap, as in focus, the lenses of a subset shall be far apart.
     best = min(range(len(steps)), key=lambda k: (predicted[k], -_shortest(steps[k], basis)))
     return _sublattice_labels(i, j, steps[best])
@@ -178,7 +178,7 @@ def _shortest(step: tuple[int, int, int], basis: NDArray[np.float64]) -> float:
     return float(away[away > 0].min())
 
 
-def white_interference(
+def sublattice_interference(
     camera: PlenopticCamera, distance: float, wavelength: float, steps: Sequence[tuple[int, int, int]]
 ) -> NDArray[np.float64]:
     """Return the predicted interference of each sublattice in an image of white: root mean square over the mean."""
