@@ -17,7 +17,8 @@ from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
+from ...plugins.integrator import make_base
+from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
