@@ -10,7 +10,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 import mitsuba as mi
 
-from tools.bench.cases.history import HISTORY
+from tools.bench.cases.costs import HISTORY
 
 
 class History:

@@ -44,7 +44,7 @@ class FileFormat:
 
 @dataclass(frozen=True, kw_only=True)
 class Extension:
-    """The record of what an extension adds; modules are named relative to the extension's package.
+    """Record of what an extension adds; modules are named relative to the extension's package.
 
     A place is the name of a module, a colon, and the name of an object in the module.
 
@@ -152,7 +152,7 @@ class Displayed:
 
 
 def register(kind: str) -> None:
-    """Import the modules that register what the records list: ``methods`` or ``lenses``."""
+    """Import the modules that the records list under ``methods`` or ``lenses``, and that register themselves."""
     for package, record in installed().items():
         for module in getattr(record, kind):
             importlib.import_module(f"{package}.{module}")

@@ -71,3 +71,11 @@ def pinhole_picture(scene, columns, rows, width, x=0.0, y=0.0, **options):
         "film": film(columns, rows),
     }
     return np.array(mi.render(scene, sensor=mi.load_dict(sensor), **options))
+
+
+def colour_filters(camera, mosaic):
+    """Return each pixel's channel: the letters of a mosaic's name, row by row from the detector's first pixel."""
+    columns, rows = (
+        (np.arange(count) + first) % 2 for first, count in zip(camera.crop_offset, camera.crop_size, strict=True)
+    )
+    return np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)[np.ix_(rows, columns)]

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import mitsuba_plenoptic
-from mitsuba_plenoptic.extension import GROUP, Extension, installed
+from mitsuba_plenoptic.extension import Extension, installed
 
 PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 FOLDER = PACKAGE / "extensions"
@@ -190,6 +190,31 @@ def test_the_core_works_without_each_extension(copy, name):
     assert made.returncode == 0, made.stderr
 
 
+@pytest.fixture
+def core(tmp_path):
+    """Return a copy of what the tests of the core need, without extensions."""
+    away = ("extensions", "test_extensions.py", "__pycache__", "build", "dist", "*.egg-info", ".*")
+    shutil.copytree(PACKAGE.parent, tmp_path / "core", ignore=shutil.ignore_patterns(*away))
+    return tmp_path / "core"
+
+
+@pytest.mark.slow
+def test_types_are_right_without_extensions(core):
+    made = subprocess.run([sys.executable, "-m", "mypy"], cwd=core, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stdout
+
+
+@pytest.mark.slow
+def test_the_suite_of_the_core_passes_without_extensions(core):
+    """Tests that need an extension are skipped, by the plugin in `without_extensions.py`."""
+    code = _ALONE + "import pytest\nsys.exit(pytest.main(sys.argv[1:]))"
+    options = ["-q", "-p", "without_extensions", "-p", "no:cacheprovider", "--tb=short"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(core), str(core / "tests")])}
+    command = [sys.executable, "-c", code, *options]
+    made = subprocess.run(command, cwd=core, env=environment, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stdout[-5000:]
+
+
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     """The page on extensions shows a whole one; here the package is installed by its entry point alone."""
     page = (PACKAGE.parent / "docs" / "develop" / "extension.md").read_text()
@@ -202,7 +227,7 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     info = tmp_path / "site" / "dust-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: dust\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[{GROUP}]\ndust = dust\n")
+    (info / "entry_points.txt").write_text("[mitsuba_plenoptic.extensions]\ndust = dust\n")
     code = """
     import mitsuba as mi
     import numpy as np

@@ -13,7 +13,7 @@ from scene_cases import letters
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
 from mitsuba_plenoptic.benchmark import run_baseline
-from mitsuba_plenoptic.extensions.raw.exchange import save_light_field, write_mosaic
+from mitsuba_plenoptic.exchange import save_light_field, write_mosaic
 from mitsuba_plenoptic.prescription.lens_file import write_prescription
 from mitsuba_plenoptic.refocus import Volume, write_reconstruction, write_volume
 

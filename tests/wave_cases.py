@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.lenses.fitted_lens import FittedLens
 from mitsuba_plenoptic.lenses.pupil_fit import PupilRays, Pupils, fit_pupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
-from mitsuba_plenoptic.points.operator import CaptureOperator
 
 WAVELENGTH = 633.0
 

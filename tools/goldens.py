@@ -1,21 +1,27 @@
 """Results of the public interface for every kind of camera, to compare two versions of the package number by number.
 
-    python tools/goldens.py write OUT.npz [--only PATTERN]
-    python tools/goldens.py compare OLD.npz NEW.npz
+    python tools/goldens.py [--only PATTERN] write OUT.npz
+    python tools/goldens.py [--only PATTERN] compare OLD NEW
 
-`write` computes every legal combination of a microlens array, a main lens and a task with the package that Python
-imports, and stores the results in one file. `compare` prints a row for each result that differs: equal bits are
-expected where statements only moved; 1e-6 in relative L2 is allowed for sums in another order, and 1e-4 for what
-iterates. The exit status is 1 where a difference is larger, or where a result is missing.
+`write` computes the tasks of every row, a microlens array behind a main lens, with the package that Python imports, and
+stores the results in one file; a row takes seconds. `compare` prints a table with a line for each row, and below it
+each result that differs. OLD and NEW are such files, or commits, of which the package is taken from the repository.
+Equal bits are expected where statements only moved; 1e-6 in relative L2 is allowed for sums in another order, and 1e-4
+for what iterates. The exit status is 1 where a difference is larger, or where a result is missing. Only public names
+serve, which versions 1.0 and later have.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import re
+import subprocess
 import sys
+import tarfile
+import tempfile
 import time
-import traceback
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,41 +33,49 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")
 import mitsuba_plenoptic as mp  # noqa: E402
 
+ROOT = Path(__file__).parents[1]
 WAVELENGTH = 550.0
-ITERATING = ("deconvolved", "fit", "calibrate")
-LENSES = 6
+ITERATING = ("deconvolved", "fit")
+LENSES = 4
 
 ARRAYS: dict[str, dict[str, Any]] = {
     "square": {},
     "hexagonal": {"mla_lattice": "hexagonal"},
-    "turned": {"mla_rotation": 7.0, "mla_offset": (0.01, -0.02), "mla_fill": 0.9},
-    "rectangular": {"mla_pitch": (0.064, 0.05)},
+    "turned": {"mla_pitch": (0.064, 0.05), "mla_rotation": 7.0, "mla_offset": (0.01, -0.02), "mla_fill": 0.9},
     "three focal lengths": {"mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6)},
     "focused": {"mla_distance": 112.0, "detector_distance": 0.6},
 }
 MAIN_LENSES: dict[str, dict[str, Any]] = {
-    "thin": {},
-    "aberrated": {"wavefront": (0.0, 0.0, 0.0, 0.0, 0.1, 0.05)},
+    "thin": {"aperture_radius": 2.0},
+    "aberrated": {"aperture_radius": 2.0, "wavefront": (0.0, 0.0, 0.0, 0.0, 0.1, 0.05)},
+    "dispersive": {"aperture_radius": 2.0, "glass": {"index": 1.5168, "abbe": 64.17}},
     "double Gauss": {"main_lens": "double_gauss", "focus_distance": 240.0},
     "Tessar": {"main_lens": "tessar", "focus_distance": 240.0},
     "objective": {"main_lens": mp.Objective(20.0, 0.4)},
-    "dispersion": {"glass": "N-BK7"},
 }
+BEHIND_OBJECTIVE: dict[str, dict[str, Any]] = {
+    "turned": {"mla_pitch": (0.15, 0.12)},
+    "three focal lengths": {"mla_focal_length": (3.3, 3.75, 4.2)},
+    "focused": {"detector_distance": 4.2},
+}
+"""Numbers of the arrays at the larger pitch that suits the objective."""
+
+ON_CHIP = mp.PlenopticCamera(
+    focal_length=6.8, aperture_radius=6.8 / 3.6, focus_distance=1000.0, mla_focal_length=0.0045, mla_pitch=0.0024,
+    detector_width=0.0192, resolution=(16, 16),
+)  # fmt: skip
+"""A telephone's camera of 8 x 8 lenses above 2 x 2 pixels."""
+
+Tasks = Iterator[tuple[str, Callable[[], Any]]]
 
 
 def camera_of(array: str, lens: str) -> mp.PlenopticCamera:
-    """Return the small camera of a combination."""
-    numbers = {"detector_width": 0.064 * LENSES, "resolution": (16 * LENSES,) * 2} | MAIN_LENSES[lens] | ARRAYS[array]
+    """Return the small camera of a row."""
+    numbers = {"detector_width": 0.064 * LENSES, "resolution": (12 * LENSES,) * 2} | MAIN_LENSES[lens] | ARRAYS[array]
     if lens == "objective":
-        own = {"mla_pitch": 0.15, "mla_focal_length": 3.75, "detector_width": 0.15 * LENSES}
-        special = {
-            "rectangular": {"mla_pitch": (0.15, 0.12)},
-            "three focal lengths": {"mla_focal_length": (3.3, 3.75, 4.2)},
-            "focused": {"detector_distance": 4.2},
-        }
-        numbers |= own | special.get(array, {})
-        numbers.pop("mla_distance", None)
-    if "focus_distance" in numbers:
+        numbers |= {"mla_pitch": 0.15, "mla_focal_length": 3.75, "detector_width": 0.15 * LENSES}
+        numbers |= BEHIND_OBJECTIVE.get(array, {})
+    if lens in ("double Gauss", "Tessar", "objective"):
         numbers.pop("mla_distance", None)
     return mp.PlenopticCamera(**numbers)
 
@@ -70,10 +84,10 @@ def points_of(camera: mp.PlenopticCamera) -> np.ndarray:
     """Return some points near the object side's focus."""
     rng = np.random.default_rng(3)
     if camera.objective is not None:
-        return rng.uniform(-1, 1, (6, 3)) * (0.015, 0.015, 0.004)
+        return rng.uniform(-1, 1, (4, 3)) * (0.015, 0.015, 0.004)
     focus = 240.0 if camera.prescription is not None else 1 / (1 / camera.focal_length - 1 / camera.mla_distance)
-    g = focus * rng.uniform(0.92, 1.08, 6)
-    return np.column_stack([rng.uniform(-0.15, 0.15, (6, 2)) * -g[:, None] / camera.mla_distance, g])
+    g = focus * rng.uniform(0.96, 1.04, 4)
+    return np.column_stack([rng.uniform(-0.1, 0.1, (4, 2)) * -g[:, None] / camera.mla_distance, g])
 
 
 def scene_of(camera: mp.PlenopticCamera) -> Any:
@@ -90,34 +104,31 @@ def scene_of(camera: mp.PlenopticCamera) -> Any:
     }, optimize=False)  # fmt: skip
 
 
-def operator_tasks(camera: mp.PlenopticCamera, full: bool) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Yield the sums of points, and their derivatives."""
-    points, rng = points_of(camera), np.random.default_rng(7)
-    weights = rng.uniform(0.5, 1.5, len(points))
-    for method in ("patch", "full_field") if full else ("patch",):
-        sums = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, method=method)
-        yield f"{method} forward", lambda sums=sums: sums.forward(weights)
-        image = rng.random((camera.resolution[1], camera.resolution[0]), np.float32)
-        yield f"{method} adjoint", lambda sums=sums, image=image: sums.adjoint(image)
-    if not full:
-        return
-    sums = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.0)
-    image = rng.random((camera.resolution[1], camera.resolution[0]), np.float32)
-    yield "jvp", lambda: sums.derivative(weights, {"mla_focal_length": 1.0, "detector_distance": 0.5})
-    yield "vjp", lambda: sums.gradient(weights, image)
+def sums_of(camera: mp.PlenopticCamera, **options: Any) -> mp.CaptureOperator:
+    """Return the sum of a camera's points."""
+    return mp.CaptureOperator(camera, points_of(camera), wavelength=WAVELENGTH, **options)
 
 
-def scene_tasks(camera: mp.PlenopticCamera) -> Iterator[tuple[str, Callable[[], Any]]]:
+def point_tasks(camera: mp.PlenopticCamera) -> Tasks:
+    """Yield sums of points, their derivatives, and a realisation of laser light."""
+    weights = np.random.default_rng(7).uniform(0.5, 1.5, 4)
+    image = np.random.default_rng(8).random(camera.resolution[::-1], np.float32)
+    change = {"mla_focal_length": 1.0, "detector_distance": 0.5}
+    yield "forward", lambda: sums_of(camera).forward(weights)
+    yield "adjoint", lambda: sums_of(camera).adjoint(image)
+    yield "jvp", lambda: sums_of(camera).derivative(weights, change)
+    yield "vjp", lambda: sums_of(camera).gradient(weights, image)
+    yield "laser", lambda: mp.laser.coherent_capture(sums_of(camera, method="full_field"), weights, modes=1, seed=1)
+
+
+def scene_tasks(camera: mp.PlenopticCamera) -> Tasks:
     """Yield captures of a scene, and what is made of them."""
     kept: dict[str, mp.Capture] = {}
+    distance = float(points_of(camera)[:, 2].mean()) * 0.97
 
     def capture(model: str) -> Any:
         kept[model] = mp.render_capture(scene_of(camera), model=model, spp=4, seed=1)
         return kept[model].image
-
-    yield "ray capture", lambda: capture("ray")
-    yield "wave capture", lambda: capture("wave")
-    distance = float(points_of(camera)[:, 2].mean()) * 0.97
 
     def refocused(model: str, **how: Any) -> Any:
         waves = {"wavelength": WAVELENGTH} if how.get("method", "ray") != "ray" else {}
@@ -131,44 +142,81 @@ def scene_tasks(camera: mp.PlenopticCamera) -> Iterator[tuple[str, Callable[[], 
         "partial auto": {"method": "partial", "interleave": "auto"},
         "deconvolved": {"method": "deconvolved", "iterations": 3},
     }
+    yield "ray capture", lambda: capture("ray")
+    yield "wave capture", lambda: capture("wave")
     for name, how in methods.items():
         yield f"reconstruct {name}", lambda how=how: refocused("wave", **how)
     yield "reconstruct ray", lambda: refocused("ray")
     yield "decode", lambda: np.asarray(mp.decode(kept["ray"]))
     yield "expose", lambda: mp.expose(kept["ray"], mp.Detector(), photons=500.0, seed=2).image
+    yield "camera file", lambda: text(sorted(camera.to_dict().items()))
 
 
-def other_tasks() -> Iterator[tuple[str, Callable[[], Any]]]:
+def on_chip_tasks() -> Tasks:
+    """Yield captures of photodiodes under lenses of a few wavelengths, and of tables of their responses."""
+    scene = {
+        "type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"},
+        "lamp": {"type": "sphere", "center": [0, 0, 700], "radius": 0.8, "light": {"type": "area", "radiance": 5.0}},
+    }  # fmt: skip
+    angles = [-20.0, -5.0, 8.0, 20.0]
+    responses = np.random.default_rng(0).random((1, 1, 4, 4)).tolist()
+    table = ON_CHIP.replace(photodiode_response={"angles_x": angles, "angles_y": angles, "responses": responses})
+
+    def capture(camera: mp.PlenopticCamera, model: str) -> mp.Capture:
+        return mp.render_capture(mi.load_dict(scene | {"sensor": camera.to_sensor()}), model=model, spp=8, seed=1)
+
+    yield "ray capture", lambda: capture(ON_CHIP, "ray").image
+    yield "wave capture", lambda: capture(ON_CHIP, "wave").image
+    yield "table", lambda: capture(table, "ray").image
+    yield "halves", lambda: np.asarray(mp.dual_pixel(capture(ON_CHIP, "ray")))
+    wider = ON_CHIP.replace(detector_width=0.0768, resolution=(64, 64))
+    yield "bank", lambda: mp.psf_bank(wider, [700.0]).values
+
+
+def laser_tasks() -> Tasks:
+    """Yield a capture of a wall in laser light."""
+    camera = mp.PlenopticCamera(
+        focal_length=40, aperture_radius=1.25, mla_distance=60, detector_width=0.128, resolution=(32, 32)
+    )
+    wall = mi.ScalarTransform4f().translate([0, 0, 120]).rotate([0, 1, 0], 180).scale(20)
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "plenoptic_laser", "lasers": "laser", "points_per_spot": 2.0},
+        "sensor": camera.to_sensor(),
+        "wall": {"type": "rectangle", "to_world": wall, "bsdf": {"type": "diffuse"}},
+        "laser": {"type": "point", "position": [0, 0, 20], "intensity": {"type": "spectrum", "value": 1e4}},
+    }
+
+    def capture() -> Any:
+        mi.set_variant("llvm_ad_mono")
+        image = mp.render_capture(mi.load_dict(scene, optimize=False), seed=1).image
+        mi.set_variant("llvm_ad_rgb")
+        return image
+
+    yield "laser capture", capture
+
+
+def other_tasks() -> Tasks:
     """Yield what is computed for one camera only."""
     camera = camera_of("square", "thin")
     points = points_of(camera)
+    design = mp.design
+    whole = mp.CaptureOperator(camera, points[:1], wavelength=WAVELENGTH, method="full_field")
+    exact = mp.CaptureOperator(camera, points[:1], wavelength=WAVELENGTH, accuracy=0.0)
+    yield "full field", lambda: whole.forward([1.0])
+    yield "exact jvp", lambda: exact.derivative([1.0], {"detector_distance": 1.0})
+    yield "exact vjp", lambda: exact.gradient([1.0], whole.forward([1.0]))
     yield "point spread", lambda: mp.point_spread_function(camera, points[0], wavelength=WAVELENGTH)
-    yield (
-        "figures",
-        lambda: np.array(
-            [
-                mp.design.image_f_number(camera),
-                mp.design.mla_f_number(camera),
-                mp.design.pixel_footprint(camera, 200.0),
-                mp.design.spot_radius(camera, 200.0),
-                *mp.design.refocus_range(camera),
-            ]
-        ),
-    )
+    yield "f-numbers", lambda: np.array([design.image_f_number(camera), design.mla_f_number(camera)])
+    yield "sizes", lambda: np.array([design.pixel_footprint(camera, 200.0), design.spot_radius(camera, 200.0)])
+    yield "range", lambda: np.array(design.refocus_range(camera))
 
     def fitted() -> Any:
-        from mitsuba_plenoptic.fitting import View
-
-        moved = camera.replace(mla_focal_length=0.52)
-        image = mp.CaptureOperator(moved, points, wavelength=WAVELENGTH, accuracy=0.0).forward(np.ones(len(points)))
-        seen = View(image, points, np.ones(len(points)), noise=float(image.max()) / 100)
-        found = mp.fit(camera, seen, ["mla_focal_length"], wavelength=WAVELENGTH)
-        return np.array([found.camera.mla_focal_length])
+        image = mp.point_spread_function(camera.replace(mla_focal_length=0.52), points[0], wavelength=WAVELENGTH)
+        seen = mp.fitting.View(image, points[:1], [1.0], noise=float(image.max()) / 100)
+        return np.array([mp.fit(camera, seen, ["mla_focal_length"], wavelength=WAVELENGTH).camera.mla_focal_length])
 
     yield "fit", fitted
-    for lens in MAIN_LENSES:
-        for array in ARRAYS:
-            yield f"file {array} {lens}", lambda a=array, b=lens: text(sorted(camera_of(a, b).to_dict().items()))
 
 
 def text(value: Any) -> np.ndarray:
@@ -176,86 +224,114 @@ def text(value: Any) -> np.ndarray:
     return np.frombuffer(str(value).encode(), np.uint8)
 
 
+def rows() -> Iterator[tuple[str, Callable[[], Tasks]]]:
+    """Yield each row's name, and what yields its tasks."""
+    for lens in MAIN_LENSES:
+        for array in ARRAYS:
+
+            def tasks(array: str = array, lens: str = lens) -> Tasks:
+                camera = camera_of(array, lens)
+                yield from point_tasks(camera)
+                yield from scene_tasks(camera)
+
+            yield f"{array} | {lens}", tasks
+    yield "2 x 2 pixels a lens | on-chip", on_chip_tasks
+    yield "square | laser light", laser_tasks
+    yield "square | other results", other_tasks
+
+
 def results(only: str) -> Iterator[tuple[str, np.ndarray]]:
     """Yield every result with its name; what is refused is stored as the text of its refusal."""
 
-    def computed(name: str, task: Callable[[], Any]) -> Iterator[tuple[str, np.ndarray]]:
-        if not re.search(only, name):
-            return
-        start = time.perf_counter()
+    def computed(name: str, task: Callable[[], Any]) -> Any:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                value = task()
+                return task()
         except (mp.InputError, mp.PhysicsError) as error:
-            value = text(f"refused: {error}")
-        except (KeyError, AttributeError) as error:  # what an earlier refusal left out
-            value = text(f"error: {error!r}")
-        except Exception:
-            traceback.print_exc()
-            value = text("exception")
-        print(f"{time.perf_counter() - start:6.2f} s  {name}", file=sys.stderr, flush=True)
-        for key, part in value.items() if isinstance(value, dict) else [("", value)]:
-            yield f"{name} {key}".strip(), np.asarray(part)
+            return text(f"refused: {error}")
+        except KeyError as error:  # the capture that was refused
+            return text(f"nothing: {error!r}")
 
-    for lens in MAIN_LENSES:
-        for array in ARRAYS:
-            label = f"{array} | {lens}"
-            try:
-                camera = camera_of(array, lens)
-                tasks = [*operator_tasks(camera, array in ("square", "three focal lengths"))]
-            except (mp.InputError, mp.PhysicsError) as error:
-                yield label, text(f"refused: {error}")
-                continue
-            for name, task in [*tasks, *scene_tasks(camera)]:
-                yield from computed(f"{label} | {name}", task)
-    for name, task in other_tasks():
-        yield from computed(name, task)
+    for row, tasks in rows():
+        if not re.search(only, row):
+            continue
+        start, count = time.process_time(), 0
+        for name, task in tasks():
+            value = computed(name, task)
+            for key, part in value.items() if isinstance(value, dict) else [("", value)]:
+                count += 1
+                yield f"{row} | {name} {key}".strip(), np.asarray(part)
+        print(f"{time.process_time() - start:6.1f} s  {count:3} results  {row}", file=sys.stderr, flush=True)
+
+
+def difference(x: np.ndarray, y: np.ndarray) -> float | str:
+    """Return the relative L2 difference of two results, or what makes them incomparable."""
+    if x.dtype == np.uint8 or y.dtype == np.uint8:
+        old, new = (v.tobytes().decode() if v.dtype == np.uint8 else f"an array {v.shape}" for v in (x, y))
+        return f"{old} -> {new}"
+    if x.shape != y.shape or (np.isfinite(x) != np.isfinite(y)).any():
+        return f"shape or unknown values: {x.shape} -> {y.shape}"
+    known = np.isfinite(x)
+    return float(np.linalg.norm((y - x)[known]) / max(np.linalg.norm(x[known]), 1e-300))
 
 
 def compare(old: Path, new: Path) -> int:
-    """Print what differs, and return the exit status."""
-    a, b = np.load(old), np.load(new)
-    worst, same = 0, 0
-    for name in a.files:
-        if name not in b.files:
-            print(f"missing   {name}")
-            worst = 1
-            continue
-        x, y = a[name], b[name]
-        if x.shape == y.shape and x.dtype == y.dtype and x.tobytes() == y.tobytes():
-            same += 1
-            continue
-        if x.dtype == np.uint8:
-            print(f"text      {name}: {x.tobytes().decode()[:150]} -> {y.tobytes().decode(errors='replace')[:150]}")
-            worst = 1
-            continue
-        if x.shape != y.shape:
-            print(f"shape     {name}: {x.shape} -> {y.shape}")
-            worst = 1
-            continue
-        known = np.isfinite(x)
-        error = np.linalg.norm((y - x)[known]) / max(np.linalg.norm(x[known]), 1e-300)
-        limit = 1e-4 if any(word in name for word in ITERATING) else 1e-6
-        bad = not error <= limit or (known != np.isfinite(y)).any()
-        worst |= bad
-        print(f"{'DIFFERS' if bad else 'rounding'}  {name}: {error:.1e}")
-    added = set(b.files) - set(a.files)
-    print(f"{same} results of {len(a.files)} have the same bits; {len(added)} are new")
-    return int(worst)
+    """Print the table and what differs, and return the exit status."""
+    table: dict[str, list[tuple[str, float]]] = {}
+    wrong = []
+    with np.load(old) as a, np.load(new) as b:
+        wrong += [f"missing: {name}" for name in a.files if name not in b.files]
+        for name in (name for name in a.files if name in b.files):
+            x, y = a[name], b[name]
+            row, _, task = name.rpartition(" | ")
+            same = x.shape == y.shape and x.dtype == y.dtype and x.tobytes() == y.tobytes()
+            error = 0.0 if same else difference(x, y)
+            table.setdefault(row, []).append(
+                (task, np.inf if isinstance(error, str) else max(error, 0 if same else 1e-99))
+            )
+            if isinstance(error, str) or error > (1e-4 if any(word in task for word in ITERATING) else 1e-6):
+                wrong.append(f"{name}: {error if isinstance(error, str) else f'{error:.1e}'}")
+    print("| array | main lens | results | same bits | largest difference |\n| --- | --- | ---: | ---: | --- |")
+    for row, found in table.items():
+        task, worst = max(found, key=lambda each: each[1])
+        same = sum(error == 0 for _, error in found)
+        print(f"| {row} | {len(found)} | {same} | {f'{worst:.1e}, {task}' if worst else 'none'} |")
+    print(f"\n{len(wrong)} results differ by more than 1e-6, or 1e-4 for {' and '.join(ITERATING)}", *wrong, sep="\n")
+    return int(bool(wrong))
+
+
+def file_of(version: str, only: str, folder: Path) -> Path:
+    """Return the file of results that is named, or write that of a commit."""
+    if Path(version).is_file():
+        return Path(version)
+    there, out = folder / version.replace("/", "-"), folder / f"{version.replace('/', '-')}.npz"
+    archive = subprocess.run(
+        ["git", "archive", version, "mitsuba_plenoptic"], cwd=ROOT, stdout=subprocess.PIPE, check=True
+    )
+    with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
+        files.extractall(there, filter="data")
+    command = [sys.executable, __file__, "--only", only, "write", str(out)]
+    subprocess.run(command, env=os.environ | {"PYTHONPATH": str(there)}, check=True)
+    return out
 
 
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("write", "compare"))
-    parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--only", default="", help="regular expression that the names of results hold")
+    parser.add_argument("--only", default="", help="regular expression that the names of rows hold")
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("write").add_argument("out", type=Path)
+    of_two = commands.add_parser("compare")
+    of_two.add_argument("old")
+    of_two.add_argument("new")
     given = parser.parse_args()
-    if given.what == "compare":
-        return compare(*given.files)
-    np.savez_compressed(given.files[0], **dict(results(given.only)))
-    return 0
+    if given.command == "write":
+        print(f"results of {Path(mp.__file__).parent}", file=sys.stderr)
+        np.savez_compressed(given.out, **dict(results(given.only)))
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        return compare(*(file_of(version, given.only, Path(folder)) for version in (given.old, given.new)))
 
 
 if __name__ == "__main__":

@@ -195,27 +195,25 @@ def function_gauges(trees: Trees) -> dict[str, Gauge]:
 
 
 def shown(root: Path) -> set[str]:
-    """Return the modules whose members the pages of the reference list, and the names that the package offers."""
-    pages = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
-    names = set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", pages, flags=re.MULTILINE))
-    for package in (root / PACKAGE).rglob("__init__.py"):
-        for node in ast.parse(package.read_text()).body:
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-                names |= set(ast.literal_eval(node.value))
+    """Return the full names of what the reference shows, and of what the code on pages imports."""
+    reference = "\n".join(page.read_text() for page in (root / "docs" / "reference" / "python").glob("*.rst"))
+    names = set(re.findall(r"^\.\. auto(?:module|class|function):: (\S+)", reference, flags=re.MULTILINE))
+    for page in (root / "docs").rglob("*.md"):
+        for module, imported in re.findall(rf"from ({PACKAGE}[\w.]*) import ([\w, ]+)", page.read_text()):
+            names |= {f"{module}.{name.strip()}" for name in imported.split(",")}
     return names
 
 
 def tested_internals(root: Path) -> list[str]:
-    """Return the internal names that tests import: of modules of which the reference does not list the members."""
-    public, names = shown(root), set()
+    """Return the names that tests import and that neither the reference nor the code on pages shows."""
+    public, names = shown(root) | {PACKAGE, f"{PACKAGE}.cli.main"}, set()
     for path in (root / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (module := node.module or "").split(".")[0] == PACKAGE:
-                names |= {
-                    f"{module}.{alias.name}"
-                    for alias in node.names
-                    if module not in public and alias.name not in public
-                }
+                full = {f"{module}.{alias.name}" for alias in node.names}
+                names |= set() if module in public else full - public
+            elif isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names if alias.name.startswith(f"{PACKAGE}.")} - public
     return sorted(names)
 
 

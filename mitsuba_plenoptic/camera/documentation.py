@@ -56,7 +56,7 @@ def with_sensor_parameters(docstring: str) -> str:
 
 
 def _written(default: Any) -> str:
-    """Return a default as it is written in a scene file."""
+    """Return a default as written in a scene file."""
     if isinstance(default, tuple):
         return f'"{", ".join(map(_written, default))}"'
     return f"``{default}``" if isinstance(default, str) else f"{default:g}"

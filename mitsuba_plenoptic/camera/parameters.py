@@ -471,7 +471,7 @@ if TYPE_CHECKING:
 
     @record
     class CameraParameters(CoreParameters, ShippedParameters):
-        """One camera's values."""
+        """Parameters of one camera, with their values."""
 
 else:
     _added = {name: place(package, text) for package, name, text in entries("parameters")}

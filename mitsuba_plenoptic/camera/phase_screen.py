@@ -34,7 +34,7 @@ _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
 class PhaseScreen:
-    """A path that light gains over the pupil of the main lens, given by samples, such as that of a turbulent layer.
+    """Path that light gains over the pupil of the main lens, given by samples, such as a turbulent layer's.
 
     Between samples it is a bicubic spline, whose gradient deflects rays. The unit is that of the Zernike coefficients
     of `PlenopticCamera`: light of other wavelengths sees the same path. A sample represents the square around it, and
@@ -129,7 +129,7 @@ class PhaseScreen:
 
 
 def known_screen(value: Any, resolve: Callable[[str], str] = str) -> PhaseScreen | None:
-    """Return a screen from any of its forms: a screen, plain data, a JSON file or its text; None means none is given.
+    """Return a phase screen, given as a screen, plain data, a JSON file or its text; None means no screen.
 
     `resolve` finds files by their names, for example in the folder of a scene.
     """

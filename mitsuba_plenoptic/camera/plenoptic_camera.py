@@ -40,7 +40,7 @@ from .parameters import PARAMETERS
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Return all values of a camera by attribute, from arguments by name; refuse bad and contradictory arguments."""
+    """Return all parameters of a camera by attribute: the given ones, checked, and defaults."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
@@ -129,7 +129,7 @@ def require_whole(camera: CameraGeometry) -> None:
 def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
-    """Refuse a camera with a parameter that captures of a kind would ignore, `besides` some; `what` begins the rule."""
+    """Refuse a camera with parameters that captures of a kind would ignore, `besides` excepted."""
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
         if name not in besides and captures not in entry.known_to and value != entry.default:
@@ -204,7 +204,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build one of the known cameras; `presets` lists them with the sources of their numbers.
+        """Return one of the known cameras; `presets` lists them with the sources of their numbers.
 
         Parameters
         ----------
@@ -231,7 +231,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         pixel_size: float | None = None,
         **others: Any,
     ) -> PlenopticCamera:
-        r"""Build the unfocused camera whose micro-images touch, from what data sheets state.
+        r"""Return the unfocused camera whose micro-images touch, from the numbers of a data sheet.
 
         Micro-images on the detector are `pixels_per_lens` pixels wide and as far apart. The first four parameters, the
         focal length of the main lens and its focus are all required.
@@ -308,7 +308,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
-        """Build a camera from a dictionary of `to_dict`, for example from a file's header.
+        """Return the camera of a dictionary of `to_dict`, for example from a file's header.
 
         Parameters
         ----------
@@ -328,7 +328,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls._from_names(values)
 
     def arguments(self) -> dict[str, Any]:
-        """Return all parameters by name as the camera stores them; the constructor accepts them."""
+        """Return all parameters by name in the form that the camera stores and the constructor accepts."""
         return {name: getattr(self, entry.attribute) for name, entry in PARAMETERS.items() if not entry.instead_of}
 
     def to_dict(self) -> dict[str, Any]:
@@ -338,7 +338,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Build a camera from the text of a JSON file: an object of parameters, which have defaults if left out.
+        """Return the camera of a JSON file's text: an object of parameters, which have defaults if left out.
 
         Or of arguments of `matched`.
 
@@ -366,7 +366,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def _from_names(cls, values: Any) -> PlenopticCamera:
-        """Build a camera from parameters of unknown origin."""
+        """Return the camera of parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
         of_sheet = [name for name in MATCHED if name in values]
@@ -379,7 +379,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:
-        """Describe the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
+        """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
         ----------
@@ -518,5 +518,5 @@ def film_numbers(film: Any) -> dict[str, Any]:
 
 
 def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:
-    """Return whether two cameras differ in nothing but their `lens_model`, so that pixels and views correspond."""
+    """Return whether two cameras differ at most in `lens_model`, so that pixels and views correspond."""
     return one == other or (other is not None and one == other.replace(lens_model=one.lens_model))

@@ -71,7 +71,7 @@ def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: An
 
 @dataclass(frozen=True)
 class Component:
-    """An entry of a vector: components of one parameter, which are equal, and its label in results."""
+    """Entry of a vector: one or several equal components of a parameter, with a label for results."""
 
     name: str
     parts: tuple[int, ...]
@@ -104,7 +104,7 @@ class CameraVector:
         return cls(camera, tuple(found))
 
     def of(self, camera: PlenopticCamera) -> CameraVector:
-        """Return the same components of another camera."""
+        """Return the vector of the same components for another camera."""
         return replace(self, camera=camera)
 
     def keep(self, labels: Iterable[str]) -> CameraVector:
@@ -119,7 +119,7 @@ class CameraVector:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters, each once."""
+        """Names of the parameters, without repetitions."""
         return tuple(dict.fromkeys(each.name for each in self.components))
 
     @property
@@ -180,5 +180,5 @@ class CameraVector:
         return changes
 
     def slopes(self, gradient: Mapping[str, Array]) -> Array:
-        """Return the derivatives by the vector's entries from those by all components of the parameters."""
+        """Return the derivatives by the vector's entries from derivatives by all components of the parameters."""
         return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])

@@ -263,7 +263,7 @@ def sheet(
 def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
-    """Read a capture and its white reference, and set the variant."""
+    """Return a capture and its white reference, and set the variant."""
     from ..runtime.backend import set_variant
 
     recorded = read_recorded(capture, known, linear)
@@ -282,7 +282,7 @@ def _value_of(option: Option, value: Any) -> Any:
 
 
 def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
-    """Write all distances together, as a volume and as a picture, where these are asked for."""
+    """Write all distances together as a volume, and as an overview picture, if requested."""
     from ..refocus import Volume, write_volume
 
     if path is None and overview is None:
@@ -301,7 +301,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Describe a deconvolution in words."""
+    """Return a deconvolution's facts as words."""
     if not facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"

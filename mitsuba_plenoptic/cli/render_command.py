@@ -273,7 +273,7 @@ def expose(
 
 
 def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
-    """Return how long a capture takes, and what is the cheapest to change about that."""
+    """Return a sentence about the time of a capture, and the change that shortens it at least cost."""
     from ..light.render_capture import plenoptic_sensor
 
     if (method or getattr(scene.integrator(), "method", "")) == "points":

@@ -42,7 +42,7 @@ class RunStep:
 
 
 def parameters_of(commands: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the arguments and options of each command by the names that a run file has for them."""
+    """Return the arguments and options of each command by their names in a run file."""
     return {name: _by_name(command) for name, command in commands.items()}
 
 
@@ -92,7 +92,7 @@ def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
 
 
 def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
-    """Make steps of what a run file holds; each gets the shared options that its command has."""
+    """Return the steps of a run file; each has the shared options that its command takes."""
     from ..io.versions import KEY
 
     refuse_if(
@@ -134,7 +134,7 @@ SaveRun = Annotated[
 
 
 def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, Any]]) -> Callable[..., None]:
-    """Give a command the option ``--save-run``; `commands` returns all that can be steps, by name."""
+    """Return a command with the option ``--save-run``; `commands` returns all possible steps by name."""
 
     @functools.wraps(function)
     def command(*, save_run: Path | None, context: typer.Context, **options: Any) -> None:
@@ -150,7 +150,7 @@ def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, 
 
 
 def _step_of(context: Any, folder: Path) -> RunStep:
-    """Return the command that is being run, with the options that it was given; files relative to a folder."""
+    """Return the running command as a step, with the options given to it and files relative to a folder."""
     options: dict[str, Any] = {}
     for name, parameter in _by_name(context.command).items():
         if context.get_parameter_source(parameter.name).name != "COMMANDLINE":
@@ -168,7 +168,7 @@ _FILES_OR_NAMES = {"scene", "camera", "source"}
 
 
 def _seen_from(folder: Path, name: str, value: Any) -> str:
-    """Return an option's value as a word; a file's path relative to the folder, where it is not absolute."""
+    """Return an option's value as a word; relative paths of files are made relative to the folder."""
     word = _word("", value)
     named = isinstance(value, Path) or (name in _FILES_OR_NAMES and Path(word).is_file())
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word

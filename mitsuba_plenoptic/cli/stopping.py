@@ -43,7 +43,7 @@ def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Check
 
 @contextlib.contextmanager
 def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
-    """Let Ctrl-C say that the same command goes on from what is done, and how much that is where it is known."""
+    """On Ctrl-C, print that the same command continues the run, and the finished part where it is known."""
     try:
         yield
     except KeyboardInterrupt:

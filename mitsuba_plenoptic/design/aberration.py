@@ -19,7 +19,7 @@ _FAR = 1e4
 
 
 def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Return by how much a parabolic phase for the main lens aberrates the light of the plane in focus, in waves.
+    r"""Return the aberration of a parabolic main lens for light of the plane in focus, in waves.
 
     Light of a point gains the path :math:`W = (p - i) / \lambda`, with the paths p and i through a thin parabolic phase
     and through a stigmatic lens. Piston and tilt, which move an image and do not blur it, are taken away at each image

@@ -51,7 +51,7 @@ _BETWEEN = 1.03
 
 
 def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
-    r"""Return for each type of microlens the name of what it is focused on.
+    r"""Return the name of the plane on which each type of microlens is focused.
 
     - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
       spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
@@ -72,13 +72,13 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
 
 
 def focus_type(camera: PlenopticCamera) -> str:
-    """Return what all microlenses are focused on, as `focus_types` names it, or ``mixed``."""
+    """Return the name of the plane on which all microlenses are focused, as in `focus_types`, or ``mixed``."""
     types = set(focus_types(camera))
     return types.pop() if len(types) == 1 else "mixed"
 
 
 def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance a before the MLA, towards the main lens, of what each type of microlens images on the detector.
+    """Distance a in front of the MLA, towards the main lens, of the plane that each type of microlens images sharply.
 
     :math:`1/a + n/z = n/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
 
@@ -105,7 +105,7 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
 
 def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance behind the main lens of what each type of microlens is to see: the MLA's for an unfocused one."""
+    """Distance behind the main lens of the image that each type of microlens sees: the MLA's for unfocused cameras."""
     camera.require_lens("the plane that microlenses see")
     return tuple(
         camera.mla_distance - (0 if focus == "unfocused" else a)
@@ -169,7 +169,7 @@ class EffectiveResolution:
 
 
 def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float) -> float:
-    r"""Enlargement of a lens's aperture in the object plane, seen through it by a pixel: :math:`|1 - s \kappa|`.
+    r"""Return the enlargement of a lens's aperture in the object plane, as a pixel sees it: :math:`|1 - s \kappa|`.
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
 
@@ -358,7 +358,7 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:
-    """Return how near to and how far from the MLA an image is sharp, on the side where a microlens is in focus at a.
+    """Return the nearest and farthest distance from the MLA of sharp images, on the side where a lens is in focus at a.
 
     From the distance `covering` on, the light of a point spans a lens pitch.
     """

@@ -121,7 +121,7 @@ class Capture(Displayed):
             put(self, noise=np.asarray(noise, dtype=np.float32))
 
     def __repr__(self) -> str:
-        """Describe the capture in one line."""
+        """Return a description of the capture in one line."""
         rows, columns = self.camera.shape
         colours = " x 3" if self.image.ndim == 3 else ""
         light = "" if self.wavelength is None else f", {short_repr(self.wavelength)} nm"
@@ -157,7 +157,7 @@ class Capture(Displayed):
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Return an array of real numbers, or refuse what is not a regular one."""
+    """Return an array of real numbers; refuse anything else."""
     with refusing(f"{name}: it must be an array:", *NO_ARRAY):
         array = np.asarray(values)
     refuse_if(array.dtype.kind not in "fiu", f"{name} of type {array.dtype}: it must hold real numbers")
@@ -186,13 +186,13 @@ EXPOSED, RECORDED = "exposure", "raw"
 
 
 def recording_of(capture: Capture) -> dict[str, Any]:
-    """Return what a capture's metadata state of the detector that recorded it, an empty record if nothing."""
+    """Return the record of the detector in a capture's metadata, empty if there is none."""
     found = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
     return found if isinstance(found, dict) else {}
 
 
 def write_capture(path: str | Path, capture: Capture) -> None:
-    """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all about it in the header.
+    """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all other data in the header.
 
     The noise, if it has any, is a layer of the same file: noise.Y, or noise.R, noise.G and noise.B.
 
@@ -222,7 +222,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
 
 
 def _record(capture: Capture, kind: str) -> dict[str, Any]:
-    """Return all about a capture but its pixels, as files have it."""
+    """Return all data of a capture except its pixels, as stored in files."""
     return {
         "kind": kind,
         "camera": capture.camera.to_dict(),
@@ -235,7 +235,7 @@ def _record(capture: Capture, kind: str) -> dict[str, Any]:
 def _capture_of(
     path: str | Path, record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None
 ) -> Capture:
-    """Make a capture of its pixels and all else about it."""
+    """Return a capture from its pixels and the record of its other data."""
     found = Capture(
         image,
         PlenopticCamera.from_dict(record["camera"]),
@@ -256,12 +256,12 @@ def _capture_of(
 # Some commands read a capture twice.
 @functools.cache
 def _remark(path: str | Path, lens_model: str) -> None:
-    """Say once that a wave capture is read as its waves were."""
+    """Log once that a wave capture is read with the `lens_model` of its waves."""
     _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
 def read_capture(path: str | Path) -> Capture:
-    """Read a capture that `write_capture` wrote.
+    """Return the capture in a file of `write_capture`.
 
     A wave capture of version 1.0 or earlier gets the ``lens_model`` that its waves had: ``parabolic`` behind a thin
     main lens and lenses of at least 20 wavelengths, with a remark in the log.
@@ -301,7 +301,7 @@ _PIXEL_BYTES = 16.0
 
 
 def write_raw(path: str | Path, capture: Capture) -> None:
-    """Write what a detector has recorded as the digital numbers that it gave, in 16 bits.
+    """Write an exposed capture as the digital numbers of its detector, in 16 bits.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
 
 
 def read_raw(path: str | Path) -> Capture:
-    """Read a capture that `write_raw` wrote: digital numbers, in the units of the capture that was exposed.
+    """Return the capture in a file of `write_raw`, in the units of the capture that was exposed.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def read_raw(path: str | Path) -> Capture:
 
 
 def states_detector(path: str | Path) -> bool:
-    """Return whether a picture states its camera and detector, so that `read_raw` reads it."""
+    """Return whether a picture states camera and detector, so that `read_raw` reads it."""
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 

@@ -59,7 +59,7 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def locked(path: Path, refusal: str) -> Iterator[None]:
-    """Hold a lock file, made and removed with a folder that stays empty, or refuse if another process holds the lock.
+    """Hold a lock file next to `path`; refuse if another process holds it.
 
     The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
     """
@@ -95,7 +95,7 @@ def lock_of(path: Path) -> Path:
 
 
 class Checkpoint:
-    """A file into which a capture or a deconvolution writes its state now and then, and from which it can resume.
+    """File into which a capture or a deconvolution writes its state now and then, to resume from it.
 
     A context in which the result is computed and written: left without an exception, the file is removed.
 
@@ -140,7 +140,7 @@ class Checkpoint:
         self._lock.close()
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Say what the run is, and return how far an earlier process has come with it.
+        """Register the run; return the state that an earlier process saved, None if there is none.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class Checkpoint:
         return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
-        """Say as `begin` what a run is whose state is no sum; return the arrays saved of it, None if none are."""
+        """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
         return self._begin(facts, _named_arrays, {})
 
     def _begin(
@@ -187,7 +187,7 @@ class Checkpoint:
         return found
 
     def stop(self) -> bool:
-        """Have the next state written whenever the last one was, and the run end there with a KeyboardInterrupt.
+        """Make the run save its next state and end there with a KeyboardInterrupt.
 
         Returns
         -------
@@ -198,7 +198,7 @@ class Checkpoint:
         return self._stopping
 
     def save(self, snapshot: Snapshot) -> None:
-        """Write the state, if it is time to.
+        """Write the state if it is time to.
 
         A disk that is full costs a warning, not the run: the checkpoint of before stays.
 
@@ -215,7 +215,7 @@ class Checkpoint:
         self._save(lambda path: _write(path, self.run, snapshot))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
-        """Write the float32 and float64 arrays that `begin_arrays` is to return, if it is time to; as `save` does."""
+        """Write the float32 and float64 arrays for `begin_arrays` if it is time to."""
         self._save(lambda path: _write_archive(path, self.run, {}, dict(arrays())))
 
     def _save(self, write: Callable[[Path], None]) -> None:
@@ -238,7 +238,7 @@ class Checkpoint:
 
 
 def digest(*arrays: NDArray[Any] | None) -> str:
-    """Hash arrays by type, shape and content."""
+    """Return a hash of arrays by type, shape and content."""
     text = hashlib.sha256()
     for array in arrays:
         if array is None:
@@ -250,17 +250,17 @@ def digest(*arrays: NDArray[Any] | None) -> str:
 
 
 def hash_of(content: Any) -> str:
-    """Hash plain JSON values."""
+    """Return a hash of plain JSON values."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def step_key(settings: Any) -> str:
-    """Hash what a step depends on but the files that it reads: its settings and the software."""
+    """Return a hash of a step's settings and of the software, without the files that the step reads."""
     return hash_of({"settings": settings, "software": software()})
 
 
 def finished_step(log: Path, settings: Any) -> dict[str, Any] | None:
-    """Return the entry of a log on a finished step of these settings, None if there is none that wrote a file."""
+    """Return the log's entry on a finished step of these settings that wrote a file, None without one."""
     entry = _steps(log).get(step_key(settings))
     if not entry or not entry["written"]:
         return None
@@ -269,7 +269,7 @@ def finished_step(log: Path, settings: Any) -> dict[str, Any] | None:
 
 
 def note_step(log: Path, settings: Any, used: FilesUsed, **facts: Any) -> None:
-    """Note in a log what a step has read and written; entries of steps that wrote one of its files before are dropped.
+    """Record a step's files in a log, and drop entries of steps that wrote one of these files before.
 
     Files in the folder of the log are named relative to it, so that the folder can be moved.
     """
@@ -285,7 +285,7 @@ def note_step(log: Path, settings: Any, used: FilesUsed, **facts: Any) -> None:
 
 
 def _steps(log: Path) -> dict[str, dict[str, Any]]:
-    """Read the entries of a log; what is damaged is not there."""
+    """Return the entries of a log, without damaged ones."""
     try:
         content = json.loads(read_text(log, _LARGEST_LOG))
     except (InputError, ValueError):
@@ -298,7 +298,7 @@ def _steps(log: Path) -> dict[str, dict[str, Any]]:
 
 
 def _digest(path: Path) -> str | None:
-    """Hash a file, or all files of a folder with their names; None if there is none."""
+    """Return a hash of a file, or of all files of a folder with their names, None if it does not exist."""
     found = hashlib.sha256()
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     try:
@@ -342,7 +342,7 @@ def _read(
     take: Callable[[Any, dict[str, Any]], _State],
     shapes: dict[str, tuple[int, ...]],
 ) -> _State:
-    """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
+    """Return the state in the checkpoint of a run; refuse a damaged one or another run's."""
     try:
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:
@@ -362,7 +362,7 @@ def _read(
 
 
 def _check_sizes(path: Path, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Compare what arrays claim to be with what there is of them and with the shapes that they must have."""
+    """Refuse arrays whose claimed sizes differ from their data or from the required shapes."""
     # The list of the members is read whole, too.
     require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
     if not zipfile.is_zipfile(path):
@@ -420,7 +420,7 @@ def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return what differs between the run of a checkpoint and this one."""
+    """Return the names of entries in which a checkpoint's run differs from this one."""
     found, wanted = flattened(there), flattened(here)
     return [
         f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"

@@ -117,7 +117,7 @@ def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes."""
+    """Return the image, the noise if any, and the attributes of a file of `write_exr`."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -156,7 +156,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
 
 
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
-    """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes."""
+    """Return the float32 channels of each part, and the attributes, of a file of `write_exr_parts`."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -175,7 +175,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
-    """Read the attributes of a file without its pixels; those of other programs have none."""
+    """Return the attributes of a file without reading its pixels; files of other programs have none."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -183,7 +183,7 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
 
 
 def _attributes(part: ExrPart) -> dict[str, Any]:
-    """Return what the attribute of this package holds."""
+    """Return the content of this package's attribute."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
     if not isinstance(attributes, dict):
         raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
@@ -246,7 +246,7 @@ def _undamaged(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
-    """Open the pixels of a file with these parts."""
+    """Open the pixels of a file with given parts."""
     with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
         if len(file.parts) < len(parts):
             raise ValueError("its pixels are damaged or incomplete")

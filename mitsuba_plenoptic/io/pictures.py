@@ -20,7 +20,7 @@ _PIXEL_BYTES = 8 + 16 + 12
 
 
 def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
-    """Read a PNG or TIFF of 8 or 16 bits a channel; of TIFF files, grey ones and those of 8 bits.
+    """Return a PNG or TIFF of 8 or 16 bits a channel; TIFF files must be grey or have 8 bits.
 
     Parameters
     ----------

@@ -83,7 +83,7 @@ def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays of quantities by channel, such as ``normal.X``, without the axis of the three."""
+    """Return the arrays of quantities by channel, such as ``normal.X``, without the axis of three components."""
     return {
         f"{name}.{letter}": array[..., index] if len(letters) > 1 else array
         for name, array in values.items()
@@ -129,7 +129,7 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
-    """Read what `write_ground_truth` wrote.
+    """Return the ground truth in a file of `write_ground_truth`.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
 
 
 def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
-    """Return the arrays of quantities from `channel_planes`, for a scene of `shapes` shapes."""
+    """Return quantities from channels, the inverse of `channel_planes`, for a scene of `shapes` shapes."""
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
     refuse_if(

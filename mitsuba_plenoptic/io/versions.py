@@ -27,7 +27,7 @@ def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_of_1_0(record: Mapping[str, Any]) -> bool:
-    """Return whether version 1.0 or an earlier one wrote a record: it states no version."""
+    """Return whether version 1.0 or an earlier one wrote a record, which then states no version."""
     return KEY not in record
 
 

@@ -162,7 +162,7 @@ class FittedLens(FinitePupil):
         return VaryingLens(self, numbers["mla_distance"], own, turned)
 
     def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
-        """Return the lens itself, because its parameters are stored in arrays."""
+        """Return this lens, whose parameters are stored in arrays."""
         return self
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
@@ -203,7 +203,7 @@ class FittedLens(FinitePupil):
         return self.pupil_radius
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these images and inverse distances."""
+        """Return the scene points (n, 3) with given images and inverse distances."""
         pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil_distance)
@@ -309,7 +309,7 @@ def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.
 def at_all(
     lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return a measure of points; for many it is interpolated over field and inverse distance, as lenses are round."""
+    """Return a measure of points, interpolated over field and inverse distance if there are many points."""
     from scipy.interpolate import RegularGridInterpolator
 
     if len(points) <= _FIELDS * _DEPTHS:
@@ -455,7 +455,7 @@ class VaryingLens(FinitePupil):
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of a circle about the axis that contains the exit pupil: vignetting edges scale with it."""
+        """Radius of a circle about the axis that contains the exit pupil and scales with vignetting edges."""
         if "aperture_radius" not in self.numbers:
             return self.base.pupil_radius
         return grown(self.numbers["aperture_radius"]) * float(self.base.pupil_radius)
@@ -495,7 +495,7 @@ class VaryingLens(FinitePupil):
 
 
 def grown(number: Any) -> Any:
-    """Return a value over its detached copy: 1, with its relative gradient."""
+    """Return the value 1 with the relative gradient of a number."""
     return number / dr.detach(number)
 
 

@@ -23,7 +23,7 @@ _CLOSEST = 1e-3
 
 @suggest_keywords
 def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: float) -> PlenopticCamera:
-    """Move a group of elements of the main lens until an object distance is in focus; the array stays.
+    """Return the camera with a group of lens elements moved so that an object distance is in focus.
 
     The aperture stop keeps its opening, so that focal length, pupils and f-number become those of the lens with the
     moved group. Its figures are paraxial, at the prescription's own wavelength.

@@ -85,7 +85,7 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def numbers(self) -> Paraxial:
-        """Paraxial quantities of the unscaled prescription at its own wavelength."""
+        """Paraxial quantities of the unscaled prescription at the prescription's wavelength."""
         return paraxial(self.prescription)
 
     @functools.cached_property

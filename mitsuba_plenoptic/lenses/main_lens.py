@@ -175,7 +175,7 @@ class MainLens(Protocol):
         """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil."""
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
         """Return positions (2, ...) on the MLA of rays from points of the pupil with given direction cosines.
@@ -218,7 +218,7 @@ class MainLens(Protocol):
         """
 
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
-        """Return the lens with plain parameters made opaque by a function, if kernels depend on them."""
+        """Return the lens with plain parameters made opaque by a function, if compiled kernels depend on them."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions on the MLA of chief rays from object points that reconstruction bins assign to x, y.
@@ -240,7 +240,7 @@ class MainLens(Protocol):
         """Return half the range of direction cosines of one point's light at the MLA, the largest over `distances`."""
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        """Follow plane waves back from a position on the MLA, as in the Debye integral.
+        """Return the pupil points of plane waves that reach a position on the MLA, as in the Debye integral.
 
         Parameters
         ----------
@@ -324,7 +324,7 @@ class Light(LightOnPupil, Protocol):
 
 
 class PointLight(LightOnPupil, Protocol):
-    """The light of one point, as `MainLens.waves_of_one` returns it."""
+    """Light of a single point, from `MainLens.waves_of_one`."""
 
     pupil_radius: Any
     pupil_distance: Any
@@ -351,11 +351,18 @@ class Entrance:
 
 @dataclass(frozen=True, eq=False)
 class RoundMap:
-    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
+    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x.
 
-    # Distance of the last field from the axis, on the array; the first is 0.
+    Parameters
+    ----------
+    field : float
+        Distance of the last field from the axis, on the array; the first is at 0.
+    half : float
+        Largest coordinate of the nodes in the plane of the pupil, along x and y.
+    points : array
+        Corresponding point of each node, (fields, rows, columns, 2).
+    """
+
     field: float
-    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
     half: float
-    # Corresponding point of each node, (fields, rows, columns, 2).
     points: NDArray[np.float32]

@@ -192,7 +192,7 @@ class Pupils:
         return self.at_infinity - inverse_distance / self.magnification**2
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
-        """Return the path to the exit pupil of a perfect wave towards the image, less that to its centre, (n,)."""
+        """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
         (x, y), w, s = rays.place, self.convergence(rays.inverse_distance), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
@@ -236,7 +236,7 @@ def fit_pupil(
     wavelength: float,
     good: float = GOOD,
 ) -> PupilFit:
-    """Trace rays, and fit polynomials of rising degree until the path's error is at most `good` waves."""
+    """Return traced rays and polynomials of rising degree, until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
     is_open = rays.open
     refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
@@ -317,7 +317,7 @@ class ExitPupil(LensLight):
 
     @classmethod
     def of(cls, lens: LensSystem, point: tuple[float, float, float]) -> ExitPupil:
-        """Trace rays from a point before a lens, and fit their light.
+        """Return the light of a point on the exit pupil of a lens, fitted to traced rays.
 
         Raises
         ------

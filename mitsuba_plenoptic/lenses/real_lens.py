@@ -117,7 +117,7 @@ class RealLens(LensSystem):
 
     @property
     def refraction(self) -> float:
-        """The wavelength if the glasses are dispersive, else the focal length."""
+        """Wavelength if the glasses are dispersive, otherwise focal length."""
         return self.light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
@@ -157,7 +157,7 @@ class RealLens(LensSystem):
 
     @functools.cached_property
     def round_map(self) -> RoundMap:
-        """Map from its exit pupil, as positions off the axis see it, to the round pupil near the axis."""
+        """Map from the exit pupil, as positions off the axis see it, to the round pupil near the axis."""
         return round_map(self, self.reach, self.corner)
 
     # -- waves ---------------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ class TelecentricLens(UniformLens):
 
     @property
     def refraction(self) -> float:
-        """The focal length, which is the same at all wavelengths."""
+        """Focal length of the lens, equal at all wavelengths."""
         return self.objective.focal_length
 
     @property
@@ -131,7 +131,7 @@ class TelecentricLens(UniformLens):
         return points[:, 2]
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
@@ -198,7 +198,7 @@ class TelecentricLens(UniformLens):
         return -self.pupil_distance / self.objective.last_focal_length
 
     def power_through(self, point: NDArray[np.float64]) -> float:
-        """Return `passed_power`, the same for all scene points."""
+        """Return `passed_power`, which is equal for all scene points."""
         return self.passed_power
 
     @property

@@ -195,7 +195,7 @@ class ArrayKernels(LensWaves):
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
-        """The functions of a ray's point on a lens; polynomials if each ray lands by its own point, or of degree 0."""
+        """Functions of a ray's point on a lens; polynomials of degree 0 or more where each ray lands by its point."""
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         higher = 0 if self.by_points or self.degree == 0 else _HIGHER
         scale = float(self.lattice.aperture_reach)
@@ -214,13 +214,13 @@ class ArrayKernels(LensWaves):
 
     @property
     def _most_functions(self) -> int:
-        """The largest number of functions over a lens: as many as polynomials of the degree."""
+        """Largest number of functions over a lens, which is the number of polynomials of the degree."""
         return (self.degree + 1) * (self.degree + 2) // 2
 
     @cached_property
     @single_threaded_blas()
     def oblique(self) -> Oblique:
-        """The combinations of kernels' changes by the direction of light."""
+        """Combinations of the kernels' changes with the direction of light."""
         functions, camera = self.functions, self.camera
         if self.by_points or functions.count == 1:
             return Oblique.nothing(functions.count)
@@ -239,17 +239,17 @@ class ArrayKernels(LensWaves):
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance, most)
 
     def _samples_of(self, count: int) -> int:
-        """Return the samples across a pitch of which a count is across an aperture."""
+        """Return the number of samples across a pitch, given the number across an aperture."""
         return math.ceil(count * self.lattice.pitches[0] / self.lattice.aperture_width)
 
     @property
     def values(self) -> int:
-        """Number of kernels of a kind of lenses, and of the values of an image that they are for."""
+        """Number of kernels of one kind of lenses, which is the number of values of each ray."""
         return self.functions.count + self.oblique.count
 
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
-        """The covariance of an image's values in light with random edges from all directions."""
+        """Covariance of an image's values in light with random edges from all directions."""
         functions, oblique = self.functions, self.oblique
         u, v, inside = self.aperture_grid(_LAGS)
         light = functions.light(u[inside], v[inside])

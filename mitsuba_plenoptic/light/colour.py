@@ -61,7 +61,7 @@ def _tables(thing: Any) -> dict[str, Table]:
 
 
 def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArray[np.float32]) -> None:
-    """Refuse wavelengths at which a spectrum of the scene has no values, because Mitsuba takes these to be 0.
+    """Refuse wavelengths at which a spectrum of the scene has no values, where Mitsuba takes 0.
 
     A scalar or a colour given as radiance means the spectrum of D65. Mitsuba defines D65 and black bodies from 360 to
     830 nm. The table of an emitter may end anywhere: there is no light beyond it. That of a surface may end with 0.

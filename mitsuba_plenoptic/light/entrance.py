@@ -42,7 +42,7 @@ class LensWindow:
 
     @classmethod
     def of(cls, system: OpticalSystem) -> LensWindow:
-        """Find the window of a camera's recorded pixels."""
+        """Return the window of a camera's recorded pixels."""
         camera, lattice = system.camera, system.lattice
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
         recorded = system.lens.chief_point(edges * camera.pixel_size, camera.reduced_distance)

@@ -62,7 +62,7 @@ _PLACES = 33
 
 
 def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted ones above the recorded pixels.
+    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted lenses above recorded pixels.
 
     What knows regular arrays alone, as point spreads and reconstructions do, takes this one. Its `mla_pitch` and
     `mla_offset` have the smallest mean square of the distance from the lenses.

@@ -141,7 +141,7 @@ class ArrayFactor(ABC):
         return drjit_array(array_module().UInt64, as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
-        """Differentiate a sum of orders by the position along an axis, in periods."""
+        """Return the orders of the derivative by the position along an axis, in periods."""
         rows_first = self.axes[::-1].index(axis)
         order = np.indices(orders.shape, sparse=True)[rows_first] - orders.shape[rows_first] // 2
         return np.asarray(2j * math.pi * order * orders)
@@ -323,7 +323,7 @@ def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArra
 
 @dataclass(frozen=True)
 class VaryingArrayFactor:
-    """A factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
+    """Factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
 
     factor: ArrayFactor
     lattice: Lattice
@@ -332,7 +332,7 @@ class VaryingArrayFactor:
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """The axes of its coordinates."""
+        """Axes of the coordinates on which the factor depends."""
         return self.factor.axes
 
     def at(self, *coordinates: Any) -> Any:

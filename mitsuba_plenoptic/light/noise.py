@@ -106,7 +106,7 @@ class Mended:
         return own.astype(gradient.dtype)
 
     def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Divide values of squares by their light, or return 0 where they have none."""
+        """Return values of squares divided by the light of the squares, 0 for squares without light."""
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
     def _spread(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -116,7 +116,7 @@ class Mended:
 
 
 def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the sums over squares of 2 x 2 pixels; beyond odd edges there is nothing."""
+    """Return the sums over squares of 2 x 2 pixels; squares beyond odd edges count missing pixels as 0."""
     whole = np.pad(image, [(0, size % 2) for size in image.shape])
     rows = whole[::2].astype(np.float64) + whole[1::2]
     return np.asarray(rows[:, ::2] + rows[:, 1::2])

@@ -53,23 +53,23 @@ class OpticalSystem:
 
     @cached_property
     def lattice(self) -> Lattice:
-        """The microlens lattice."""
+        """Lattice of the microlenses."""
         return self.camera.lattice
 
     @cached_property
     def microlenses(self) -> MicrolensArray:
-        """The transmission of the microlenses, in the frame of the camera."""
+        """Transmission of the microlenses, in the frame of the camera."""
         return microlens_array(self.camera, self.wavelength)
 
     @cached_property
     def upright_microlenses(self) -> MicrolensArray:
-        """The transmission of the microlenses, in the frame that is rotated with their lattice about the axis."""
+        """Transmission of the microlenses, in the frame rotated with their lattice about the axis."""
         turned = self.camera.mla_rotation != 0
         return microlens_array(upright(self.camera), self.wavelength) if turned else self.microlenses
 
     @cached_property
     def lens(self) -> MainLens:
-        """The main lens, for waves and for rays; see `MainLens` for its methods."""
+        """Main lens of the camera, for waves and rays; see `MainLens` for its methods."""
         return _wave_lens(self.camera, self.wavelength, self.lens_model or self.camera.lens_model)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:

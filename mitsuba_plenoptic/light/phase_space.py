@@ -141,7 +141,7 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def _least_fill(self) -> float:
-        """The `mla_fill` of the narrowest openings whose kernels hold."""
+        """Smallest `mla_fill` at which the kernels of the narrowest openings hold."""
         camera = self.camera
         return _NARROWEST * in_millimetres(self.wavelength) * camera.mla_fill / float(camera.lattice.aperture_width)
 
@@ -172,7 +172,7 @@ class PhaseSpace(ArrayKernels):
 
     @functools.cached_property
     def nodes(self) -> list[TableNode]:
-        """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
+        """Nodes of the table along the pupil's radius, each with the window and the samples it needs."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
         unit = max(pitch, _UNIT * reach / radius)

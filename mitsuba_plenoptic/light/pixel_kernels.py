@@ -95,20 +95,20 @@ class PixelKernels:
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Apply the adjoint of `combined` for the coefficients."""
+        """Return coefficients, the adjoint of `combined` applied to images."""
         direct = (self._factors.T @ images).reshape(*self._shape, -1)
         return np.asarray(direct + self.turned_adjoint(images, terms))
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Apply the adjoint of `turned` for the coefficients."""
+        """Return coefficients, the adjoint of `turned` applied to images."""
         moments = np.zeros((self._shape[0] * len(self._moments), images.shape[1]), np.float32)
         for row, term, moment in zip(self._of_terms.T, self._term, self._moment, strict=True):
             moments[moment] += terms[term] * (row @ images)
         return np.matmul(self._moments.T, moments.reshape(self._shape[0], len(self._moments), -1))
 
     def portions(self, pixels: int) -> list[slice]:
-        """Divide a count of pixels into portions whose coefficients the processor's caches hold."""
+        """Return slices of pixels whose coefficients fit into the processor's caches."""
         size = max(1, _TOGETHER // max(self._factors.shape[1], self._of_terms.shape[1]))
         return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
 

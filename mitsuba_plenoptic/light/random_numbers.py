@@ -25,12 +25,12 @@ def even_steps(dimensions: int) -> NDArray[np.float64]:
 
 
 def even_words(dimensions: int) -> tuple[int, ...]:
-    """Return the `even_steps` in units of 2^-32: integers keep a sequence exact for any count of its members."""
+    """Return the `even_steps` in units of 2^-32, integers by which a sequence stays exact at any index."""
     return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
 
 
 def hashed(word: Any) -> Any:
-    """Return 32-bit words each bit of which depends on all given bits (Wellons 2018, "Prospecting for hash functions").
+    """Return 32-bit hashes of words (Wellons 2018, "Prospecting for hash functions").
 
     Words are NumPy or Dr.Jit arrays of unsigned integers.
     """

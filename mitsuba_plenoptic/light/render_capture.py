@@ -61,7 +61,7 @@ def render_capture(
     noise: bool = False,
     **wave: Any,
 ) -> Capture:
-    """Render the capture of a plenoptic camera in a scene.
+    """Return the capture of a plenoptic camera in a scene.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
-    """Return the bytes that a ray capture takes, for the camera's film or one of the same aspect with `columns`."""
+    """Return the bytes of a ray capture, for the camera's film or a film of the same aspect with `columns`."""
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
@@ -283,7 +283,7 @@ def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
 
 
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split a film's image into its channels and their noise, both in the film's colours."""
+    """Return the channels of a film's image and their noise, both in the film's colours."""
     image, deviation = image[..., :channels], image[..., channels:]
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
@@ -329,7 +329,7 @@ def estimate_capture(
     batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Cost:
-    """Estimate the time and memory that `render_capture` would take with the same arguments.
+    """Return the estimated time and memory of `render_capture` with the same arguments.
 
     Some of the rays are traced. For method ``points``, all points are found and some of their spreads are computed.
 

@@ -48,7 +48,7 @@ class Footprint:
 
 
 def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
-    """Trace rays from each scene point, (n, 3), through the pupil to the MLA."""
+    """Return the footprints of scene points, (n, 3), from rays traced through the pupil to the MLA."""
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
@@ -132,7 +132,7 @@ def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
 
 
 def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
-    """Refuse a point far within the focal length, such as one in metres, whose light exceeds any memory."""
+    """Refuse a point far within the focal length, such as a point given in metres, whose light exceeds any memory."""
     g, pitch = float(nearest[2]), min(camera.mla_pitches)
     blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
     if abs(g) < camera.focal_length and blur > _WIDEST * pitch:

@@ -97,7 +97,7 @@ def names_in(element: Element) -> set[str]:
 
 
 def _parse(path: Path) -> Element:
-    """Read the root element of an XML file; refuse document types, other encodings, and deep nesting."""
+    """Return the root element of an XML file; refuse document types, other encodings, and deep nesting."""
     # A scene's meshes belong in their own files.
     require_size(path, LARGEST_SCENE)
     try:
@@ -123,7 +123,7 @@ def _parse(path: Path) -> Element:
 
 
 def _filled(text: str, values: Mapping[str, str]) -> str:
-    """Replace ``$names`` by their values, the longest names first, as Mitsuba does."""
+    """Return a text with ``$names`` replaced by their values, the longest names first, as Mitsuba does."""
     for name in sorted(values, key=len, reverse=True) if "$" in text else ():
         text = text.replace(f"${name}", values[name])
     return text
@@ -226,7 +226,7 @@ def load_scene(
     parameters: Mapping[str, str] | None = None,
     unit: str = "mm",
 ) -> Any:
-    """Load a scene from a file, by the name of a built-in scene, or from a dictionary as for ``mi.load_dict``.
+    """Return a scene loaded from a file, by the name of a built-in scene, or from a dictionary for ``mi.load_dict``.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ def _load_file(scene: str | Path, variant: str | None, parameters: Mapping[str, 
 
 
 def _scaled(parse: Callable[[Any], Any], factor: float) -> Any:
-    """Load a scene as Mitsuba does, with all lengths multiplied by a factor; see `scale_nodes`."""
+    """Return a scene loaded as by Mitsuba, with all lengths multiplied by a factor; see `scale_nodes`."""
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = config.merge_equivalent = False
     state = parse(config)
@@ -337,7 +337,7 @@ def _load_dictionary(
 
 
 def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[str, str]:
-    """Add the count of rows that preserves the detector's aspect ratio; Mitsuba's XML cannot compute it."""
+    """Return parameters with the count of rows that preserves the detector's aspect ratio."""
     wanted = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
     if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", each) for each in wanted):
         return parameters
@@ -368,7 +368,7 @@ def loading(what: str = "") -> Iterator[None]:
 
 
 def mitsuba_sentence(error: Exception) -> str:
-    """Reduce an error message of Mitsuba, which may contain a traceback, to the sentence that states the cause."""
+    """Return the sentence of a Mitsuba error message, without the traceback that may surround it."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     # Mitsuba lists misspelled parameters below the sentence that reports them.

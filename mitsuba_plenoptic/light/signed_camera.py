@@ -42,7 +42,7 @@ from .random_numbers import chances_of
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
 from .signed_draws import Drawn, Lot
-from .signed_rays import SignedRaySum, known_means
+from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""

@@ -35,7 +35,7 @@ from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_colours import Lanes, Node, SignedColours, mixed
 from .signed_draws import Lot
-from .signed_rays import SignedRaySum, halves
+from .signed_rays import SignedRaySum
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 

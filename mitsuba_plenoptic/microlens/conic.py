@@ -80,7 +80,7 @@ class Conic(MicrolensShape):
         return rise * x, rise * y
 
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
         return self._excess(wavelength) / self._excess(LINE_D)
 
     @property
@@ -89,11 +89,11 @@ class Conic(MicrolensShape):
         return self._excess(LINE_D) / self.curvature_radius
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether the surface extends to offsets: a sphere or an ellipsoid ends where it stands upright."""
+        """Return a mask of offsets that the surface covers: a sphere or an ellipsoid ends where it is upright."""
         return (x * x + y * y) * (1 + self.conic) < self.curvature_radius**2
 
     def _excess(self, wavelength: float) -> float:
-        """Return the index of the material over that of air."""
+        """Return the refractive index of the material at a wavelength, less 1 for air."""
         glass: Glass = self.glass
         return glass.at(wavelength) - 1
 

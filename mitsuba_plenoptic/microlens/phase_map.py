@@ -79,7 +79,7 @@ class PhaseMap(MicrolensShape):
 
     @cached_property
     def _smooth(self) -> NDArray[np.float64]:
-        """Phases without jumps, (wavelengths, rows, columns); at the centre, nor between adjacent wavelengths."""
+        """Phases without jumps at the centre and between adjacent wavelengths, (wavelengths, rows, columns)."""
         rows, columns = self.phase.shape[1:]
         smooth = np.unwrap(self.phase, period=1, axis=2)
         # Along the middle column first, which the rows then join.
@@ -94,7 +94,7 @@ class PhaseMap(MicrolensShape):
 
     @property
     def _given(self) -> tuple[float, ...]:
-        """The wavelengths, which are a tuple."""
+        """Wavelengths of the maps, as a tuple."""
         return tuple(self.wavelengths)  # type: ignore[arg-type]
 
     def _parts(self, wavelength: float) -> list[tuple[int, float]]:
@@ -131,5 +131,5 @@ class PhaseMap(MicrolensShape):
         return fitted_power(np.asarray(phase) * (wavelength * MM_PER_NM), self._grids[0])
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether offsets lie within the samples."""
+        """Return a mask of offsets within the samples."""
         return self._grids[0].covers(x, y)

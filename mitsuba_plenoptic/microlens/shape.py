@@ -62,7 +62,7 @@ class MicrolensShape(ABC):
 
     @abstractmethod
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes at a wavelength to those at the line d."""
+        """Return the slopes at a wavelength over the slopes at the line d."""
 
     @property
     @abstractmethod
@@ -70,7 +70,7 @@ class MicrolensShape(ABC):
         """Power at the line d: the reciprocal of the focal length in air, in 1/mm."""
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether the shape is defined at offsets, which are NumPy arrays."""
+        """Return a mask of offsets, NumPy arrays, at which the shape is defined."""
         return x * x + y * y < float("inf")
 
     @property
@@ -86,7 +86,7 @@ class MicrolensShape(ABC):
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> Self:
-        """Take a shape from what `to_plain` gave, with its checks.
+        """Return the shape that `to_plain` described, after its checks.
 
         Parameters
         ----------
@@ -123,14 +123,14 @@ class MicrolensShape(ABC):
 
 
 def _plain(value: Any) -> Any:
-    """Return a field of a shape as JSON can have it."""
+    """Return a field of a shape as a JSON value."""
     if isinstance(value, Glass):
         return value.to_plain()
     return value.tolist() if hasattr(value, "tolist") else value
 
 
 def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensShape | None:
-    """Return a shape from any of its forms: a shape, plain data, a JSON file or its text; None means none is given.
+    """Return a shape, given as a shape, plain data, a JSON file or its text; None means no shape.
 
     `resolve` finds files by their names, for example in the folder of a scene.
     """

@@ -27,7 +27,7 @@ Pair = tuple[Any, Any]
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
-    """Where the line from a detector point to the main lens's centre crosses the MLA: p b / (b + z).
+    """Position on the MLA of the line from a detector point to the main lens's centre: p b / (b + z).
 
     The lens whose cell contains this point is the one to which the pixel belongs.
     """
@@ -35,7 +35,7 @@ def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
 
 
 def chief_detector_point(m: Any, mla_distance: Any, detector_distance: Any) -> Any:
-    """Where the line from the main lens's centre through an MLA point meets the detector: m (b + z) / b."""
+    """Position on the detector of the line from the main lens's centre through an MLA point: m (b + z) / b."""
     return m * ((mla_distance + detector_distance) / mla_distance)
 
 
@@ -45,7 +45,7 @@ def microlens_slope(p: Any, m: Any, c: Any, detector_distance: Any, mla_focal_le
 
 
 def pupil_point(m: Any, t: Any, mla_distance: Any) -> Any:
-    """Where a ray of slope t from the MLA meets the main lens: m + b t."""
+    """Position on the main lens of a ray of slope t from the MLA: m + b t."""
     return m + mla_distance * t
 
 
@@ -55,12 +55,12 @@ def main_lens_slope(t: Any, P: Any, focal_length: Any) -> Any:
 
 
 def object_direction(P: Any, slope: Any, distance: Any) -> Any:
-    """Where a ray of this slope from the pupil point meets the object plane, over its distance: X/g = P/g + t'."""
+    """Position on the object plane of a ray from a pupil point, over the plane's distance: X/g = P/g + t'."""
     return P / distance + slope
 
 
 def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: Any) -> Any:
-    """Where the ray from a scene point through a pupil point meets the MLA: -X b/g + P (1 + b/g - b/f1)."""
+    """Position on the MLA of the ray from a scene point through a pupil point: -X b/g + P (1 + b/g - b/f1)."""
     return conjugate_coordinate(X, distance, mla_distance) + P * defocus_factor(distance, mla_distance, focal_length)
 
 
@@ -155,7 +155,7 @@ def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
 
 
 def _widening(chief: Pair, index: Any) -> Any:
-    """Return c^-2 of `into_medium`."""
+    """Return the factor c^-2 of `into_medium`."""
     return 1 + (1 - 1 / (index * index)) * _dot(chief, chief)
 
 
@@ -164,7 +164,7 @@ def _dot(a: Pair, b: Pair) -> Any:
 
 
 def _is_one(index: Any) -> bool:
-    """Whether there is no medium, so that slopes keep the bits that they have without its formulas."""
+    """Return whether there is no medium, so that slopes keep their bits."""
     return isinstance(index, (int, float)) and index == 1
 
 

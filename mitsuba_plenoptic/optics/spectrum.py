@@ -64,7 +64,7 @@ _WRONG = 4e-3
 @suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
-    """Wavelengths, and the responses of the channels that record them.
+    """Wavelengths with the responses of the channels that record them.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ class RayColours:
     indices: list[Any] | None
 
     def of(self, walk: CameraRays) -> CameraRays:
-        """Return the walk through the main lens as these rays meet it."""
+        """Return the walk of rays with these focal lengths and indices through the main lens."""
         lens: Any = walk.lens
         if self.indices is not None:
             return replace(walk, lens=replace(lens, indices=self.indices))
@@ -104,7 +104,7 @@ class Dispersion:
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
     def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
-        """Choose the wavelength of each ray; return its optics, the rest of the sample, and the channels' weights."""
+        """Return the optics of rays of random wavelengths, the unused part of the sample, and channels' weights."""
         if mi.is_spectral:
             position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
@@ -134,7 +134,7 @@ class Dispersion:
 
 @dataclass(frozen=True)
 class Candidates:
-    """The lenses around the chief ray's from which those of rays are drawn, evenly."""
+    """Lenses around a chief ray's lens among which the lenses of rays are drawn evenly."""
 
     # Steps in the lattice's indices, as two arrays; the first is the chief ray's own lens.
     steps: list[Any]
@@ -146,7 +146,7 @@ class Candidates:
     defocus: Any = 0.0
 
     def limit(self, chief: Pair, towards: Pair) -> Any:
-        """Return the distance within which centres are tried, by their direction from the chief ray's points."""
+        """Return the distance within which lens centres are tried, by their direction from the chief ray's point."""
         across, along = (
             towards[0] * chief[1] - towards[1] * chief[0],
             towards[0] * chief[0] + towards[1] * chief[1],
@@ -190,7 +190,7 @@ class CameraRays(Walk):
         )
 
     def candidates(self, beyond: float = 0.0) -> Candidates:
-        """Return the lenses from which those of rays are drawn, at the wavelength that needs most."""
+        """Return the lenses among which the lenses of rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
         place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
@@ -225,7 +225,7 @@ class CameraRays(Walk):
         return dr.hypot(*towards) <= limit
 
     def _draw(self, candidates: Candidates, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
-        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
+        """Return lenses drawn around cells, the unused part of the sample, the choice, and the number of choices."""
         (i, j), count, within = cell, dr.width(candidates.steps[0]), mi.Float(sample)
         if count == 1:
             return cell, within, mi.UInt32(0), mi.Float(1)
@@ -249,7 +249,7 @@ class CameraRays(Walk):
         return nth(choice), scaled - whole, choice, tried
 
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
-        """Choose the points of the array through which rays from detector points pass.
+        """Return the points of the array through which rays from detector points pass, drawn at random.
 
         `pixel` is the detector point, a pair of Dr.Jit arrays. Return also the number of the candidate, and that of the
         lenses from which it was drawn.
@@ -261,7 +261,7 @@ class CameraRays(Walk):
         return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
 
     def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
-        """Choose points of the lenses above detector points, and points of the pupil.
+        """Return random points of the lenses above detector points, and random points of the pupil.
 
         Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. Return these, slopes
         towards the pupil, and the columns and rows of pixels among those of their lenses.

@@ -70,50 +70,9 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Accumulate the gradient of a parameter of the camera."""
+    """Add to the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
-
-
-def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, int]:
-    """Return the sensor, the seed and the count of samples of `mi.render`, which gives indices, arrays or zeros."""
-    sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-    return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
-
-
-def make_base() -> type:
-    """Define the base of such integrators for the active Mitsuba variant; they offer `record` and `parameters`."""
-
-    class RecordingIntegrator(mi.SamplingIntegrator):
-        plugin: str
-
-        def read_child(self, props: Any) -> None:
-            """Keep the nested integrator, by default ``path``, and refuse parameters that nothing has read."""
-            nested = [value for _, value in props.objects()]
-            refuse_if(len(nested) > 1, f"{self.plugin}: {len(nested)} nested plugins: it takes one integrator")
-            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
-            require_read(props, self.plugin)
-
-        def render(
-            self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
-        ) -> Any:
-            """Render the capture; `spp` is the count of samples that `record` takes."""
-            sensor, seed, spp = asked_for(scene, sensor, seed, spp)
-            film = self.record(scene, sensor, seed=seed, spp=spp)
-            return film.develop() if develop else None
-
-        def to_string(self) -> str:
-            """Describe the integrator."""
-            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
-            return "\n".join([f"{type(self).__name__}[", *lines, f"  child = {self.child}", "]"])
-
-    return RecordingIntegrator
 
 
 SIGNED_RAYS = "signed_rays"
@@ -127,7 +86,7 @@ _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticWaveIntegrator(make_base()):  # type: ignore[misc]
         r"""Wave capture: the incoherent, non-paraxial wave-optical image on a plenoptic camera's detector.
@@ -261,7 +220,7 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Propagate the gradient of the capture to the parameters, for `mi.render`."""
+            """Add the gradients by parameters from a gradient by the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
@@ -293,7 +252,7 @@ def make_class() -> type:
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it."""
+            """Return the film that holds the computed capture."""
             crosstalk, film = PlenopticCamera.from_sensor(sensor).pixel_crosstalk, sensor.film()
             require_wave_film(film)
             capture = self._capture(scene, sensor)
@@ -307,7 +266,7 @@ def make_class() -> type:
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Estimate the cost of `record` from a fraction of its work."""
+            """Return the estimated cost of `record`, from a fraction of its work."""
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
@@ -353,7 +312,7 @@ def make_class() -> type:
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
-            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 **self.colours.parameters(),
                 "method": self.method,

@@ -53,7 +53,7 @@ from ..runtime.backend import drjit_array
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
-    """Read a value from a plugin's properties without a check; the caller checks it."""
+    """Return a value of a plugin's properties unchecked; the caller checks it."""
     return _plain(props[name]) if name in props else default
 
 
@@ -75,7 +75,7 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
 
 
 def require_read(props: Any, plugin: str) -> None:
-    """Refuse a parameter that a plugin has not read: there is none of its name.
+    """Refuse a parameter that a plugin has not read, as no parameter has its name.
 
     Mitsuba does so itself once a plugin is made, without the name that was meant.
     """
@@ -86,7 +86,7 @@ def require_read(props: Any, plugin: str) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return the entry of an array of one entry, which ``load_dict`` accepts for a scalar, or any other value as is."""
+    """Return the single entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
@@ -113,7 +113,7 @@ def _read_one(props: Any, name: str) -> Any:
 
 
 def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
-    """Read one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
+    """Return one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
     value = _plain(props[name])
     if isinstance(value, str):
         with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
@@ -124,13 +124,13 @@ def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
 
 
 def _read_position(props: Any, name: str) -> tuple[float, ...]:
-    """Read the x and y of a position, given as a pair or as a point or vector whose z is 0."""
+    """Return the x and y of a position, given as a pair or as a point or vector whose z is 0."""
     position = _read_numbers(props, name)
     return position[:2] if len(position) == 3 and position[2] == 0 else position
 
 
 def _read_main_lens(props: Any, name: str) -> LensData:
-    """Read a main lens, given as a file, a bundled lens or the text of a JSON file."""
+    """Return the data of a main lens, given as a file, a bundled lens or the text of a JSON file."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
@@ -138,7 +138,7 @@ def _read_main_lens(props: Any, name: str) -> LensData:
 
 
 def _read_glass(props: Any, name: str) -> Any:
-    """Read a glass, given as a name, a refractive index or the text of a JSON object."""
+    """Return a glass, given as a name, a refractive index or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or not source.lstrip().startswith("{"):
         return source
@@ -147,7 +147,7 @@ def _read_glass(props: Any, name: str) -> Any:
 
 
 def _read_shape(props: Any, name: str) -> Any:
-    """Read the shape of microlenses, given as a JSON file or its text."""
+    """Return the shape of microlenses, given as a JSON file or its text."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
@@ -155,7 +155,7 @@ def _read_shape(props: Any, name: str) -> Any:
 
 
 def _read_screen(props: Any, name: str) -> Any:
-    """Read a phase screen, given as a JSON file or its text."""
+    """Return a phase screen, given as a JSON file or its text."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
@@ -163,7 +163,7 @@ def _read_screen(props: Any, name: str) -> Any:
 
 
 def _read_response(props: Any, name: str) -> Any:
-    """Read a response of photodiodes, given as a file or the text of a JSON object."""
+    """Return a response of photodiodes, given as a file or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or source.lstrip().startswith("{"):
         return source
@@ -197,7 +197,7 @@ def develop(film: Any, image: NDArray[np.float32]) -> Any:
 
 
 def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Apply the transpose of `develop` to a gradient; `shape` is that of the image (rows, columns, channels)."""
+    """Return the transpose of `develop` applied to a gradient; `shape` is the image's (rows, columns, channels)."""
     block = drjit_array(mi.TensorXf, _block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
     film.prepare([])

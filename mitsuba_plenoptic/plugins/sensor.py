@@ -32,7 +32,7 @@ _BOX = '<rfilter type="box"/>'
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticSensor(mi.Sensor):
         r"""Plenoptic (light-field) camera: main lens, microlens array, detector.
@@ -224,7 +224,7 @@ def make_class() -> type:
             return self._in_world(self._rays.through_pupil(pupil, position))
 
         def _in_world(self, traced: Traced) -> tuple[Any, Any]:
-            """Transform a traced ray to the world frame, at the time at which the shutter opens."""
+            """Return a traced ray in the world frame, at the time when the shutter opens."""
             point, slope, open_ = traced
             to_world = self.world_transform()
             ray = mi.RayDifferential3f(
@@ -287,7 +287,7 @@ def make_class() -> type:
             return ray
 
         def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
-            """Choose points of the four neighbours for light that crosses walls; return also the rest of the sample."""
+            """Return points of the four neighbours for light that crosses walls, and the unused part of the sample."""
             fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
             scaled = sample[0] / fraction
             side = dr.floor(scaled)
@@ -312,13 +312,13 @@ def make_class() -> type:
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray and its weight; `sample2` is the position on the crop window, `sample3` that on the lens."""
+            """Return a random ray and its weight, from positions on the crop window (`sample2`) and on the lens."""
             return self._sample(time, sample1, sample2, sample3, active, differential=False)
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray with differentials: the rays from the next pixels in x and y through the same lens point."""
+            """Return a random ray with differentials: rays from the next pixels through the same lens point."""
             return self._sample(time, sample1, sample2, sample3, active, differential=True)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
@@ -341,7 +341,7 @@ def make_class() -> type:
             return box
 
         def to_string(self) -> str:
-            """Describe the camera."""
+            """Return the description of the camera that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.camera.to_dict().items()]
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
@@ -354,7 +354,7 @@ def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
 
 
 def _as_drjit(entry: Parameter, value: Any) -> Any:
-    """Return the value of a parameter, in its shortest form, as a Dr.Jit array that can carry gradients."""
+    """Return the value of a parameter in its shortest form, as a Dr.Jit array that can carry gradients."""
     return (mi.Point2f if entry.form is Form.PLACE else mi.Float)(entry.plain(value))
 
 
@@ -367,7 +367,7 @@ def _flags(entry: Parameter) -> Any:
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
-    """Return single-precision values as they were given, or else as their shortest decimals: 0.512 for 0.5120000243."""
+    """Return single-precision values as given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(given).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}

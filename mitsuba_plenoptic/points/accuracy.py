@@ -219,7 +219,7 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.floa
 def _depth_steps(
     camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the index of each distance's step, and the number of parts into which a lens is divided along an axis."""
+    """Return an index per point for its step of distance, and the number of parts of a lens along an axis."""
     lam = in_millimetres(wavelength)
     a, b = lens.pupil_radius, lens.pupil_distance
     defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)

@@ -121,7 +121,7 @@ class Tilts:
 
 
 class Spheres:
-    """Waves that an ideal lens makes converge to the images of points (n, 3), moved into one plane behind the pupil."""
+    """Spherical waves towards the images of points (n, 3) by an ideal lens, moved into one plane."""
 
     def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, wavelength, grid

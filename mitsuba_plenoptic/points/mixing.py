@@ -22,7 +22,7 @@ _LEFT_OUT, _ROUNDING = 0.1, 1e-6
 
 @dataclass(frozen=True)
 class SpectralSum:
-    """A sum of point spreads at one wavelength, several of which make an image."""
+    """Sum of point spreads at one wavelength; several such sums make an image."""
 
     wavelength: float  # in nanometres
     before: NDArray[np.float64]  # factors on the columns of the weights, (columns, k)
@@ -55,7 +55,7 @@ class WeightChannels:
 
     @property
     def light(self) -> Any:
-        """The wavelength or the spectrum, as plain data."""
+        """Wavelength or spectrum of the light, as plain data."""
         return self._wavelength if self.spectrum is None else asdict(self.spectrum)
 
     @property
@@ -93,7 +93,7 @@ class WeightChannels:
             yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
 
     def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
-        """Return an image of shape (rows, columns, ...) as (rows, columns, channels), or refuse it."""
+        """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
         with refusing("image: it must be numbers, (rows, columns) or (rows, columns, channels)", *NO_ARRAY):
             pixels = np.asarray(image, dtype)
         rows, columns = shape
@@ -140,7 +140,7 @@ class WavelengthPlans:
         self._plans: dict[float, Any] = {}
 
     def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
-        """Return the plans of another kind for the same points."""
+        """Return plans of another kind for the same points."""
         return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
 
     def system_at(self, wavelength: float) -> OpticalSystem:
@@ -156,14 +156,14 @@ class WavelengthPlans:
         return self._plans[wavelength]
 
     def checked(self, wavelength: float, job: Job, channels: int) -> Any:
-        """Return the plan at a wavelength, or refuse it if it needs too much memory."""
+        """Return the plan at a wavelength; refuse a plan that needs too much memory."""
         plan = self.at(wavelength)
         plan.check_memory(job.workers, channels)
         return plan
 
 
 def mix(image: NDArray[Any], matrix: NDArray[np.float32]) -> NDArray[Any]:
-    """Mix the channels of an image, (..., channels), by a matrix (new channels, channels)."""
+    """Return an image (..., channels) with its channels mixed by a matrix (new channels, channels)."""
     return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
 
 

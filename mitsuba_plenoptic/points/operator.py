@@ -42,7 +42,7 @@ METHODS = tuple(PLANS)
 
 
 class CaptureOperator(CoherentPoints):
-    r"""The image that a camera's detector records from incoherent point sources, which is linear in their weights.
+    r"""Image that a camera's detector records from incoherent point sources, as a linear function of their weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
@@ -215,7 +215,7 @@ class CaptureOperator(CoherentPoints):
 
     @one_at_a_time
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
-        """Differentiate `forward` in the direction of changes of the camera's parameters.
+        """Return the derivative of `forward` along changes of the camera's parameters.
 
         Points, weights, the relative power over each pupil and the total power through it are fixed. Behind a real main
         lens, for up to 512 points, or at accuracies below 0.004, each point has a spread of its own; otherwise points
@@ -252,7 +252,7 @@ class CaptureOperator(CoherentPoints):
     def jacobian(
         self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
     ) -> NDArray[np.float32]:
-        """Differentiate `forward` in several directions at once, for which the fields are computed once.
+        """Return the derivatives of `forward` in several directions; the fields are computed once for all of them.
 
         Parameters
         ----------

@@ -77,7 +77,7 @@ class PatchFactors:
         elements: Callable[[int], Elements] | None = None,
         types: Any = None,
     ) -> None:
-        """Prepare the factors of fields with some amplitudes.
+        """Prepare the factors of fields with given amplitudes.
 
         `elements` is a function from the number of lanes to the elements; the default is those of the grid's camera.
         `types` is the module of Dr.Jit's arrays, by default without gradients.

@@ -165,7 +165,7 @@ class PatchPlan:
         return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
     def _fields(self, which: NDArray[np.int64]) -> Fields:
-        """Describe the fields of a selection of patterns."""
+        """Return the data of the fields of a selection of patterns."""
         weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
         if weights is not None and self._slant is not None:
             weights = replace(weights, slant=self._slant[which])
@@ -198,12 +198,12 @@ class PatchPlan:
         return 1 - arrived / sent if sent else None
 
     def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
-        """Compute a chunk immediately, in this thread."""
+        """Return the part of a chunk, computed at once in this thread."""
         with resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
     def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
-        """Compute a chunk, and return the part and the seconds that it took."""
+        """Return the part of a chunk, and the seconds that computing it took."""
         backend().synchronize()
         start = time.perf_counter()
         part = self._sum_of(chunk, weights)
@@ -224,7 +224,7 @@ class PatchPlan:
     # -- adjoint ---------------------------------------------------------------------------------------
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return for every point the image weighted by its point spread.
+        """Return the inner product of an image with every point's spread.
 
         `done` of the `total` points of a job are already complete.
         """
@@ -255,7 +255,7 @@ class PatchPlan:
         return Gather(fields, copies, self._tile(samples, box))
 
     def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
-        """Extract a rectangle of the grid from recorded samples (channels, rows, columns), padded with zeros."""
+        """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros."""
         own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
         top, left = box.top - own.top, box.left - own.left
         rows = slice(max(top, 0), min(top + box.rows, own.rows))
@@ -281,7 +281,7 @@ class PatchPlan:
         return channels * self._recorder.memory + tiles * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the memory in bytes that a sum takes, or refuse it."""
+        """Return the bytes of a sum; refuse too many."""
         memory = self.memory(batch_map, channels)
         largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
         what = f"{self._count} points by patches of {largest} x {largest} samples"

@@ -25,7 +25,7 @@ from .operator import CaptureOperator
 def point_spread_function(
     camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"
 ) -> NDArray[np.float32]:
-    """Integrate the light of one scene point over the recorded pixels.
+    """Return the light of one scene point in each recorded pixel.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def point_spread_function(
 
 @one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
-    """Propagate the light of one scene point and return its complex field at the pupil, the MLA and the detector."""
+    """Return the complex field of one scene point at the pupil, the MLA and the detector."""
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)

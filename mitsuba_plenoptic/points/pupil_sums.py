@@ -90,7 +90,7 @@ class Layer:
         self._of_points = (np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)
 
     def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
-        """Add the field of points with these amplitudes (n,) to samples of the grid."""
+        """Add the field of points with given amplitudes (n,) to samples of the grid."""
         common = self._common()
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
             for rows, waves in self._carrier.forward(amplitudes * of_points):
@@ -170,7 +170,7 @@ class Layer:
 
 
 def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
-    """Return the waves from which the fields of points differ least: spheres behind an ideal lens, else tilts."""
+    """Return the kind of waves from which the points' fields differ least: spheres behind an ideal lens, else tilts."""
     spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
     return Spheres if spheres else Tilts
 
@@ -211,7 +211,7 @@ def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def _completed(
     basis: NDArray[np.complex128], factors: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return a basis with the functions added that single ones of some factors (m, n) need, and their coefficients.
+    """Return a basis extended by functions that factors (m, n) need, and the factors' coefficients.
 
     Points that are far from most others have such factors.
     """

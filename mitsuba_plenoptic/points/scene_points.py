@@ -114,7 +114,7 @@ def require_matte_surfaces(scene: Any, what: str) -> None:
 def find_points(
     lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
 ) -> ScenePoints:
-    """Find the points where the rays of all lenses first hit a surface, and the weights of their light."""
+    """Return the points where the rays of all lenses first hit a surface, with the weights of their light."""
     camera.require_resolved()
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
@@ -219,7 +219,7 @@ class _Finder:
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
-        """Return as bits (n, bytes) which pupil cells see points; the cell of its own ray always does."""
+        """Return, as bits (n, bytes), the pupil cells that see points; the cell of a point's ray always does."""
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
@@ -301,7 +301,7 @@ class PointsCapture:
         return image
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate the cost of `compute` without ray tracing, from all points and some of their spreads."""
+        """Return the estimated cost of `compute` without ray tracing, from all points and some of their spreads."""
         points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
         return replace(self._operator(points).estimate(job), points=len(points.positions))
 

@@ -63,7 +63,7 @@ class PatchSpreads(PatchPlan):
             guards.check(guards.PATCH, loss)
 
     def _few(self, chunk: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Divide a chunk into parts whose patterns fit into memory next to each other."""
+        """Return parts of a chunk whose patterns fit into memory together."""
         corner, samples = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
         tile = 4.0 * float((np.ptp(corner, axis=0) + samples).prod())
         size = max(1, int(_TOGETHER_BYTES // tile))

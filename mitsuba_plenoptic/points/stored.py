@@ -23,7 +23,7 @@ _SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSprea
 
 
 class StoredOperator(CaptureOperator):
-    """A `CaptureOperator` that computes its point spreads once and stores them, one set for each wavelength.
+    """`CaptureOperator` that computes its point spreads once and stores them, one set per wavelength.
 
     `forward` and `adjoint` are then products with a sparse matrix, for any number of columns of weights or channels of
     an image. Spreads are computed at the first product. The derivatives by the camera's parameters compute their fields

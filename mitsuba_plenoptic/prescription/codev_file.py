@@ -35,7 +35,7 @@ _TEMPERATURES, _PRESSURE = (20.0, 25.0), 760.0
 
 
 def read_codev(path: str | Path) -> Prescription:
-    """Read a CODE V file.
+    """Return the prescription in a CODE V file.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def read_codev(path: str | Path) -> Prescription:
 
 
 def _commands(path: Path, text: str) -> list[Line]:
-    """Return the commands: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
+    """Return the commands of a file: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
     found: list[Line] = []
     words: list[str] = []
     continued = False
@@ -84,7 +84,7 @@ _ONCE = {"DIM", "RDM", "WL", "REF"}
 
 
 class _CodevReader:
-    """The lens of a file, as far as its commands have been read."""
+    """Reader of a CODE V file, which collects the lens command by command."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -103,7 +103,7 @@ class _CodevReader:
         self.solved: dict[int, Line] = {}
 
     def take(self, line: Line) -> None:
-        """Take a command."""
+        """Read one command."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return
@@ -193,7 +193,7 @@ class _CodevReader:
         return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
 
     def _only_value(self, line: Line, index: int = 1) -> float:
-        """Return the number that ends a surface's command, which must be given once."""
+        """Return the number that ends a surface's command, which must stand there only once."""
         keyword = line.words[0].upper()
         line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
         self.taken.add(keyword)
@@ -221,7 +221,7 @@ class _CodevReader:
 
 
 def _glass(line: Line, written: str) -> Glass | None:
-    """Return the glass of a surface's line: a name, also with its maker, or a code of index and Abbe number."""
+    """Return the glass of a surface's line: a name, optionally with its maker, or a code of index and Abbe number."""
     if written.upper() == "AIR":
         return None
     line.refuse_if(written.upper() in ("REFL", "REF"), "mirrors are not read")

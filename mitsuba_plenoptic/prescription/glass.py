@@ -27,7 +27,7 @@ _CATALOGUE = np.arange(380.0, 1001.0, 10.0)
 
 @dataclass(frozen=True)
 class Glass:
-    r"""A glass between two surfaces.
+    r"""A glass between two surfaces, with its refractive index by wavelength.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Glass:
         return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
 
     def at(self, wavelength: float) -> float:
-        """Return the index at a wavelength.
+        """Return the refractive index at a wavelength.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Glass:
         return float(np.sqrt(value)) if value > 0 else float("nan")
 
     def focal_ratio(self, wavelength: float) -> float:
-        r"""Return by how much the focal length of a thin lens of this glass is longer than at the line d.
+        r"""Return the focal length of a thin lens of this glass over its focal length at the line d.
 
         :math:`f(\lambda) / f_d = (n_d - 1) / (n(\lambda) - 1)`, the lensmaker's equation (Born and Wolf, "Principles of
         Optics", section 4.7).
@@ -145,7 +145,7 @@ class Glass:
         return bends[0] / bends[1]
 
     def to_plain(self) -> Any:
-        """Return what `from_plain` takes: a number, or a dictionary."""
+        """Return the glass as a number or a dictionary, for `from_plain`."""
         if self.form == "index" and not self.name:
             return self.numbers[0]
         named = {"name": self.name} if self.name else {}
@@ -157,7 +157,7 @@ class Glass:
 
     @classmethod
     def from_plain(cls, value: Any, where: str = "glass") -> Glass:
-        """Take a glass from plain data.
+        """Return the glass that plain data describe.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class Glass:
 def catalogue_glass(
     name: str, where: str = "glass", makers: Sequence[str] | None = None, *, with_hyphens: bool = True
 ) -> Glass:
-    """Return a glass by its name in a maker's catalogue, as a table that needs the catalogue no more.
+    """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
     The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``. Only a glass of just
     that name is taken, in capitals or not.
@@ -247,7 +247,7 @@ def catalogue_glass(
 
 
 class _Entry(NamedTuple):
-    """A material of a catalogue: its maker, name and file, and where in nanometres its data begin and end."""
+    """Material of a catalogue: its maker, name and file, and the wavelengths in nm between which it has data."""
 
     maker: str
     name: str
@@ -256,7 +256,7 @@ class _Entry(NamedTuple):
     high: float
 
     def tabulated(self, name: str) -> Glass:
-        """Return it as a table, from 380 to 1000 nm as far as its own data reach."""
+        """Return the material as a table of indices, from 380 to 1000 nm as far as its data reach."""
         path = resources.files("optiland.database") / "data-nk" / self.file
         material = importlib.import_module("optiland.materials").MaterialFile(str(path))
         # A wavelength at the end of the data stays within them, whatever its digits.

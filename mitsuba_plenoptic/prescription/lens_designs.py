@@ -36,17 +36,17 @@ class Line:
         return InputError(f"{self.path}, line {self.number}: {short_repr(' '.join(self.words))}: {rule}")
 
     def refuse_if(self, broken: object, rule: str) -> None:
-        """Refuse the command where it breaks a rule."""
+        """Refuse the command if it breaks a rule."""
         if broken:
             raise self.refused(rule)
 
     def word(self, index: int) -> str:
-        """Return one of its words; the first is the keyword, number 0."""
+        """Return a word of the command by its number; the keyword has the number 0."""
         self.refuse_if(index >= len(self.words), f"value {index} is missing")
         return self.words[index]
 
     def value(self, index: int, default: float | None = None) -> float:
-        """Return one of its words as a finite number."""
+        """Return a word of the command as a finite number."""
         if index >= len(self.words) and default is not None:
             return default
         word, value = self.word(index), math.nan
@@ -62,7 +62,7 @@ class Line:
 
 @dataclass
 class DesignSurface:
-    """A surface as a lens file has it, in the file's own unit of length."""
+    """A surface as a lens file states it, in the file's unit of length."""
 
     curvature: float = 0.0
     thickness: float = 0.0

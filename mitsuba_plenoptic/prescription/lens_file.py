@@ -24,7 +24,7 @@ DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
 
 
 def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:
-    """Read a main lens: what `read_prescription` reads, or an objective as a file or as the text of a JSON file.
+    """Return a main lens: a prescription, or an objective from a file or the text of a JSON file.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
 
 
 def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription:
-    """Read a main lens of surfaces.
+    """Return the prescription in a file, or of a bundled lens.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ class Surface:
         return 1 / self.radius
 
     def to_plain(self) -> dict[str, Any]:
-        """Return what `from_plain` takes; what is left out has its default."""
+        """Return the surface as plain data for `from_plain`, without entries that have their default."""
         plain: dict[str, Any] = {} if math.isinf(self.radius) else {"radius": self.radius}
         if self.thickness:
             plain["thickness"] = self.thickness
@@ -97,7 +97,7 @@ class Surface:
 
     @classmethod
     def from_plain(cls, value: Any, where: str) -> Surface:
-        """Take a surface from plain data.
+        """Return the surface that plain data describe.
 
         Parameters
         ----------
@@ -177,7 +177,7 @@ class Paraxial:
 
 @dataclass(frozen=True)
 class Prescription(LensData):
-    """A lens as its designer writes it down. Lengths are millimetres.
+    """Main lens as its designer states it: surfaces and glasses, lengths in millimetres.
 
     Parameters
     ----------
@@ -204,12 +204,12 @@ class Prescription(LensData):
 
     @property
     def traced_surfaces(self) -> tuple[Surface, ...]:
-        """All of them."""
+        """All surfaces of the prescription."""
         return self.surfaces
 
     @property
     def disperses(self) -> bool:
-        """Whether one of its glasses does."""
+        """Whether one of the glasses has a refractive index that depends on the wavelength."""
         return any(surface.glass is not None and surface.glass.form != "index" for surface in self.surfaces)
 
     @property
@@ -218,19 +218,19 @@ class Prescription(LensData):
         return paraxial(self)
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of the open entrance pupil, scaled to what focal length is given."""
+        """Return focal length and radius of the open entrance pupil, scaled to a given focal length."""
         numbers = self.paraxial
         given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
         return given, numbers.entrance_radius * given / numbers.focal_length
 
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
-        """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's."""
+        """Return the exit pupil's distance before the rear principal plane, and the pupils' ratio of radii."""
         numbers = self.paraxial
         scale = focal_length / numbers.focal_length
         return scale * (numbers.rear_principal - numbers.exit_pupil), numbers.exit_radius / numbers.entrance_radius
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse other aberrations than its own, a stop wider than it opens, and an array within it."""
+        """Refuse further aberrations, a stop wider than the lens opens, and an array within the lens."""
         require_alone(camera)
         numbers, widest = self.paraxial, self.own_numbers(camera.focal_length)[1]
         refuse_if(
@@ -253,7 +253,7 @@ class Prescription(LensData):
         return float(2 * camera.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (camera.pupil_distance - gap))))
 
     def to_plain(self) -> dict[str, Any]:
-        """Return what `from_plain` takes: numbers, strings, lists and dictionaries."""
+        """Return the prescription as numbers, strings, lists and dictionaries, for `from_plain`."""
         surfaces = [surface.to_plain() for surface in self.surfaces]
         surfaces[self.stop]["stop"] = True
         facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
@@ -261,7 +261,7 @@ class Prescription(LensData):
 
     @classmethod
     def from_plain(cls, value: Any) -> Prescription:
-        """Take a prescription from plain data, for example from a file.
+        """Return the prescription that plain data describe, for example from a file.
 
         Parameters
         ----------
@@ -315,11 +315,11 @@ class Prescription(LensData):
         return made.clipped()
 
     def indices(self, wavelength: float) -> list[float]:
-        """Return the index behind each surface at a wavelength in nanometres, that of air being 1."""
+        """Return the index behind each surface at a wavelength in nanometres; air has 1."""
         return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
 
     def clipped(self) -> Prescription:
-        """Return the lens with refracting surfaces that cross their neighbours ending where they do, with a warning.
+        """Return the lens with surfaces ending where they cross their neighbours, with a warning.
 
         Published prescriptions list semi-apertures for drawings, which may reach beyond the edge where surfaces meet.
         """
@@ -340,7 +340,7 @@ class Prescription(LensData):
         return lens
 
     def require_apart(self) -> None:
-        """Refuse a lens of which two refracting surfaces that follow each other cross where light may pass both."""
+        """Refuse a lens in which neighbouring refracting surfaces cross where light may pass both."""
         if crossing := self._crossing():
             first, second, _, text = crossing
             edge = min(self.surfaces[first].semi_aperture, self.surfaces[second].semi_aperture)
@@ -417,7 +417,7 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
 
 
 def height(surface: Any, square: Any) -> Any:
-    """Return a surface's height over the plane of its vertex."""
+    """Return the height of a surface over the plane of its vertex."""
     c = surface.curvature
     height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST))
     power = square * square
@@ -428,7 +428,7 @@ def height(surface: Any, square: Any) -> Any:
 
 
 def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
-    """Return the distance from the axis at which two surfaces cross; None if they stay apart in both of their areas."""
+    """Return the distance from the axis at which two surfaces cross within their areas, None if they do not."""
     edge = min(front.semi_aperture, back.semi_aperture)
 
     def gap(square: Any) -> Any:
@@ -454,7 +454,7 @@ BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
 # The bundled files do not change, and prescriptions are immutable.
 @functools.cache
 def bundled_prescription(name: str) -> Prescription:
-    """Return a bundled lens.
+    """Return a bundled lens by its name.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ _FIXED, _MODEL, _PICKED_UP, _SUBSTITUTE = range(4)
 
 
 def read_zemax(path: str | Path) -> Prescription:
-    """Read a Zemax file.
+    """Return the prescription in a Zemax file.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def read_zemax(path: str | Path) -> Prescription:
 
 
 class _ZemaxReader:
-    """The lens of a file, as far as its lines have been read."""
+    """Reader of a Zemax file, which collects the lens line by line."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -79,7 +79,7 @@ class _ZemaxReader:
         self.taken: set[tuple[str, ...]] = set()
 
     def take(self, line: Line, *, closing: bool) -> None:
-        """Take a line; behind the last surface, `closing`, there are merit functions and tolerances, too."""
+        """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return

@@ -248,7 +248,7 @@ _PARTS = 4
 
 @dataclass(frozen=True)
 class LensBatch:
-    """Some lenses, and the factors of their fields, each shaped to multiply fields (n, y, x).
+    """Some lenses with the factors of their fields, shaped to multiply fields (n, y, x).
 
     `bin` (n, 2) are column and row, among the bins of all lenses, of the bin that holds each lens's image, and `aside`
     (n, 2) the offset of the lens's centre from the middle of that bin, in bins. `row` (n, samples, 1) and `column`
@@ -294,7 +294,7 @@ class LensSet:
         self._aperture = None if camera.lenses_are_bins else _aperture(tile)
 
     def find(self, i: float, j: float) -> int:
-        """Return the position in this set of the lens with these lattice indices."""
+        """Return the position in this set of the lens with given lattice indices."""
         return int(np.flatnonzero((self._index == (int(i), int(j))).all(1))[0])
 
     def lit(self, image: np.ndarray) -> np.ndarray:
@@ -338,11 +338,11 @@ class LensSet:
         )
 
     def _samples(self, which: np.ndarray) -> list[_DetectorSamples]:
-        """Take the samples of the detector along x and y of some lenses."""
+        """Return the detector samples of lenses along x and y."""
         return [_DetectorSamples.of(self.centre[which, axis], self.tile, axis) for axis in (0, 1)]
 
     def _own(self, which: np.ndarray, x: _DetectorSamples, y: _DetectorSamples) -> list[np.ndarray]:
-        """Return the factors that say which samples are recorded and belong to each lens: those of its chief rays."""
+        """Return factors that mark samples which are recorded and belong to the lens by their chief rays."""
         lattice, (i, j) = self.tile.camera.lattice, self._index[which].T[..., None]
         if lattice.axis_aligned:
             own = [
@@ -369,7 +369,7 @@ class _DetectorSamples:
 
     @classmethod
     def of(cls, centre: np.ndarray, tile: LensTile, axis: int) -> _DetectorSamples:
-        """Take the samples of lenses with these centres."""
+        """Return the samples of lenses with given centres."""
         camera, n = tile.camera, tile.subsamples
         b, z = camera.mla_distance, camera.reduced_distance
         offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
@@ -416,7 +416,7 @@ def reconstruct_lens_by_lens(
     progress: Progress = lambda done: None,
     conjugates: Conjugates | None = None,
 ) -> list[np.ndarray]:
-    """Propagate every lens alone and add the powers in bins: the limit of `reconstruct_subsets` for large periods."""
+    """Return images from lenses propagated one by one, the limit of `reconstruct_subsets` for large periods."""
     tile = reconstruction_tile(camera, wavelength, distances, oversample)
     check_memory(tile.memory, "wave reconstruction lens by lens")
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
@@ -505,7 +505,7 @@ def passing_power(fields: Field, tile: LensTile, batch: LensBatch, distance: flo
 
 
 def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
-    """Multiply pupil fields by the phase of the path from the lens's centre to its image, and by the pupil."""
+    """Return pupil fields times the phase from the lens's centre to its image, and times the pupil."""
     types = backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(fields), tile.pupil.size
@@ -542,7 +542,7 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
 
 
 def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
-    """Cut the sum over lenses to the bins of the image."""
+    """Return the bins of the image, cut from the sum over lenses."""
     tile = lenses.tile
     columns, rows = tile.camera.bin_count
     image = np.zeros((rows * tile.oversample, columns * tile.oversample))

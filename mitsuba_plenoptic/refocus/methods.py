@@ -39,7 +39,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The inputs of a method of reconstruction, all of which have been checked.
+    """Checked inputs of a method of reconstruction.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An image (rows, columns, channels), NaN where no light can come from, and facts about it: plain data by name."""
+    """Image (rows, columns, channels), NaN where no light can come from, with facts as plain data by name."""
 
     image: np.ndarray
     facts: dict[str, Any] = field(default_factory=dict)
@@ -104,7 +104,7 @@ def portion(progress: Progress, number: int, works: Sequence[float]) -> Progress
 
 
 def work_of(wavelengths: Sequence[float]) -> list[float]:
-    """Return the amounts of work for waves of some wavelengths, which their samples along both axes determine."""
+    """Return the amounts of work for waves of given wavelengths, by their samples along both axes."""
     return [wavelength**-2 for wavelength in wavelengths]
 
 
@@ -114,7 +114,7 @@ Refocus = Callable[..., Sequence[np.ndarray | Found]]
 
 @dataclass(frozen=True)
 class RegisteredMethod:
-    """A method of reconstruction as `method` registers it."""
+    """Method of reconstruction with its options, registered by `method`."""
 
     name: str
     refocus: Refocus
@@ -204,7 +204,7 @@ def require_upright(camera: PlenopticCamera) -> None:
 
 
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
-    """Return the distances, all of which lie before the camera."""
+    """Return the distances; refuse one that does not lie before the camera."""
     try:
         several = np.ndim(distance) > 0
     except ValueError:

@@ -133,7 +133,7 @@ class AxisStep:
 
     @property
     def reversed(self) -> AxisStep:
-        """The step from the destination samples to the source samples."""
+        """Step from the destination samples to the source samples."""
         return AxisStep(self.start, self.new_pitch, self.wanted, self.new_padded, self.padded, self.first, self.count)
 
 
@@ -146,7 +146,7 @@ class Step:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns at the destination."""
+        """Numbers of rows and columns at the destination."""
         return self.y.wanted, self.x.wanted
 
     @property
@@ -183,7 +183,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Directions(Step):
-    r"""A step by one transform, from samples to the lowest frequencies of the field; it ends at the spectrum.
+    r"""Step by one transform from samples to the lowest frequencies of the field, where it ends.
 
     From the MLA these are places on the main lens; from the main lens they are direction cosines, multiples of the
     wavelength over the window. The step back leads to the source samples.
@@ -191,13 +191,13 @@ class Directions(Step):
 
     @property
     def transforms(self) -> tuple[tuple[int, int, bool], ...]:
-        """The transforms to the spectrum."""
+        """Transforms from samples to the spectrum."""
         return super().transforms[:2]
 
 
 @dataclass(frozen=True)
 class Strip:
-    """Rows of the lit pixels that go to the main lens together; its samples are the same for all strips.
+    """Rows of lit pixels that go to the main lens together; the samples there are equal for all strips.
 
     `beyond_paraxial` stays in the plane of the MLA, and `to_main_lens` is the paraxial transform from there.
     """
@@ -262,7 +262,7 @@ class FieldPlan:
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
-    r"""Field samples across a pixel on the detector.
+    r"""Return the number of field samples across a pixel of the detector.
 
     The range of direction cosines must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` on both
     sides of the chief ray, whose own is that of the rim. On the MLA it must hold, beside the light that the main lens
@@ -279,7 +279,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
 def plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int = 1
 ) -> FieldPlan:
-    """Choose the grids for one capture and some object distances: as few strips as memory allows."""
+    """Return the grids for a capture and object distances, with as few strips as memory allows."""
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
     while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
@@ -373,7 +373,7 @@ def _main_lens_steps(
     detector: Sequence[AxisStep],
     oversample: int,
 ) -> tuple[list[tuple[AxisStep, AxisStep]], LensAxis, list[AxisStep]]:
-    """Plan the two steps from the MLA, in strips, to the main lens, its samples, and the steps to the object planes."""
+    """Return the two steps from the MLA, in strips, to the main lens, and the steps to the object planes."""
     b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
     steepest = (radius + half_mla) / b + _MARGIN_ORDERS * wave / min(camera.mla_pitches)
@@ -402,7 +402,7 @@ def _main_lens_steps(
 def _beyond_paraxial(
     on_array: AxisStep, count: int, distance: float, steepest: float, beside: float, wave: float
 ) -> AxisStep:
-    """Plan the step in the plane of the MLA, which displaces light and leaves directions up to a steepest one.
+    """Return the step in the plane of the MLA that displaces light and keeps directions up to a steepest one.
 
     The window has room for `count` samples, and for light `beside` them in millimetres.
     """

@@ -182,14 +182,14 @@ def is_reached(rays: np.ndarray) -> np.ndarray:
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:
-    """Part of a lens over which its light is spread: all for an unfocused one, none where a focused one is sharp."""
+    """Fraction of a lens over which its light is spread: 1 for unfocused cameras, 0 where a focused one is sharp."""
     if focus_type(camera) == "unfocused":
         return 1.0
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 
 
 class LensSpread:
-    """The spread of the light of each lens over its aperture, enlarged by `scale`, and the sum of fine bins to bins.
+    """Spread of each lens's light over its aperture, enlarged by `scale`, and summation of fine bins.
 
     A lens has gathered light over its aperture. Where a lens lies on every bin spreading it would change nothing in
     focus; elsewhere the light of all of a lens would go to the one bin that holds its centre, and some bins would get
@@ -201,7 +201,7 @@ class LensSpread:
         self._fine = fine
 
     def forward(self, power: np.ndarray) -> np.ndarray:
-        """Spread the power of fine bins, and sum it to bins."""
+        """Return bins, sums of the power of fine bins spread over lenses."""
         rows, columns = (size // self._fine for size in power.shape)
         return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 

@@ -11,7 +11,7 @@ from .ray_sums import pupil_radius, ray_sums
 
 @method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
-    r"""Trace one ray per pixel back to the object plane, and add the pixel's value to the bin that it hits.
+    r"""Return images of bins to which the values of pixels are added, each by one ray back to the object plane.
 
     The ray passes the centres of the pixel and of its lens. With ``footprint="point"`` the whole value is added to one
     bin. With ``"lens"`` it is spread over the area that rays through the whole lens hit, because the pixel has

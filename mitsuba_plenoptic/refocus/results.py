@@ -272,7 +272,7 @@ class Volume:
 
 
 def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
-    """Check, before a long computation, that a volume of these planes can be written as the file's suffix says."""
+    """Return a path after a check, before a long computation, that a volume of these planes can be written there."""
     path = require_writable(path, *SUFFIXES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)
@@ -345,7 +345,7 @@ def _is_ome(path: Path) -> bool:
 
 
 def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
-    """Take bins that are `width` voxels wide to voxels about the same middle, along one axis; NaN beyond the bins."""
+    """Return voxels from bins `width` voxels wide about the same middle, along one axis; NaN beyond the bins."""
     bins = image.shape[axis]
     position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
     outside = np.abs(position - (bins - 1) / 2) > bins / 2 + 1e-6

@@ -61,7 +61,7 @@ class Splat:
     def of(
         cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
     ) -> Splat:
-        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as in `ray_sums`."""
+        """Return the splat of a camera's pixels within a radius of the pupil; arguments as in `ray_sums`."""
         focal_lengths = camera.mla_focal_lengths
         fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
@@ -94,7 +94,7 @@ class Splat:
         return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
 
     def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Apply the transpose of `forward`, to float64 pixels (rows, columns, channels)."""
+        """Return the transpose of `forward`: float64 pixels (rows, columns, channels)."""
         margin, (down, across) = self.margin, self.size
         padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
         result = np.zeros((shape[0] * shape[1], bins.shape[2]))
@@ -107,7 +107,7 @@ class Splat:
         return result.reshape(*shape, -1)
 
     def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
-        """Yield for each type of lens which of the pixels are its, and its footprint."""
+        """Yield, for each type of lens, a mask of the pixels behind such lenses, and their footprint."""
         for index, taps in enumerate(self.footprints):
             yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
 
@@ -162,7 +162,7 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
 
 
 def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Return the fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around it.
+    """Return fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around.
 
     The footprint is drawn in fine samples; its sum is 1.
     """
@@ -207,7 +207,7 @@ def _landing(
 def _places(
     camera: PlenopticCamera, distance: float, radius: float
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield what `traced_places` does behind a thin main lens, where all along a ray is linear in pixel and centre."""
+    """Yield the places of `traced_places` behind a thin main lens, where rays are linear in pixel and centre."""
     of_pixel = np.array(follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(follow_back(0.0, 1.0, 1.0, distance, camera))
     px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
@@ -283,7 +283,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
 
 
 def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, Any]]:
-    """Yield some rows at a time, with x and y of their pixels' centres."""
+    """Yield slices of rows with x and y of the centres of their pixels."""
     rows, columns = camera.shape
     x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
     together = max(1, _LANES // columns)

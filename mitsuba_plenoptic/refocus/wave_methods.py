@@ -98,13 +98,13 @@ _APART = 2
 
 @method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
-    """Follow the light back as one coherent wave."""
+    """Return images from the light followed back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
 @method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Follow the light back as one wave for each subset of lenses, or for each lens."""
+    """Return images from the light followed back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
@@ -157,7 +157,7 @@ def _signed_power(
     oversample: int,
     progress: Progress,
 ) -> list[np.ndarray]:
-    """Return the power in bins, in pixel values times pixels, spread over lenses where these do not lie on bins.
+    """Return the power in bins, in pixel values times pixels, spread over lenses that do not lie on bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
     Fields have the samples that all `planned` distances need: ratios of images, such as displacements, which are of

@@ -27,7 +27,7 @@ _RAYS_PER_PASS = 2**24
 
 
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
-    """Render what a thin lens of the camera's aperture sees when focused at `distance`, one pixel a bin.
+    """Return the image by a thin lens of the camera's aperture focused at `distance`, one pixel per bin.
 
     There are `oversample` bins per lens along each axis.
     """
@@ -38,7 +38,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Render the camera's field of view from the centre of its main lens, `columns` wide, everything sharp."""
+    """Return the sharp image of the camera's field of view from the centre of its main lens, `columns` wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
@@ -70,7 +70,7 @@ def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, in
 
 
 def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
-    """Render a picture by rays, in passes of bounded size."""
+    """Return a picture by rays, rendered in passes of bounded size."""
     columns, rows = sensor.film().crop_size()
     integrator = scene.integrator()
     # A wave integrator's child sees the scene by rays.
@@ -88,7 +88,7 @@ _FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
-    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it starts from."""
+    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it refocuses."""
 
     name: str
     title: str
@@ -113,7 +113,7 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment."""
+    """Settings of an experiment: scene, camera, distances and methods."""
 
     # A scene file or a built-in name.
     scene: str
@@ -144,7 +144,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Results of an experiment."""
+    """Captures and reconstructions of an experiment."""
 
     settings: Settings
     camera: PlenopticCamera
@@ -172,7 +172,7 @@ class Experiment:
 
 
 def run_experiment(settings: Settings, store: Stages) -> Experiment:
-    """Capture and refocus, taking from the store what is already there."""
+    """Return captures and reconstructions of an experiment; finished stages come from the store."""
     refuse_if(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
@@ -260,7 +260,7 @@ def run_experiment(settings: Settings, store: Stages) -> Experiment:
 def load_with_sensor(
     name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
 ) -> Any:
-    """Load a scene, with the camera of these parameters in place of its own; refuse one without a plenoptic sensor."""
+    """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
     scene = load_scene(name, parameters=parameters, unit=unit)
     if camera is not None:
         return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
@@ -270,7 +270,7 @@ def load_with_sensor(
 
 
 def open_store(output: Path, stages: StageOptions | None) -> Stages:
-    """Check, before the work, that the output folder can be made; it is made with the first stage."""
+    """Return the store of an output folder, checked before the work and made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
@@ -293,7 +293,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Reduce a capture whose film has three equal channels, of a mono variant, to one."""
+    """Return a capture of a mono variant, whose film has three equal channels, with one channel."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

@@ -120,7 +120,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
 
 
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
+    """Write a focal stack: parts named by distance, or the images side by side as PNG."""
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
     white = drawing.brightness.peak([stack.values])
     picture = _enlarged(_tiled(list(images.values())), drawing)
@@ -158,7 +158,7 @@ def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
 
 
 def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or pictures as PNG.
+    """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or as PNG.
 
     The true depth is a part, too, where it is known.
 
@@ -203,12 +203,12 @@ def _write(
 
 
 def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
-    """Repeat the bins of a picture as often as asked for, or as makes a small one visible."""
+    """Return a picture with bins repeated as often as requested, or as makes a small picture visible."""
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 
 def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-    """Return parts of one image each."""
+    """Return images as parts of a file, one image per part."""
     return {name: image_channels(image) for name, image in images.items()}
 
 

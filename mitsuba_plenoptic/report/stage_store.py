@@ -48,7 +48,7 @@ def _ignore(*_: Any) -> None:
 
 @dataclass(frozen=True)
 class StageOptions:
-    """How the progress of stages is reported, and what becomes of checkpoints."""
+    """Settings of stages: report of progress, and treatment of checkpoints."""
 
     # Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
     notify: Callable[[str, int, int], None] = _ignore
@@ -137,7 +137,7 @@ def software() -> dict[str, str]:
 
 
 def time_summary(seconds: dict[str, float]) -> str:
-    """Say how long the stages took together, and the longest one."""
+    """Return a sentence on the time of all stages together, and on the longest stage."""
     total = sum(seconds.values())
     longest = max(seconds, key=lambda name: seconds[name])
     return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"

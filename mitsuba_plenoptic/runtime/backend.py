@@ -49,7 +49,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def require_own_process() -> None:
-    """Refuse a forked process, which lacks Dr.Jit's threads and would wait for them for ever."""
+    """Refuse a forked process, which lacks Dr.Jit's threads and would wait for ever."""
     refuse_if(
         _forked,
         "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
@@ -116,7 +116,7 @@ def packets(array: NDArray[Any], kind: Any = None) -> NDArray[Any]:
 
 
 def _whole_packets(count: int) -> int:
-    """Return how many numbers are in the packets that hold `count`."""
+    """Return the size of the whole packets that hold `count` numbers."""
     return -(-count // _PACKET) * _PACKET
 
 
@@ -246,22 +246,22 @@ def select(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Return the smaller of two numbers; of plain ones a plain one."""
+    """Return the smaller of two numbers, plain if both are plain."""
     return min(a, b) if isinstance(a, (int, float)) else module_of(a).minimum(a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Return the greater of two numbers; of plain ones a plain one."""
+    """Return the greater of two numbers, plain if both are plain."""
     return max(a, b) if isinstance(a, (int, float)) else module_of(a).maximum(a, b)
 
 
 def sqrt(value: Any) -> Any:
-    """Return the square root; of a plain number a plain one, as NumPy's would turn Dr.Jit arrays into NumPy's."""
+    """Return the square root, plain for a plain number, as NumPy's would turn Dr.Jit arrays into NumPy's."""
     return float(np.sqrt(value)) if isinstance(value, (int, float)) else module_of(value).sqrt(value)
 
 
 def safe_sqrt(value: Any, least: float = 1e-20) -> Any:
-    """Return the square root, of what is below `least` that of `least`, so that its derivative is finite."""
+    """Return the square root of the value, or of `least` if that is greater, so that the derivative is finite."""
     return sqrt(maximum(value, least))
 
 
@@ -281,12 +281,12 @@ def quotient(index: Any, divisor: int, types: Any = mi) -> Any:
 
 
 def is_zero(value: Any) -> bool:
-    """Whether a number is plain and zero, so that what it multiplies can be left out."""
+    """Return whether a number is plain and zero, so that products with it can be left out."""
     return isinstance(value, (int, float)) and value == 0
 
 
 def turn(x: Any, y: Any, degrees: Any) -> tuple[Any, Any]:
-    """Turn positions counter-clockwise about the axis; floats, NumPy arrays or Dr.Jit arrays."""
+    """Return positions turned counter-clockwise about the axis; floats, NumPy or Dr.Jit arrays."""
     if is_zero(degrees):
         return x, y
     angle = degrees * (math.pi / 180)

@@ -46,7 +46,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Part:
-    """The sum of one batch."""
+    """Sum of one batch, with its place in the image."""
 
     # Where it lies on the grid.
     box: Box
@@ -62,7 +62,7 @@ class Batch(Protocol):
         """Samples of all its fields, to which the time is about proportional."""
 
     def prepare(self) -> Callable[[], Any]:
-        """Run what Dr.Jit does, and return the rest: a function that any thread may call for the batch's result."""
+        """Run Dr.Jit's part of a batch; return a function that any thread may call for the batch's result."""
 
 
 class BatchMap(Protocol):
@@ -77,15 +77,15 @@ class BatchMap(Protocol):
 
     @property
     def threads(self) -> int:
-        """How many of them are computed in this process."""
+        """Number of batches that are computed at a time in this process."""
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
-        """Compute the batches; closed early, it drops those in progress."""
+        """Yield the results of batches; if closed early, drop batches in progress."""
 
 
 @dataclass(frozen=True)
 class PartialSum:
-    """A partial sum."""
+    """Sum of several batches so far."""
 
     # The batches that are in it: the first ones.
     batches: int
@@ -448,7 +448,7 @@ def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
 
 
 def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]) -> list[Any]:
-    """Compute batches, on a worker."""
+    """Return the results of batches, computed on a worker."""
     _check_software(software(), versions, "a worker")
     results = []
     for batch in batches:

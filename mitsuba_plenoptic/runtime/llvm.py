@@ -40,12 +40,12 @@ class Library:
 
     @property
     def usable(self) -> bool:
-        """Whether Dr.Jit can compile everything with it."""
+        """Whether Dr.Jit can compile all kernels with this library."""
         return self.version >= (MINIMUM,)
 
     @property
     def version_text(self) -> str:
-        """The version, as in ``LLVM 19.1``."""
+        """Version of the library, as in ``LLVM 19.1``."""
         return format_version(self.version)
 
 
@@ -84,7 +84,7 @@ def choose() -> None:
 
 
 def problem() -> str | None:
-    """Return why the LLVM that Dr.Jit has loaded is unusable and what to do, in one sentence; None if it is usable.
+    """Return why Dr.Jit's LLVM is unusable and how to mend it, in one sentence; None if it is usable.
 
     Nothing is compiled, since that is what aborts the process.
     """

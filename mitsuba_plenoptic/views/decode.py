@@ -110,7 +110,7 @@ def checked_images(
     white: Capture | np.ndarray | None,
     grid: LensGrid | None,
 ) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
-    """Return the capture's image, the white image and the camera that `decode` is given, or refuse them.
+    """Return the capture's image, the white image and the camera for `decode`; refuse unsuitable ones.
 
     The result has the shape (rows, columns, channels), (rows, columns, 1).
     """
@@ -163,7 +163,7 @@ def _reference(camera: PlenopticCamera | None, white: np.ndarray | None, grid: L
 def _coordinates(
     truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Return ground truth as coordinates of the light field of its camera."""
+    """Return ground truth as coordinates of its camera's light field."""
     planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
         not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
@@ -185,14 +185,14 @@ def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: i
 
 
 def _brightness(middle: np.ndarray) -> np.float32:
-    """Typical value of a white image in the middle of its micro-images."""
+    """Return a typical value of a white image in the middle of micro-images."""
     lit = middle[middle > 0]
     refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
     return np.float32(np.median(lit))
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """Return how many views lie on either side of the central one, and mark those that see this lens alone.
+    """Return the number of views on either side of the central one, and a mask of views that see this lens alone.
 
     The result has the shape (2 half + 1, 2 half + 1).
     """
@@ -211,7 +211,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
 
 
 def _upright(lenses: LensGrid) -> LensGrid:
-    """Return a square upright grid of the same density that fills what the lenses cover."""
+    """Return a square upright grid of the same density over the area of the lenses."""
     pitch = lenses.pitch
     low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
     if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:
@@ -246,7 +246,7 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
 def _sample(
     image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
 ) -> np.ndarray:
-    """Sample the lenses of an image, and interpolate between them.
+    """Return samples of an image for all lenses, interpolated between lenses.
 
     The result has the shape (2 half + 1, 2 half + 1, rows, columns, channels).
     """
@@ -259,7 +259,7 @@ def _sample(
 
 
 def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
-    """Sample an image at whole-pixel steps about each micro-image centre.
+    """Return samples of an image at whole-pixel steps about each micro-image centre.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """

@@ -46,7 +46,7 @@ class LensViews:
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
-        """Find the lenses in the image of the stop."""
+        """Return the lenses in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
         refuse_if(
             abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
@@ -103,7 +103,7 @@ def decode_views(
 
 
 def _room(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return the width and height of a rectangle about each lens's centre that overlaps none of its neighbours'."""
+    """Return width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle."""
     lattice = camera.lattice
     along, across = float(lattice.pitches[0]), float(lattice.row_distance)
     upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
@@ -113,7 +113,7 @@ def _room(camera: PlenopticCamera) -> tuple[float, float]:
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return the light that the apertures of lenses at some positions receive, relative to that of an even stop."""
+    """Return the light that apertures of lenses receive, relative to an evenly lit stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
@@ -132,7 +132,7 @@ def _in_stop(
 
 
 def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct positions, rising, and the index of each among them."""
+    """Return the distinct positions in rising order, and the index of each position among them."""
     order = np.argsort(positions)
     line_of = np.cumsum(np.diff(positions[order], prepend=-np.inf) > tolerance) - 1
     result = np.empty(len(positions), np.int64)

@@ -122,7 +122,7 @@ def open_micro_images(
     linear: bool = False,
     camera: PlenopticCamera | None = None,
 ) -> MicroImages | None:
-    """Sample the micro-images of a capture's file, for the depth maps of focused cameras.
+    """Return the micro-images of a capture's file, for depth maps of focused cameras; None for other cameras.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
 
 
 def require_light_field_path(path: str | Path) -> Path:
-    """Check, before a long computation, that a light field can be written there, in the format of its suffix.
+    """Return a path after a check, before a long computation, that a light field can be written there.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def require_light_field_path(path: str | Path) -> Path:
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:
-    """Read the ground truth of a capture: a file, or the one that the capture names, if it is there and is its own."""
+    """Return the ground truth of a capture: from a file, or from the capture's own file if it exists; else None."""
     if not isinstance(truth, bool):
         return read_ground_truth(truth)
     name = capture.metadata.get(NAME)
@@ -286,7 +286,7 @@ def read_labelled(path: str | Path) -> xr.DataArray:
 
 
 def _require_zarr_memory(path: Path) -> None:
-    """Refuse a folder whose arrays, or the chunks in which they are read, would not fit into memory."""
+    """Refuse a folder with arrays, or chunks of arrays, that would not fit into memory."""
     import zarr
 
     for file in path.rglob("*"):

@@ -31,7 +31,7 @@ _POINTS = 8
 
 
 class PupilFraction:
-    r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
+    r"""Fraction of an endless pupil's light that each pixel gets through the camera's pupil.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
     position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
@@ -119,7 +119,7 @@ _log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
-    """Compute what a camera records of a scene of uniform radiance 1.
+    """Return the capture of a scene of uniform radiance 1 that a camera would record.
 
     The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
     array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
@@ -285,7 +285,7 @@ def scaled_white(
 
 
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
-    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+    """Divide samples in place by the fraction of the pupil they see; set both to 0 where it is too small.
 
     So they do where a sample is not of one lens `alone`.
     """
@@ -295,14 +295,14 @@ def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray |
 
 
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
-    """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
+    """Refuse a white capture with less than a required fraction, and warn below one half."""
     refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
         warnings.warn(f"{text}: {rule}", stacklevel=2)
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
+    """Return the mean response of pixels to light of a lens on the axis, which computed white images leave out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
     # Importing this takes longer than most commands of a shell need in all.
@@ -337,7 +337,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
+        """Return the heights towards the main lens of lenses of micro-images (n, 2), relative to one on the axis."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, read_capture, write_capture
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_capture, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.light.detector import Detector, expose
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
 

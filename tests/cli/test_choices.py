@@ -6,10 +6,10 @@ import pytest
 
 from mitsuba_plenoptic.cli import COMMANDS, choices
 from mitsuba_plenoptic.cli.render_command import expose
-from mitsuba_plenoptic.extensions.onchip.halves import LAYOUTS
 from mitsuba_plenoptic.io import captures, examples
 from mitsuba_plenoptic.io import truth_files as ground_truth
 from mitsuba_plenoptic.light import detector, scene
+from mitsuba_plenoptic.onchip import LAYOUTS
 from mitsuba_plenoptic.refocus import methods
 from mitsuba_plenoptic.refocus_options import METHODS
 from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS

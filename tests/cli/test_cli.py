@@ -21,9 +21,8 @@ from PIL import Image
 from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import start_command
 
-from mitsuba_plenoptic import PlenopticCamera, read_capture, read_ground_truth, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, read_ground_truth, write_capture
 from mitsuba_plenoptic.cli import app, main
-from mitsuba_plenoptic.io.captures import Capture
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report import installation
 from mitsuba_plenoptic.views import white_image

@@ -8,9 +8,8 @@ import numpy as np
 import OpenEXR
 import tifffile
 
-from mitsuba_plenoptic import PlenopticCamera, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.io.captures import Capture
 from mitsuba_plenoptic.views import white_image
 
 

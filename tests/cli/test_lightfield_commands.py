@@ -13,11 +13,11 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, render_capture, with_camera, write_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, render_capture, with_camera, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
+from mitsuba_plenoptic.exchange import open_light_field
 from mitsuba_plenoptic.report.images import Brightness, srgb, to_bytes
-from mitsuba_plenoptic.views import decode, depth_map, epipolar_image, focal_stack, refocus, white_image
+from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, refocus, white_image
 from mitsuba_plenoptic.views.coordinates import camera_of
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))

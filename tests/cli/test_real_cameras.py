@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import tifffile
 from foreign_files import lytro_metadata, write_lytro, write_lytro_white
+from scene_cases import colour_filters
 
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture
-from mitsuba_plenoptic.extensions.raw.lytro_file import read_lytro
+from mitsuba_plenoptic.exchange import read_lytro
 from mitsuba_plenoptic.io.exr import read_exr
-from mitsuba_plenoptic.light.detector import filters
 from mitsuba_plenoptic.views import white_image
 
 COLUMNS, ROWS = 160, 120
@@ -94,7 +94,7 @@ def test_a_tiff_file_and_its_camera(mosaic, tmp_path, run):
     light = white[..., None] * [0.2, 0.4, 0.6]
     image = light.mean(2)
     if mosaic is not None:
-        image = np.take_along_axis(light, filters(camera, mosaic)[..., None], 2)[..., 0]
+        image = np.take_along_axis(light, colour_filters(camera, mosaic)[..., None], 2)[..., 0]
     tifffile.imwrite(tmp_path / "raw.tiff", np.uint16(256 + np.rint(image * 60000)))
     source, known = tmp_path / "raw.tiff", ["--camera", tmp_path / "camera.json"]
     if mosaic is not None:

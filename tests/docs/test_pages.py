@@ -15,7 +15,7 @@ import typer
 from check_release import page_code
 
 import mitsuba_plenoptic
-from mitsuba_plenoptic.cli import PROGRAM, app, commands_of
+from mitsuba_plenoptic.cli import app, commands_of
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -25,7 +25,7 @@ COMMANDS = dict(commands_of(typer.main.get_command(app)))
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_commands_and_names_exist(page):
     text = page.read_text()
-    for line in re.findall(rf"^(?:\$ )?{PROGRAM} ([a-z].*)$", text, flags=re.MULTILINE):
+    for line in re.findall(r"^(?:\$ )?mitsuba-plenoptic ([a-z].*)$", text, flags=re.MULTILINE):
         name, *words = shlex.split(line.split("#")[0])
         name = name if name in COMMANDS else f"{name} {words[0]}"
         known = {option for parameter in COMMANDS[name].params for option in parameter.opts + parameter.secondary_opts}

@@ -21,12 +21,9 @@ from scene_cases import definitions, letters
 from stopped_runs import CheckpointStore, StoppedError, start_command, stopped_before
 from wave_cases import scattered, small_camera
 
-from mitsuba_plenoptic import InputError, load_scene, read_capture, render_capture
+from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, load_scene, read_capture, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.io.checkpoints import Checkpoint
-from mitsuba_plenoptic.points.operator import CaptureOperator
-from mitsuba_plenoptic.runtime.batches import Job
 
 SMALL = small_camera()
 SCENE = letters(4)

@@ -13,15 +13,13 @@ import yaml
 from stopped_runs import StoppedError, stopped_before
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import Checkpoint, Job, Spectrum
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.dataset import DataSet, make_dataset, parse_recipe
-from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
+from mitsuba_plenoptic.exchange import open_light_field
 from mitsuba_plenoptic.io import captures
-from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.io.exr import read_attributes, read_exr
 from mitsuba_plenoptic.io.versions import camera_of_waves
-from mitsuba_plenoptic.optics.spectrum import Spectrum
-from mitsuba_plenoptic.runtime.batches import Job
 from mitsuba_plenoptic.views import white_image
 
 OLD = Path(__file__).parents[1] / "files_of_1_0"

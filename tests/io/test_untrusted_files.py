@@ -37,7 +37,7 @@ from mitsuba_plenoptic import (
 from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.dataset import DataSet, read_recipe
-from mitsuba_plenoptic.extensions.raw.exchange import open_light_field, read_picture, save_light_field
+from mitsuba_plenoptic.exchange import open_light_field, read_picture, save_light_field
 from mitsuba_plenoptic.io.exr import write_exr_parts
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)

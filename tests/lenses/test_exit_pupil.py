@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 
 POINT, WAVELENGTH = (20.0, -60.0, 300.0), 633.0

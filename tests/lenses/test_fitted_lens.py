@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from wave_cases import thin_as_real
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem

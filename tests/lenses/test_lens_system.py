@@ -9,10 +9,9 @@ import pytest
 from drjit.llvm.ad import Float, Float64
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic import LensSystem, PlenopticCamera, Prescription
 from mitsuba_plenoptic.lenses import sequential
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
-from mitsuba_plenoptic.prescription import BUNDLED, Prescription, bundled_prescription, paraxial
+from mitsuba_plenoptic.prescription import BUNDLED, bundled_prescription, paraxial
 from mitsuba_plenoptic.report.lens_drawing import field_figures
 from tools.bench.cases import lenses
 

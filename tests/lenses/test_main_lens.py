@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drjit.llvm import Float64
 
-from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.thin import Wavefront, noll, zernike
 
 

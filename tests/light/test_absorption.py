@@ -4,10 +4,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
 from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
 from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses
-from mitsuba_plenoptic.points.point_spread import point_spread_function
 from tools.bench.cases.photodiodes import camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from wave_cases import HALF, error, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.light.lens_kinds import FigureError, irregularities
-from mitsuba_plenoptic.points.point_spread import point_spread_function
-from tools.bench.cases.microlens_shapes import SHAPES, WAVELENGTH, propagated
+from tools.bench.cases.arrays import GREEN, SHAPES, propagated
 
 POINT = np.array([0.03, -0.02, 114.0])
 
@@ -34,11 +33,11 @@ def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
         wrong = FigureError.of(camera)
         return own / longer + (0 if wrong is None else wrong.path(x, y))
 
-    found = point_spread_function(camera, POINT, wavelength=WAVELENGTH, method="full_field")
+    found = point_spread_function(camera, POINT, wavelength=GREEN, method="full_field")
     regular = camera.replace(mla_jitter=(0.0, 0.0), mla_figure_error=(0.0, 0.0))
-    expected = propagated(camera, path, POINT, WAVELENGTH)
+    expected = propagated(camera, path, POINT, GREEN)
     assert error(found, expected) < 0.01
-    assert error(point_spread_function(regular, POINT, wavelength=WAVELENGTH, method="full_field"), expected) > 0.05
+    assert error(point_spread_function(regular, POINT, wavelength=GREEN, method="full_field"), expected) > 0.05
 
 
 def test_a_figure_error_has_its_size_and_correlation():
@@ -76,6 +75,6 @@ def test_a_figure_error_deflects_rays(lens_model):
 def test_methods_with_orders_refuse_irregular_arrays():
     for changes in ({"mla_jitter": (0.001, 0.0)}, {"mla_figure_error": (1e-5, 0.02)}):
         with pytest.raises(InputError, match=f"{next(iter(changes))} = .*waves of points are followed"):
-            CaptureOperator(small_camera(2, **changes), [POINT], wavelength=WAVELENGTH)
+            CaptureOperator(small_camera(2, **changes), [POINT], wavelength=GREEN)
     with pytest.raises(InputError, match="correlation length must be greater than 0"):
         PlenopticCamera(mla_figure_error=(1e-5, 0.0))

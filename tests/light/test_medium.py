@@ -11,13 +11,13 @@ from mitsuba_plenoptic import (
     PlenopticCamera,
     calibrate,
     design,
+    point_spread_function,
     reconstruct,
     render_capture,
 )
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import point_fields
-from mitsuba_plenoptic.points.point_spread import point_spread_function
 
 GLASS = {"mla_medium": 1.5, "mla_focal_length": 0.768, "detector_distance": 0.8}
 """Lengths in a medium; in air two thirds of them have the same effect near the axis."""

@@ -7,13 +7,22 @@ import numpy as np
 import pytest
 from wave_cases import HALF, error, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, calibrate, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    PlenopticCamera,
+    calibrate,
+    point_spread_function,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.microlens import Conic, Sampled, ZoneLens
-from mitsuba_plenoptic.points.point_spread import point_spread_function
-from mitsuba_plenoptic.prescription.glass import LINE_D
 from mitsuba_plenoptic.runtime.backend import array_module
-from tools.bench.cases.microlens_shapes import SHAPES, WAVELENGTH, X, Y, bumpy, path_of, propagated
+from tools.bench.cases.arrays import GREEN, SHAPES, X, Y, bumpy, path_of, propagated
+
+LINE_D = 587.5618
+"""Helium's yellow line, in nanometres."""
 
 shapes = pytest.mark.parametrize("name", SHAPES)
 
@@ -27,8 +36,8 @@ def test_a_paraboloid_has_the_orders_of_a_parabolic_phase():
     camera = PlenopticCamera(mla_medium=1.4, mla_shape=Conic(0.2, -1.0, glass=1.6))
     assert camera.mla_focal_length == pytest.approx(1.4 * 0.2 / 0.6)
     plain = camera.replace(mla_shape=None, mla_focal_length=camera.mla_focal_length)
-    along, across = (axis_orders(plain, WAVELENGTH, 30, axis)[0] for axis in (0, 1))
-    found = PlaneFactor(camera, WAVELENGTH, 31 * WAVELENGTH * 1e-6 / 0.064 * np.sqrt(2)).orders()
+    along, across = (axis_orders(plain, GREEN, 30, axis)[0] for axis in (0, 1))
+    found = PlaneFactor(camera, GREEN, 31 * GREEN * 1e-6 / 0.064 * np.sqrt(2)).orders()
     middle = found.shape[0] // 2
     found = found[middle - 30 : middle + 31, middle - 30 : middle + 31]
     assert np.abs(found - across[:, None] * along).max() < 1e-4
@@ -61,7 +70,7 @@ def test_slopes_are_those_of_the_phase(name):
         assert smooth.mean() > 0.95
         assert np.allclose(found[smooth], ratio * change[smooth] * LINE_D * 1e-6, atol=2e-5)
     lanes = [array_module().Float64(values) for values in (x, y)]
-    assert np.allclose(np.array(shape.waves(*lanes, WAVELENGTH)), shape.waves(x, y, WAVELENGTH))
+    assert np.allclose(np.array(shape.waves(*lanes, GREEN)), shape.waves(x, y, GREEN))
     for one, other in zip(shape.slopes(*(mi.Float(values) for values in (x, y))), shape.slopes(x, y), strict=True):
         assert np.allclose(np.array(one), other, atol=1e-5)
 
@@ -78,8 +87,8 @@ def test_slopes_are_those_of_the_phase(name):
 def test_point_spreads_against_propagation(name, method):
     camera = small_camera(2, **HALF, mla_shape=SHAPES[name], mla_medium=1.3)
     position = np.array([0.03, -0.02, 114.0])
-    found = point_spread_function(camera, position, wavelength=WAVELENGTH, method=method)
-    expected = propagated(camera, name, position, WAVELENGTH)
+    found = point_spread_function(camera, position, wavelength=GREEN, method=method)
+    expected = propagated(camera, name, position, GREEN)
     assert error(found, expected) < 0.005
 
 
@@ -87,11 +96,14 @@ def test_a_sphere_is_as_far_from_a_parabola_as_its_sag():
     """Its edge is deeper by r^4 / 8 R^3, which changes a spread and its phase alike."""
     sphere, r = SHAPES["sphere"], 0.03
     parabola = Conic(0.25, -1.0)
-    deeper = (sphere.waves(r, 0.0, WAVELENGTH) - parabola.waves(r, 0.0, WAVELENGTH)) * WAVELENGTH * 1e-6
+    deeper = (sphere.waves(r, 0.0, GREEN) - parabola.waves(r, 0.0, GREEN)) * GREEN * 1e-6
     assert deeper == pytest.approx(-0.5 * r**4 / (8 * 0.25**3), rel=0.02)
     spreads = [
         point_spread_function(
-            small_camera(2, **HALF, mla_shape=shape), (0.0, 0.0, 114.0), wavelength=WAVELENGTH, method="full_field"
+            small_camera(2, **HALF, mla_shape=shape),
+            (0.0, 0.0, 114.0),
+            wavelength=GREEN,
+            method="full_field",
         )
         for shape in (parabola, sphere, Conic(0.25, 0.0, (-1 / (8 * 0.25**3),)))
     ]
@@ -173,8 +185,8 @@ def test_signed_rays_of_a_wall_against_its_moved_spot(name):
     scene = mi.load_dict(
         {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}, "camera": camera.to_sensor()}
     )
-    image = render_capture(scene, model="wave", method="signed_rays", spp=64, wavelength=WAVELENGTH).image
-    found, expected = image[16:32, 16:32], white_micro_image(camera, name, WAVELENGTH)
+    image = render_capture(scene, model="wave", method="signed_rays", spp=64, wavelength=GREEN).image
+    found, expected = image[16:32, 16:32], white_micro_image(camera, name, GREEN)
     assert error(found, expected) < 0.025
 
 
@@ -235,9 +247,9 @@ def test_refuses_what_contradicts_a_shape():
 
 def test_what_needs_parabolic_microlenses_refuses_others():
     camera, image = small_camera(2, mla_shape=SHAPES["sphere"]), np.ones((64, 64), np.float32)
-    operator = CaptureOperator(camera, [(0.0, 0.0, 230.0)], wavelength=WAVELENGTH)
+    operator = CaptureOperator(camera, [(0.0, 0.0, 230.0)], wavelength=GREEN)
     for call in (
-        lambda: reconstruct(image, 230.0, camera=camera, method="coherent", wavelength=WAVELENGTH),
+        lambda: reconstruct(image, 230.0, camera=camera, method="coherent", wavelength=GREEN),
         lambda: operator.derivative([1.0], {"mla_distance": 1.0}),
         lambda: calibrate([], None, camera),
     ):

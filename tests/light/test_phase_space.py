@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.phase_space import PhaseSpace
 from mitsuba_plenoptic.light.walk import Walk

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.scene_files import scene_names
 
 _WORDS = r"the whole scene is nearer than 4\.9 mm, within the main lens's focal length of 6\.84 mm: .* "
 
@@ -187,7 +186,7 @@ def test_a_scene_in_metres_that_is_larger_than_the_focal_length_is_told(depth, t
     assert [bool(re.search(words, str(one.message))) for one in found] == [True] * told
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.parametrize("name", sorted(path.stem for path in mp.scene_path("letters").parent.glob("*.xml")))
 def test_no_scene_of_the_package_is_taken_for_one_in_metres(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -7,7 +7,7 @@ import pytest
 import scipy.ndimage
 import scipy.signal
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, Job, PlenopticCamera
 from mitsuba_plenoptic.light.array_kernels import REACH, displaced
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
@@ -23,7 +23,7 @@ from mitsuba_plenoptic.light.signed_camera import (
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.light.signed_draws import Pixels
 from mitsuba_plenoptic.light.walk import Walk
-from mitsuba_plenoptic.runtime.batches import Box, Job, SumTask
+from mitsuba_plenoptic.runtime.batches import Box, SumTask
 
 PIXELS = 192
 MODELS = {

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, render_capture
-from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic import Checkpoint, InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.light.lens_kinds import LensKinds, irregularities
 from mitsuba_plenoptic.optics import rays
 from tools.bench.measures import spot_filtered

@@ -7,9 +7,11 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.prescription import Glass, bundled_prescription, paraxial
-from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
 
 CROWN = {"index": 1.5168, "abbe": 64.17}
+LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
+"""Fraunhofer's lines of helium and hydrogen, in nanometres."""
+
 LINES = (404.6561, LINE_F, LINE_D, 632.8, LINE_C, 706.5188)
 
 

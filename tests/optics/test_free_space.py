@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PhysicsError, PhysicsWarning
-from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic import InputError, PhysicsError, PhysicsWarning
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.runtime.fft import fft2
 

@@ -11,6 +11,7 @@ import pytest
 from scipy.special import j1
 
 from mitsuba_plenoptic import (
+    CaptureOperator,
     PhysicsError,
     PhysicsWarning,
     PlenopticCamera,
@@ -30,7 +31,6 @@ from mitsuba_plenoptic.plugins.camera_rays import Candidates
 from mitsuba_plenoptic.points import arrival as full_field_grids
 from mitsuba_plenoptic.points import patch_plan
 from mitsuba_plenoptic.points.field_grid import Band
-from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.refocus import write_reconstruction
 
 WAVELENGTH = 633.0

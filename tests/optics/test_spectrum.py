@@ -5,9 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic import InputError, PlenopticCamera, Spectrum, point_spread_function
 
 
 def test_lines_have_a_channel_each():

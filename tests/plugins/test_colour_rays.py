@@ -7,9 +7,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import PlenopticCamera, reconstruct, render_capture
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
-from mitsuba_plenoptic.optics.spectrum import RGB_WAVELENGTHS
+from mitsuba_plenoptic import LensSystem, PlenopticCamera, reconstruct, render_capture
+
+RGB_WAVELENGTHS = (611.4, 549.1, 464.3)
+"""Of red, green and blue in nanometres, as the documentation states them."""
 
 SMALL = {"resolution": (64, 64), "detector_width": 0.128}
 FLINT = {"index": 1.7, "abbe": 30.0}

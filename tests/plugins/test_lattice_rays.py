@@ -11,6 +11,7 @@ import pytest
 from scene_cases import disk
 
 from mitsuba_plenoptic import (
+    Capture,
     InputError,
     PlenopticCamera,
     design,
@@ -18,9 +19,9 @@ from mitsuba_plenoptic import (
     read_capture,
     reconstruct,
     render_capture,
+    write_capture,
 )
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
-from mitsuba_plenoptic.io.captures import Capture, write_capture
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 from tools.bench.cases.arrays import centroids

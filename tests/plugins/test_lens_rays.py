@@ -8,6 +8,7 @@ import pytest
 
 from mitsuba_plenoptic import (
     InputError,
+    LensSystem,
     PlenopticCamera,
     decode,
     load_scene,
@@ -15,7 +16,6 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
 from mitsuba_plenoptic.prescription import bundled_prescription
 
 

@@ -10,8 +10,7 @@ from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 from wave_cases import error
 
-from mitsuba_plenoptic import InputError, design, reconstruct, render_capture, scene_path
-from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic import InputError, design, point_spread_function, reconstruct, render_capture, scene_path
 
 SHARED = {"resolution": 128, "detector_width": 0.256}
 """Four lenses across: the camera of most tests, so that what is planned for it is planned once a wavelength."""

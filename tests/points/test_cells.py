@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from wave_cases import in_every_lens, small_camera
 
-from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.points.tile import CopyCells
 
 

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
-from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.optics.spectrum import Spectrum
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum
 from mitsuba_plenoptic.points import pupil_sums
 from mitsuba_plenoptic.points.nonuniform import PlaneWaves
-from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.points.point_spread import point_fields
 
 CAMERA = small_camera(4, **HALF)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from wave_cases import HALF, LATTICES, WAVELENGTH, capture, error, scattered, small_camera
 
-from mitsuba_plenoptic import PlenopticCamera, render_capture
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function, render_capture
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.points.point_spread import point_spread_function
 
 SMALL = small_camera()
 

@@ -8,14 +8,11 @@ import pytest
 from scipy.sparse.linalg import lsqr
 from wave_cases import CAMERAS, HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, scattered, small_camera
 
-from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic import CaptureOperator, InputError, Job, PlenopticCamera, Spectrum, point_spread_function
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
-from mitsuba_plenoptic.optics.spectrum import Spectrum
-from mitsuba_plenoptic.points.operator import PLANS, CaptureOperator
-from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic.points.operator import PLANS
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
-from mitsuba_plenoptic.runtime.batches import Job, Threads
+from mitsuba_plenoptic.runtime.batches import Threads
 
 SMALL = small_camera()
 

@@ -6,15 +6,11 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
-from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic import CaptureOperator, InputError, Job, PlenopticCamera, Spectrum
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.points.arrival import field_grids
 from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE
 from mitsuba_plenoptic.points.full_field import full_field
-from mitsuba_plenoptic.points.operator import CaptureOperator
-from mitsuba_plenoptic.runtime.batches import Job
 
 CAMERAS = {
     "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},

@@ -5,12 +5,10 @@ import pytest
 from scipy.special import j0, j1
 from wave_cases import HALF, WAVELENGTH, capture, error, in_every_lens, small_camera
 
-from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.errors import InputError
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import full_field
-from mitsuba_plenoptic.points.operator import CaptureOperator
-from mitsuba_plenoptic.points.point_spread import point_fields, point_spread_function
+from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from tools.bench.cases import lens_models, point_spreads
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, in_every_lens, scattered, small_camera
 
+from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.lenses.fitted_lens import lens_change
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import Wavefront
@@ -15,7 +16,6 @@ from mitsuba_plenoptic.points.arrival import field_grids
 from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE
 from mitsuba_plenoptic.points.derivatives.plan import DerivativePlan
 from mitsuba_plenoptic.points.full_field import full_field
-from mitsuba_plenoptic.points.operator import CaptureOperator
 
 POINT = np.array((0.03, -0.02, 115.0))
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from wave_cases import HALF, LATTICES, WAVELENGTH, error, in_every_lens, small_camera
 
+from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points import accuracy
 from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE, plan
-from mitsuba_plenoptic.points.operator import CaptureOperator
 
 MOVING = {"mla_pitch": (1.0, -0.5), "mla_distance": 1.0, "mla_rotation": 1.0, "detector_distance": 1.0}
 """Numbers by which copies change otherwise than their spreads."""

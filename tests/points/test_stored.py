@@ -5,12 +5,8 @@ import pytest
 from scipy.sparse.linalg import lsqr, svds
 from wave_cases import CAMERAS, WAVELENGTH, error, in_every_lens, scattered, small_camera
 
-from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.optics.guards import PhysicsError
-from mitsuba_plenoptic.optics.spectrum import Spectrum
-from mitsuba_plenoptic.points.operator import CaptureOperator
+from mitsuba_plenoptic import CaptureOperator, InputError, PhysicsError, Spectrum, StoredOperator
 from mitsuba_plenoptic.points.patch_plan import PatchPlan
-from mitsuba_plenoptic.points.stored import StoredOperator
 
 SMALL = small_camera(4)
 RED_AND_GREEN = Spectrum((633.0, 532.0, 610.0), ((1.0, 0.1, 0.8), (0.0, 1.0, 0.2)))

@@ -16,8 +16,8 @@ from mitsuba_plenoptic import (
     design,
     read_capture,
     reconstruct,
+    write_capture,
 )
-from mitsuba_plenoptic.io.captures import write_capture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optics.rays import microlens_slope
 from mitsuba_plenoptic.report.design_sheet import design_sheet

@@ -7,10 +7,9 @@ import warnings
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.camera import PlenopticCamera
-from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.prescription import BUNDLED, Glass, Prescription, bundled_prescription, paraxial
-from mitsuba_plenoptic.prescription.lens_file import read_prescription, write_prescription
+from mitsuba_plenoptic import InputError, PlenopticCamera, Prescription, read_prescription
+from mitsuba_plenoptic.prescription import BUNDLED, Glass, bundled_prescription, paraxial
+from mitsuba_plenoptic.prescription.lens_file import write_prescription
 
 BK7 = {"name": "N-BK7", "sellmeier": [1.03961212, 0.231792344, 1.01046945, 0.00600069867, 0.0200179144, 103.560653]}
 

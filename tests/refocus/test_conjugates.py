@@ -11,7 +11,7 @@ from mitsuba_plenoptic.refocus.conjugates import RealConjugates
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.splatting import traced_white
 from mitsuba_plenoptic.refocus.wave_methods import reconstruct_subsets
-from tools.bench.cases import field_of_view, lens_models
+from tools.bench.cases import lens_models
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}
 
@@ -30,7 +30,7 @@ def real_camera(lens="double_gauss", lenses=12, **numbers):
 
 def test_phases_for_many_points_are_stigmatic_behind_ideal_lenses_only():
     """On the axis and in the corner of the field: parabolic lenses have their aberrations of the third order."""
-    rows = list(field_of_view.fields(f_numbers=(2.0, 10.0), blurs=(0.0,), places=(0.0, 1.0)))
+    rows = list(lens_models.fields(f_numbers=(2.0, 10.0), blurs=(0.0,), places=(0.0, 1.0)))
     assert len(rows) == 8
     for row in rows:
         found = [row[name] for name in ("whole", "single", "laser")]

@@ -24,7 +24,7 @@ from mitsuba_plenoptic.refocus.deconvolution.cells import to_bins
 from mitsuba_plenoptic.refocus.deconvolution.response import Response, bin_weight
 from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.refocus.deconvolution.variation import Noise
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))

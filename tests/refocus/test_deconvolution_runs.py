@@ -10,6 +10,7 @@ from mitsuba_plenoptic import (
     Capture,
     CaptureOperator,
     Checkpoint,
+    Cluster,
     InputError,
     Objective,
     PlenopticCamera,
@@ -21,7 +22,7 @@ from mitsuba_plenoptic.refocus.deconvolution.response import Response
 from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.refocus.deconvolution.variation import Noise, TotalVariation
 from mitsuba_plenoptic.refocus_options import MOST_VARIATION
-from mitsuba_plenoptic.runtime.batches import Cluster, Threads
+from mitsuba_plenoptic.runtime.batches import Threads
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
 
-from mitsuba_plenoptic import PlenopticCamera, reconstruct
-from mitsuba_plenoptic.points.point_spread import point_spread_function
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
 from mitsuba_plenoptic.refocus import lens_by_lens
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.radiance import over_lenses, white_sums
 from mitsuba_plenoptic.refocus.wave_methods import reconstruct_subsets
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 SMALL = small_camera(12, **HALF)
 SCATTERED = scattered(5, distances=(112.5, 127.5), image=0.4)

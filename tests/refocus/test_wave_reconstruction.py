@@ -9,16 +9,15 @@ import pytest
 import wave_cases
 from wave_cases import HALF, WAVELENGTH
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, write_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, point_spread_function, reconstruct, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
-from mitsuba_plenoptic.points.point_spread import point_spread_function
 from mitsuba_plenoptic.refocus import planning, wave_methods
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.planning import plan
 from mitsuba_plenoptic.refocus.radiance import white_sums
 from mitsuba_plenoptic.refocus.wave_methods import BackwardFields, lit_window, reconstruct_subsets
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")

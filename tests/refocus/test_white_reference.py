@@ -16,7 +16,7 @@ from mitsuba_plenoptic import (
     reconstruct,
     render_capture,
 )
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 import mitsuba as mi  # isort: skip
 

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import decode
 from mitsuba_plenoptic.report.animations import require_animation, sweep_distances, write_animation
 from mitsuba_plenoptic.report.output_files import orbit
-from mitsuba_plenoptic.views import decode
 
 FRAMES = [(np.full((3, 5), value, np.float32), "") for value in (0.0, 0.5, 1.0)]
 

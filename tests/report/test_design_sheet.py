@@ -7,9 +7,11 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_F
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 from mitsuba_plenoptic.report.lens_drawing import lateral_colour
+
+LINE_C, LINE_F = 656.2725, 486.1327
+"""Fraunhofer's lines, in nanometres."""
 
 
 def values(camera, wavelength=None):

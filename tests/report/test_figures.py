@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import decode
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure, epipolar_figure, stack_figure, views_figure
 from mitsuba_plenoptic.report.framing import lit_window
-from mitsuba_plenoptic.views import decode, depth_map, epipolar_image, focal_stack, pick_views
+from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, pick_views
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.lenses.lens_system import LensSystem
-from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_F
 from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
+
+LINE_C, LINE_F = 656.2725, 486.1327
+"""Fraunhofer's lines, in nanometres."""
 
 CAMERA = PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5, focus_distance=240)
 

@@ -17,12 +17,10 @@ from scene_cases import definitions, letters
 from stopped_runs import CheckpointStore, start_command
 from wave_cases import HALF, capture, scattered, small_camera
 
-from mitsuba_plenoptic import InputError, load_scene, render_capture
+from mitsuba_plenoptic import CaptureOperator, Cluster, InputError, Job, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.studio.sweep import SweepSettings, sweep
-from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.runtime import batches as distributed
-from mitsuba_plenoptic.runtime.batches import Cluster, Job
 
 pytest.importorskip("distributed")
 

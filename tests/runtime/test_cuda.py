@@ -10,16 +10,20 @@ import pytest
 from stopped_runs import StoppedError, stopped_before
 from wave_cases import capture
 
-from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
-from mitsuba_plenoptic.errors import InputError
-from mitsuba_plenoptic.io.checkpoints import Checkpoint
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    Checkpoint,
+    InputError,
+    Job,
+    PlenopticCamera,
+    point_spread_function,
+    reconstruct,
+)
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.refocus import radiance
 from mitsuba_plenoptic.runtime import backend as _backend
-from mitsuba_plenoptic.runtime.batches import Job
-from tools.bench.cases.speed_steps import gpu
+from tools.bench.cases.speed_reconstructions import gpu
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")

@@ -18,7 +18,7 @@ def gauged(tmp_path):
 
     def gauge(files):
         for name, text in ({"__init__.py": ""} | files).items():
-            path = tmp_path / ("" if name.startswith("tests/") else "mitsuba_plenoptic") / name
+            path = tmp_path / ("" if name.startswith(("tests/", "docs/")) else "mitsuba_plenoptic") / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
         return house.measure(tmp_path)
@@ -196,12 +196,21 @@ def test_clones_and_long_files(gauged):
 def test_internal_names_in_tests(gauged):
     found = gauged(
         {
-            "__init__.py": '__all__ = ["Shown"]\n',
-            "tests/test_a.py": "from mitsuba_plenoptic.a import _x, Shown, other\n",
-            "tests/test_b.py": "from mitsuba_plenoptic.a import other\n",
+            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n",
+            "docs/reference/python/b.rst": ".. autoclass:: mitsuba_plenoptic.a.Class\n",
+            "docs/a.md": "```py\nfrom mitsuba_plenoptic.c import page, code\n```\n",
+            "tests/test_a.py": "from mitsuba_plenoptic import any\nfrom mitsuba_plenoptic.a import _x, Class, other\n",
+            "tests/test_b.py": "from mitsuba_plenoptic.a import other\nfrom mitsuba_plenoptic.shown import any\n",
+            "tests/test_c.py": "import mitsuba_plenoptic.b, mitsuba_plenoptic.shown\n",
+            "tests/test_d.py": "from mitsuba_plenoptic.c import code, hidden\n",
         }
     )
-    assert found["internal names that tests import"] == ["mitsuba_plenoptic.a._x", "mitsuba_plenoptic.a.other"]
+    assert found["internal names that tests import"] == [
+        "mitsuba_plenoptic.a._x",
+        "mitsuba_plenoptic.a.other",
+        "mitsuba_plenoptic.b",
+        "mitsuba_plenoptic.c.hidden",
+    ]
 
 
 def test_words_of_pages(tmp_path):

@@ -10,12 +10,10 @@ import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, decode
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.views import white_image
-from mitsuba_plenoptic.views.lens_grid import lens_grid
-from mitsuba_plenoptic.views.refocusing import shift_and_add
+from mitsuba_plenoptic.views import lens_grid, shift_and_add, white_image
 from tools.bench import registry, tables
 from tools.bench.cases import peers
-from tools.bench.cases.peers_cameras import published_decode, published_refocus
+from tools.bench.cases.peers import published_decode, published_refocus
 from tools.bench.measures import relative
 from tools.bench.timing import Timing
 

@@ -8,7 +8,7 @@ from scipy.special import erf, erfinv
 
 from mitsuba_plenoptic import Capture, PlenopticCamera
 from tools.bench.cases import resolution
-from tools.bench.cases.ray_limits import WAVELENGTH, difference, falls
+from tools.bench.cases.resolution import WAVELENGTH, difference, falls
 from tools.bench.measures import spot_filtered
 from tools.bench.registry import load
 

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.design import parallax
 from mitsuba_plenoptic.views import (
     camera_of,
-    decode,
     depth_range,
     disparity,
     epipolar_image,

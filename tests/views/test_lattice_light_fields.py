@@ -10,8 +10,8 @@ from light_field_cases import LATTICES, all_cameras
 from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, reconstruct, render_capture
-from mitsuba_plenoptic.views import decode, estimate_lens_grid, lens_grid, refocus, view, white_image
+from mitsuba_plenoptic import InputError, PlenopticCamera, decode, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.views import estimate_lens_grid, lens_grid, refocus, view, white_image
 
 
 @all_cameras

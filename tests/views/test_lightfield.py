@@ -12,11 +12,10 @@ from light_field_cases import PAPER, all_cameras, square_cameras
 from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, design, load_scene, render_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, design, load_scene, render_capture
 from mitsuba_plenoptic.views import (
     LensGrid,
     camera_of,
-    decode,
     depth_range,
     disparity,
     distance_of,

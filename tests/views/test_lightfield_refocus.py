@@ -15,6 +15,7 @@ from mitsuba_plenoptic import (
     Detector,
     InputError,
     PlenopticCamera,
+    decode,
     expose,
     load_scene,
     reconstruct,
@@ -24,7 +25,6 @@ from mitsuba_plenoptic.design import best_distances
 from mitsuba_plenoptic.views import (
     FourierRefocuser,
     LensGrid,
-    decode,
     depth_map,
     disparity,
     focal_stack,

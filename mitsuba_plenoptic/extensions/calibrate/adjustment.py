@@ -33,12 +33,12 @@ def deviation(distance: np.ndarray) -> float:
 
 
 def outlying(distance: np.ndarray) -> np.ndarray:
-    """Mark outliers by their distance from the expected position."""
+    """Return a mask of outliers by their distance from the expected position."""
     return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
 
 
 def huber(distance: np.ndarray) -> np.ndarray:
-    """Return weights by which rows far from the expected position count by their distance, not its square."""
+    """Return weights for robust fits: beyond a limit, rows count by their distance instead of its square."""
     bound = _HUBER * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
@@ -176,7 +176,7 @@ def adjust(
     *,
     most_steps: int = _MOST_STEPS,
 ) -> Adjusted:
-    """Minimise the weighted sum of squares over some of the camera's parameters and all poses.
+    """Return camera parameters and poses that minimise the weighted sum of squares.
 
     Shapes: `weights` (n,).
     """

@@ -58,7 +58,7 @@ _MOST_OVERLAP = 1.5
 
 @suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
-    """Fit a camera, and the poses of a board, to corners seen through its microlenses.
+    """Return a camera, and the poses of a board, fitted to corners seen through its microlenses.
 
     Rows far from where the others put them are left out of the fit and named (`Evaluation.outliers`); errors that are
     reported count every row, if not stated otherwise.
@@ -156,7 +156,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
 
 
 def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensIndex | None = None) -> Evaluation:
-    """Hold a camera, refit the poses, and see how far off it predicts the corners.
+    """Return the errors of a fixed camera's predictions of corners, with refitted poses.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
 def cross_validate(
     corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
 ) -> dict[int, float]:
-    """Calibrate without each pose in turn, and predict it: its pose is refitted, nothing else.
+    """Return the error of each pose, predicted by a calibration without it; only its pose is refitted.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def cross_validate(
 
 
 def _poses(problem: Problem, used: np.ndarray) -> Problem:
-    """Restrict a problem to some of the poses."""
+    """Return a problem restricted to some of the poses."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[used], return_inverse=True)
     some = replace(seen.keep(used), pose=pose)

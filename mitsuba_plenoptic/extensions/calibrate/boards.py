@@ -38,7 +38,7 @@ _LENSES = 3
 
 @dataclass(frozen=True)
 class Picture:
-    """A raw picture over its white image, and where its micro-images are."""
+    """A raw picture divided by its white image, with the centres of its micro-images."""
 
     name: str
     # Values over those of white; (rows, columns).
@@ -63,7 +63,7 @@ class BoardView:
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
-    """Find a board in a raw picture."""
+    """Return the position of a board found in a raw picture."""
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
@@ -89,7 +89,7 @@ def find_board(picture: Picture, board: Board) -> BoardView:
 
 
 def _upright(corners: np.ndarray) -> np.ndarray:
-    """Order corners so that columns run to the right and rows down, as seen from the front of the board."""
+    """Return corners ordered so that columns run right and rows down, as seen from the front of the board."""
     if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
         corners = corners[::-1, ::-1]
     along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
@@ -118,7 +118,7 @@ def _positions(picture: Picture, step: float) -> np.ndarray:
 
 
 def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the lenses' views of positions, and its variance where several see one, else NaN.
+    """Return the mean over lenses of their views of positions, and its variance, NaN for a single view.
 
     `position` is (n, 2), `lens` (n, lenses).
     """
@@ -293,7 +293,7 @@ def _fit(
 def _descend(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Minimise over position, angles and blur; level and contrast follow at each step (variable projection)."""
+    """Return position, angles and blur that minimise the residual; level and contrast follow at each step."""
     linear, square, jacobian, left = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
     low, high = np.log([_LEAST_BLUR, _MOST_BLUR])

@@ -113,7 +113,7 @@ def lens_index(record: Any) -> LensIndex | None:
 
 
 def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
-    """Translate a configuration that libpleno and COMPOTE write (``intrinsics.js``).
+    """Return the camera of a configuration that libpleno and COMPOTE write (``intrinsics.js``).
 
     COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.
     The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The

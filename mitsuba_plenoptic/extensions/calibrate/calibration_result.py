@@ -134,7 +134,7 @@ class Calibration:
 
     @property
     def open_direction(self) -> dict[str, float]:
-        """Changes of the parameters when the focal length changes by its deviation; empty below a tenth of it.
+        """Changes of the parameters when the focal length changes by its deviation, empty below a tenth of the length.
 
         Only the parameters that follow the focal length are named, those with a correlation beyond 0.5; empty where
         the data determine it.
@@ -200,7 +200,7 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Group the residuals of a calibration's corners.
+    """Return the residuals of a calibration's corners in groups.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def detect_corners(
     frame: int = 0,
     name: str = "picture",
 ) -> Table:
-    """Find the corners of a board in a raw picture, in every micro-image that shows one.
+    """Return the corners of a board in a raw picture, in every micro-image that shows one.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
 
 
 def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """Return the radius in pixels within which micro-images are on average as light as in their middle."""
+    """Return the radius in pixels within which micro-images are on average as bright as in their middle."""
     half = int(radius) + 1
     whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)

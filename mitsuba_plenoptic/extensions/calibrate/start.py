@@ -42,7 +42,7 @@ _EXPLAINED = 0.35
 def start_values(
     problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find parameters from which a fit converges.
+    """Return start values from which a fit of camera and poses converges.
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
     """

@@ -76,7 +76,7 @@ class Centres:
 
 
 def find_centres(*whites: np.ndarray) -> Centres:
-    """Find the micro-images of a white image and the centre of each.
+    """Return the centre of each micro-image in a white image.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Mark centres that differ from their neighbours, in position or in light, by more than neighbours do."""
+    """Return a mask of centres that differ from their neighbours by more than neighbours do, in place or light."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)

@@ -52,7 +52,7 @@ class Question:
 
 
 def _plain(question: Question) -> Answers:
-    """Answer as if all were in focus: what every method should exceed."""
+    """Return answers as if everything were in focus, which every method should exceed."""
     lf = question.light_field
     central = view(lf, u=0.0, v=0.0).values
     return {
@@ -76,7 +76,7 @@ def _ray(question: Question) -> Answers:
 
 
 def _finer(picture: np.ndarray) -> np.ndarray:
-    """Interpolate a picture to `FINER` pixels a bin, by cubic splines between the middles of pixels."""
+    """Return a picture interpolated to `FINER` pixels per bin by cubic splines."""
     across = (np.arange(FINER * picture.shape[1]) + 0.5) / FINER - 0.5
     down = (np.arange(FINER * picture.shape[0]) + 0.5) / FINER - 0.5
     return np.asarray(scipy.ndimage.map_coordinates(picture, np.meshgrid(down, across, indexing="ij"), mode="nearest"))

@@ -35,7 +35,7 @@ def make_benchmark(
     batch_map: BatchMap | None = None,
     progress: Progress | None = None,
 ) -> Benchmark:
-    """Make a benchmark, or resume making it; the bits are the same.
+    """Make a benchmark, or resume an interrupted production with the same bits.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ class BenchmarkRecipe(Recipe):
 def benchmark_recipe(
     seed: int = 0, scenes: Iterable[str] = tuple(SCENES), size: Size = SIZES["full"]
 ) -> BenchmarkRecipe:
-    """Choose a benchmark's seed, scenes and size.
+    """Return the recipe of a benchmark by seed, scenes and size.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def make_entry(recipe: Recipe, index: int) -> Sample:
 
 
 def view_image(scene: Any, camera: PlenopticCamera, point: tuple[float, float], spp: int) -> np.ndarray:
-    """Render the sharp view from a point of the pupil, in which the plane in focus lies as in the central one."""
+    """Return the sharp view from a point of the pupil, in which the plane in focus lies as in the central view."""
     size = np.array(camera.bin_count)
     x, y = (coordinate * camera.aperture_radius for coordinate in point)
     width, height = size * camera.bin_size(camera.focus_distance)

@@ -60,7 +60,7 @@ class SampleTask:
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
-        """Return the function that does it, and returns the sample's index."""
+        """Return the function that renders and writes the sample and returns its index."""
         return partial(_make, self.recipe, self.index, self.path, self.make)
 
 
@@ -191,7 +191,7 @@ def _try_scenes(recipe: Recipe) -> None:
 
 
 def _clear(layout: DataFolder, finished: Mapping[int, set[int]]) -> None:
-    """Remove what processes that were killed left behind, and samples that are in shards already."""
+    """Remove files of killed processes, and files of samples that shards already contain."""
     for path in (layout.sample(0).parent, layout.shard(0).parent):
         for leftover in path.glob(".*"):
             shutil.rmtree(leftover, ignore_errors=True)
@@ -204,7 +204,7 @@ def _clear(layout: DataFolder, finished: Mapping[int, set[int]]) -> None:
 
 
 def _pack(layout: DataFolder, number: int, there: set[int]) -> None:
-    """Put the samples of a shard into its file, with those that are in it."""
+    """Write the samples of a shard into one file, next to the samples that the file already has."""
     path = layout.shard(number)
 
     def samples() -> Iterator[Sample]:

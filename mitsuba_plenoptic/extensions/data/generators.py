@@ -29,7 +29,7 @@ _DARKEST, _BRIGHTEST = 0.02, 0.95
 
 
 def random_diffuse(random: np.random.Generator, plain: float, width: float) -> dict[str, Any]:
-    """Describe a diffuse surface with a random pattern for ``mi.load_dict``.
+    """Return a diffuse surface with a random pattern, as ``mi.load_dict`` takes it.
 
     Band-limited noise or a checkerboard; in variants of three channels between two random colours.
     """
@@ -95,7 +95,7 @@ class SceneGenerator(Protocol):
     """Generator of random scenes before a camera."""
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
-        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+        """Return a scene without a sensor, as ``mi.load_dict`` takes it; a camera at the origin looks along +z."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Shapes:
         return float(near), float(far)
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
-        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+        """Return a scene without a sensor, as ``mi.load_dict`` takes it; a camera at the origin looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])
         wall = _BEHIND * far

@@ -307,7 +307,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
 
 
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
-    """Parse a section whose names are known."""
+    """Return the parsed values of a section whose names are known."""
     section = content.get(name, {})
     refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
     _require_names(name, section, known)
@@ -333,7 +333,7 @@ def generator(seed: int, index: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Between:
-    """A uniform or log-uniform value between two bounds; with a step, a multiple of it above the lower bound."""
+    """A uniform or log-uniform value between two bounds, with a step a multiple of the step above the lower bound."""
 
     low: float
     high: float

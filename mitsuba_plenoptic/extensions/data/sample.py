@@ -54,7 +54,7 @@ class Sample:
         return PlenopticCamera.from_dict(self.facts["camera"])
 
     def capture(self, model: str, *, exposed: bool = False) -> Capture:
-        """Return a capture, for `decode`, `reconstruct` and all else.
+        """Return a capture of the sample, as `decode` and `reconstruct` take it.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Sample:
 
 
 def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
-    """Make or load the scene of a sample, seen by its camera."""
+    """Return the scene of a sample, loaded or generated, with the sample's camera."""
     source = recipe.scenes[plan.source]
     if plan.maker:
         # The scene's own random numbers, whatever else is drawn.

@@ -56,7 +56,7 @@ class Frame:
         contrast: float = 0.8,
         period: float | None = None,
     ) -> Shapes:
-        """Describe a diffuse surface `size` wide, with noise of details of about a lens, or stripes of a period."""
+        """Return a diffuse surface `size` wide with noise as fine as a lens, or with stripes of a period."""
         lenses = size / self.width(distance) * self.lenses
         texels = int(np.clip(_PER_LENS * lenses, 16, _MOST_TEXELS))
         detail = random.uniform(0.6, 1.6) * texels / lenses
@@ -80,18 +80,18 @@ class Frame:
         tall: float = 1.0,
         **pattern: Any,
     ) -> Shapes:
-        """Describe a rectangle that faces the camera; x, y and half its width as fractions of the field at z."""
+        """Return a rectangle that faces the camera; x, y and half the width are fractions of the field at z."""
         field = self.width(z)
         place = mi.ScalarTransform4f().translate([x * field, y * field, z]).rotate([0, 1, 0], 180)
         surface = self.pattern(random, 2 * half * max(tall, 1.0) * field, z, **pattern)
         return {"type": "rectangle", "to_world": place.scale([half * field, tall * half * field, 1]), "bsdf": surface}
 
     def wall(self, random: np.random.Generator, z: float = FAR, **pattern: Any) -> Shapes:
-        """Describe a wall behind everything, wider than any point of a pupil sees."""
+        """Return a wall behind all objects, wider than the view from any point of a pupil."""
         return self.card(random, 0, 0, z, 1.5, **pattern)
 
     def ball(self, x: float, y: float, z: float, radius: float, bsdf: Shapes) -> Shapes:
-        """Describe a sphere, its place and radius as fractions of the field at z."""
+        """Return a sphere, with position and radius as fractions of the field at z."""
         field = self.width(z)
         # Its poles, where patterns shrink, are above and below.
         place = mi.ScalarTransform4f().translate([x * field, y * field, z]).rotate([1, 0, 0], 90)
@@ -188,7 +188,7 @@ MIRROR, MIRRORED = 224.0, 26.0
 
 
 def _mirror(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a plane mirror at 45 degrees that fills a part of the field, with a panel and two cards in it.
+    """Return a plane mirror at 45 degrees in part of the field, with a panel and two cards seen in it.
 
     It shows the panel, which is parallel to the axis, in a plane across it, as far behind the mirror's middle.
     """
@@ -279,7 +279,7 @@ _LIGHT = {"lamps": Illumination(0.15, 0.1), WHITE: Illumination(1.0, 0.0)}
 
 @dataclass(frozen=True)
 class SceneMaker:
-    """Makes one scene of the benchmark, the same for all cameras."""
+    """Maker of one scene of the benchmark, which is the same for all cameras."""
 
     name: str
     seed: int

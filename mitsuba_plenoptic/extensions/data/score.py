@@ -45,7 +45,7 @@ def inner(size: int) -> slice:
 
 
 def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
-    """Score a depth map of the central view; unknown depths, NaN or infinite, are bad.
+    """Return the scores of a central view's depth map; unknown depths, NaN or infinite, are bad.
 
     Outside of mirrors and glass: fractions of bad bins, the relative root mean square error and the fraction of the
     depths that are known. In plane mirrors: fractions of bins that are more than 3 % off the mirror image, and off the
@@ -224,7 +224,7 @@ def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
 
 
 def _answer(path: Path) -> Path:
-    """Return the file of an answer, of any of the formats; refuse where there is none."""
+    """Return the file of an answer in any of the formats; refuse a missing file."""
     found = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).exists()]
     refuse_if(len(found) > 1, f"{path}: there are {len(found)} answers: {', '.join(each.name for each in found)}")
     return found[0] if found else require_file(path.with_suffix(".npy"))

@@ -94,7 +94,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def claim(folder: Path, recipe: Recipe) -> DataFolder:
-    """Find that a folder is empty, or that it holds samples of the same recipe, and write its manifest."""
+    """Return the folder of a data set after writing its manifest; refuse a folder of another recipe."""
     facts = facts_of(recipe)
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
@@ -235,7 +235,7 @@ def whole_samples(path: Path) -> set[int]:
 
 
 def _remark(folder: Path, manifest: dict[str, Any]) -> None:
-    """Say of a data set of version 1.0 or earlier how its wave captures are read."""
+    """Log how the wave captures of a data set of version 1.0 or earlier are read."""
     recipe = manifest.get("recipe")
     models = recipe.get("models", MODELS) if isinstance(recipe, dict) else ()
     if is_of_1_0(manifest) and "wave" in models:

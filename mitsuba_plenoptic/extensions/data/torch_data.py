@@ -18,7 +18,7 @@ except ImportError:
 
 
 class TorchDataset(torch.utils.data.Dataset):
-    """A data set of tensors for ``torch.utils.data.DataLoader``: each item is a dictionary of them.
+    """Data set for ``torch.utils.data.DataLoader``, whose items are dictionaries of tensors.
 
     Colour channels come first, as in PyTorch's convolutions: (3, rows, columns). Everything else is as in `Sample`.
     What is unknown stays NaN, and depths of what is infinitely far stay infinite. Batches need arrays of one size,

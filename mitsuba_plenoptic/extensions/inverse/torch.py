@@ -317,7 +317,7 @@ def _array(tensor: torch.Tensor) -> NDArray[Any]:
 
 
 def _required(value: Any) -> torch.Tensor:
-    """Return a tensor with values in memory, of floating point, which others would round results to; else refuse."""
+    """Return a tensor of floating point with values in memory; refuse whole numbers, which would round results."""
     refuse_if(not isinstance(value, torch.Tensor), f"{short_repr(value)}: it must be a tensor of PyTorch")
     refuse_if(
         not value.is_floating_point() or value.layout != torch.strided or value.is_meta,

@@ -52,7 +52,7 @@ class Tables:
 
     @property
     def margin(self) -> int:
-        """Lenses around a lens whose rays it receives."""
+        """Number of lenses on each side of a lens from whose rays the lens receives light."""
         return self.plans[self._widest].far.lenses // 2
 
     def _packed(self, table: NDArray[np.float16]) -> Any:

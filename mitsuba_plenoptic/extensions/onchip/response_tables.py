@@ -119,7 +119,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def _far_pairs(self) -> int:
-        """Pairs in the far table from equal directions to the largest difference that its samples resolve."""
+        """Number of pairs in the far table, from equal directions to the largest resolved difference."""
         resolved = math.floor((self.far.across / _OVERSAMPLING - 1) / 2)
         return min(resolved, math.floor(self.reach * self._finer / self.step) + 1)
 
@@ -183,7 +183,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         return ResponseTable(index, near, far, means)
 
     def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
-        """Return an earlier zone of which a zone is the mirror image, and the slices that mirror rows and columns."""
+        """Return an earlier zone that mirrors a zone, and the slices that mirror rows and columns."""
         columns = len(self.zones.x)
         row, column = divmod(number, columns)
         _, amplitude = self._orders
@@ -208,7 +208,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
     def _mirrored(
         self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
     ) -> NDArray[np.float16]:
-        """Mirror values (nodes, y, x, photodiodes) in a window."""
+        """Return mirrored values (nodes, y, x, photodiodes) of a window."""
         for axis, flip in enumerate(flips, 1):
             if flip == _REVERSED:
                 values = np.take(values, window.mirrored, axis)
@@ -289,7 +289,7 @@ class _Pupil:
 
     @classmethod
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
-        """Sample the pupil as seen from a lens; the samples per step are a multiple of a given number."""
+        """Return the pupil, sampled as seen from a lens, with a multiple of a given number of samples per step."""
         n, step = 2 * plan.across + 1, multiple * math.ceil(_SUBSAMPLES / multiple)
         far = (2 * plan.across + plan.stride) * step
         along = (np.arange(-far, far) + 0.5) / step
@@ -314,7 +314,7 @@ class _Pupil:
 
     @cached_property
     def _solve(self) -> scipy.sparse.linalg.SuperLU:
-        """The factors of the matrix of the least-squares projection on the functions of the open nodes."""
+        """Factors of the matrix of the least-squares projection on the functions of the open nodes."""
         mass = self.mass.ravel()
         # The ridge holds coefficients to their local means; nodes that are not open have none.
         return scipy.sparse.linalg.splu(

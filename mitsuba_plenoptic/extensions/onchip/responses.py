@@ -30,7 +30,6 @@ from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite
 from ...light.signed_capture import SignedCapture
 from ...light.signed_colours import Node, SignedColours, mixed
-from ...light.signed_rays import means_of
 from ...light.walk import walks_of
 from ...runtime.backend import drjit_array
 from ...runtime.batches import Box, Part, PartialSum
@@ -86,7 +85,7 @@ class LensCells(NamedTuple):
         return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
-        """Return the lattice indices of the lenses, row by row, and a number of each that no other lens has."""
+        """Return the lattice indices of the lenses, row by row, and a unique number for each lens."""
         lens = dr.arange(mi.UInt32, self.rows * self.columns)
         row = lens // dr.opaque(mi.UInt32, self.columns)
         x = mi.Int(lens - row * self.columns) + dr.opaque(mi.Int, self.left)
@@ -155,7 +154,7 @@ class ResponseSum:
         self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
 
     def batches(self, first: int) -> Iterator[LensRows]:
-        """Trace the rays of the blocks from index `first`, and yield their pixels."""
+        """Yield the pixels of blocks from index `first` on, with their rays traced."""
         size, columns = self._across, self._columns[1] - self._columns[0]
         for number in range(first, len(self._blocks)):
             top, rows = self._blocks[number], int(self.items[number]) // columns

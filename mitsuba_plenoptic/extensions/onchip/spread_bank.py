@@ -55,7 +55,7 @@ def psf_bank(
     method: str = "patch",
     size: int | None = None,
 ) -> xr.DataArray:
-    """Compute the point spreads of each photodiode over depth and field.
+    """Return the point spreads of each photodiode over depth and field.
 
     Parameters
     ----------

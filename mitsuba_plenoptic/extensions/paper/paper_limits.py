@@ -53,7 +53,7 @@ class FocusedCamera:
 
 
 def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedCamera]:
-    """Return focused cameras like an unfocused one, from fine to coarse, and then the unfocused one itself.
+    """Return focused cameras derived from an unfocused camera, from fine to coarse, and the unfocused camera.
 
     They have its main lens, pixels and plane in focus. Their samples are the finest in that plane; in their range
     lenses are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
@@ -75,7 +75,7 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
 
 
 def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: float, ray_seconds: float) -> list[Claim]:
-    """Compute the verdicts from the camera, and the seconds of the plain loop and of our rays on one core."""
+    """Return verdicts on limits, from the camera and from seconds of the plain loop and of our rays on one core."""
     return [
         _pixels_against_range(focused_cameras(camera, wavelength)),
         _deconvolution(camera, wavelength),
@@ -170,7 +170,7 @@ def plain_sums(
     radius: float,
     bins: np.ndarray,
 ) -> None:
-    """Add each pixel of an image to the bin that its ray meets, in one loop, as one would first write it.
+    """Add each pixel of an image to the bin that its ray meets, in one plain loop.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ _ROWS = 256
 
 @dataclass(frozen=True)
 class LensArray:
-    """The lenses that recorded pixels belong to: rows and columns by their lattice indices j and i."""
+    """Lenses of the recorded pixels, with rows and columns by lattice indices j and i."""
 
     camera: PlenopticCamera
     first: tuple[int, int]
@@ -100,7 +100,7 @@ class LensArray:
 
     @property
     def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coordinates x and y of the centres, flat arrays."""
+        """Coordinates x and y of the lenses' centres, as flat arrays."""
         row, column = (index.ravel().astype(np.float64) for index in np.indices(self.shape))
         x, y = self.camera.lattice.centre(column + self.first[0], row + self.first[1])
         return x, y
@@ -135,7 +135,7 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
 
 
 def coloured(capture: Capture, distance: float) -> Labels:
-    """Colour the lenses of a capture so that the images of no two lit lenses of one colour overlap at a distance.
+    """Return colours of lenses such that images of lit lenses of one colour do not overlap at a distance.
 
     Lenses are coloured one after the other, from the middle of the lit ones outwards, each by the first colour that is
     free. Those with less than a thousandth of the light of the brightest take no colours of their own. The main lens is
@@ -241,7 +241,7 @@ def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_
 
 
 def _common(light: csr_matrix) -> csr_matrix:
-    """Return the sums of the square roots of the light of two lenses in the same bins, for all pairs."""
+    """Return, for all pairs of lenses, the sum of the square roots of their light in common bins."""
     reach = light.getnnz(1).max(initial=0)
     # Images that overlap have centres within twice their width.
     require_memory(12.0 * light.shape[0] * 4 * reach, f"overlaps of {light.shape[0]} lenses' images of {reach} bins")

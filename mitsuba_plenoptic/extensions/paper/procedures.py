@@ -24,7 +24,7 @@ _BEHIND = 0.08
 
 
 def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
-    """Follow rays from an object point (X, g) to the array.
+    """Return the rays from an object point (X, g) to the array.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.nd
 
 
 def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance: float) -> np.ndarray:
-    """Follow the rays of pixels through the centre of a lens back to an object plane.
+    """Return the rays of pixels, through the centre of a lens, back to an object plane.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def _plot(
 
 
 def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Move the detector away from the array, so that the space between can be seen."""
+    """Return points with the detector moved away from the array, so that drawings show the space between."""
     moved = points.copy()
     behind = moved[:, 0] > camera.mla_distance
     moved[behind, 0] = _detector(camera)

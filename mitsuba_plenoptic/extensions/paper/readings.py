@@ -30,7 +30,7 @@ def measure_readings(experiment: Experiment, store: Stages, near: str, far: str)
 
 
 def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict[str, Any]]:
-    """Measure some shapes, each at its distance; what can be is refocused to all distances at once."""
+    """Return measurements of shapes at their distances, refocused to all distances at once where possible."""
     capture, camera = experiment.wave, experiment.camera
 
     def images(distances: list[float], **options: Any) -> dict[float, Any]:

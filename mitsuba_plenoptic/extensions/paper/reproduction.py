@@ -119,7 +119,7 @@ _REPEATS = 3
 
 
 def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
-    """Time the reconstruction of a capture's file at a distance on one processor core: seconds by method.
+    """Return seconds on one core by method, for the reconstruction of a capture's file at a distance.
 
     What counts is processor time, which does not grow with what else the machine does, and of several runs the
     shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.

@@ -155,5 +155,5 @@ def _interpolate(
 
 
 def _window(size: int, step: int) -> slice:
-    """Return the slice of an axis whose samples stay on it when they are shifted by -step."""
+    """Return the slice of an axis whose samples stay inside after a shift by -step."""
     return slice(max(0, step), size + min(0, step))

@@ -93,7 +93,7 @@ def write_hci(
     version: str = "",
     white: float | None = None,
 ) -> int:
-    """Write a light field to a folder of the 4D Light Field Benchmark, and return how many views stand in a row.
+    """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
     The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
     pictures, by default that of any other picture.

@@ -262,7 +262,7 @@ def _capture_of(picture: _Picture) -> Capture:
 
 
 def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
-    """Unpack the digital numbers of the pixels."""
+    """Return the digital numbers of the pixels, unpacked."""
     packing = f"{picture.details}.pixelPacking"
     bits, order = picture.entry(f"{packing}.bitsPerPixel"), picture.entry(f"{packing}.endianness")
     refuse_if(
@@ -304,7 +304,7 @@ def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.
 
 
 def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
-    """Return the camera that the metadata describe; their lengths are metres."""
+    """Return the camera that metadata in metres describe."""
 
     def length(name: str, **rules: Any) -> float:
         return picture.number(f"devices.{name}", **rules) * _MILLIMETRES

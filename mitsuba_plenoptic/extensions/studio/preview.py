@@ -107,7 +107,7 @@ class Proposal:
 
 
 def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
-    """See a scene as the camera has it or as a fit proposes.
+    """Return the preview of a scene, as the camera sees it or as a fit proposes.
 
     In place of the scene the camera is scaled.
     """

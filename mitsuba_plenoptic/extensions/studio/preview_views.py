@@ -68,7 +68,7 @@ class PreviewView(ABC):
         """Return width and height of the field at a distance."""
 
     def field_in_units(self) -> str:
-        """Write width and height of the field in the plane in focus, with their unit."""
+        """Return width and height of the field in the plane in focus as text with unit."""
         width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
         return f"{width:.4g} x {height:.4g} {self.unit}"
 
@@ -85,7 +85,7 @@ class PreviewView(ABC):
         return "infinity" if math.isinf(distance) else f"{self._digits(distance)} {self.unit}"
 
     def between(self, near: float, far: float) -> str:
-        """Write a range of distances with its unit."""
+        """Return a range of distances as text with unit."""
         return f"{self._digits(near)} to {self.in_units(far)}"
 
     def _digits(self, distance: float) -> str:
@@ -124,7 +124,7 @@ class LensView(PreviewView):
         return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Take the picture with Mitsuba's thin lens."""
+        """Return the picture by Mitsuba's thin lens."""
         lens = {"aperture_radius": self.camera.aperture_radius / scale, "focus_distance": self.focus / scale}
         return photograph(
             scene, photographic_sensor(scene, self.camera, size, type="thinlens", **lens, **_posed(pose)), spp
@@ -161,7 +161,7 @@ class LensView(PreviewView):
 
 
 class MicroscopeView(PreviewView):
-    """The view through an objective, as a microscope without an array has it: by telecentric rays from the stop."""
+    """View through an objective without microlenses, by telecentric rays from the stop."""
 
     unit = "um"
     per_millimetre = 1e3
@@ -181,7 +181,7 @@ class MicroscopeView(PreviewView):
         return design.depth_of_field(self.camera)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Average the radiance over the stop, and over each pixel in the native object plane."""
+        """Return the picture through an objective: the radiance averaged over the stop and over each pixel."""
         integrator = scene.integrator()
         # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
         integrator = getattr(integrator, "child", integrator)
@@ -220,7 +220,7 @@ class MicroscopeView(PreviewView):
         return columns * bin_size, rows * bin_size
 
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Draw as far before the native object plane as beyond it."""
+        """Return a range that reaches as far before the native object plane as beyond it."""
         reach = np.abs([end for end in self.sharp_range() if math.isfinite(end)] + [*distances])
         half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
         return -half, half

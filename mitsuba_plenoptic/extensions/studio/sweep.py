@@ -67,7 +67,7 @@ def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
 
 
 def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
-    """Join grids that have no name in common."""
+    """Return the union of grids that have no name in common."""
     merged: dict[str, list[Any]] = {}
     for grid in grids:
         for name in grid:
@@ -77,7 +77,7 @@ def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
 
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
-    """Return a grid, neither empty nor too large, with its values as finite numbers of which none comes twice."""
+    """Return a grid with finite values, none of them twice; refuse an empty or a too large one."""
     checked: dict[str, tuple[float, ...]] = {}
     for name, values in grid.items():
         refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
@@ -156,7 +156,7 @@ class Points:
         return {**self.settings.parameters, **varied}
 
     def check(self, **for_waves: Any) -> None:
-        """Make every camera once, before the work, and see that they record images of one size.
+        """Make every camera once before the work; refuse cameras whose images differ in size.
 
         Ray captures take none of the options `for_waves`; None means not given.
         """

@@ -48,7 +48,7 @@ def show_camera(camera: PlenopticCamera) -> str:
 
 
 def _figure(image: np.ndarray, caption: str) -> str:
-    """Return a picture in its own aspect; NaN is transparent."""
+    """Return the HTML of a picture in its aspect ratio; NaN is transparent."""
     grey = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
     white = Brightness().peak([grey])
     style = f"width: {_SHOWN}px; image-rendering: {'pixelated' if max(grey.shape[:2]) < _SHOWN else 'auto'}"

@@ -60,7 +60,7 @@ class Recording:
 
 
 def _through(camera: PlenopticCamera) -> str:
-    """Describe a camera in a few words."""
+    """Return a camera's description in a few words."""
     columns, rows = camera.lens_count
     lattice = "" if camera.mla_lattice == "square" else f"{camera.mla_lattice} "
     lens = f"f/{camera.f_number:.3g}" if camera.lens_data.converges else camera.lens_data.label
@@ -196,7 +196,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
-    """Sort sources into light fields, planes from near to far as distance, image and method, and depth maps."""
+    """Return light fields, planes from near to far (distance, image and method), and depth maps among sources."""
     recordings: list[Recording] = []
     planes: list[tuple[float, np.ndarray, str]] = []
     depths: list[xr.Dataset] = []
@@ -256,7 +256,7 @@ def _recording(
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
-    """Leave out views until so few samples are left."""
+    """Return a light field with so few views that a limit of samples is kept."""
     count = most = min(lf.sizes["v"], lf.sizes["u"])
     each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     if lf.size <= samples:

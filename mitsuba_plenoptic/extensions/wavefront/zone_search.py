@@ -62,7 +62,7 @@ _RINGS, _SPOKES = 8, 32
 
 @dataclass(frozen=True)
 class Zone:
-    """A part of the field over which the wavefront is the same.
+    """Part of the field over which the wavefront is equal.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def fit_wavefronts(
     noise: Any = COUNTS,
     accuracy: float = 0.01,
 ) -> list[Fit]:
-    """Find the wavefront of each zone of the field from one capture of known points.
+    """Return the fitted wavefront of each zone of the field, found from one capture of known points.
 
     The positions of the points are known, their total light in each zone is not. Tilts are thus measured against the
     positions, and defocus against the distances.
@@ -225,7 +225,7 @@ class Search:
         return Pixels.of([self._view], expected[None], None).weight[0]
 
     def light(self, expected: Sequence[Array], sum_before: Array) -> Array:
-        """Return the weight of each zone by which their sum is nearest to the capture, by its noise."""
+        """Return the weight of each zone that brings the zones' sum nearest to the capture, in units of its noise."""
         weight = 1 / self.deviations(np.maximum(sum_before, 0)).ravel()
         rows = np.stack([each.ravel() * weight for each in expected], 1)
         found, *_ = np.linalg.lstsq(rows, self.image.ravel() * weight, rcond=None)

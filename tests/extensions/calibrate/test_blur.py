@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.calibration import Board, calibrate, read_camera, read_centres, read_corners, write_calibration
+from mitsuba_plenoptic import InputError, calibrate
+from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners, write_calibration
 from mitsuba_plenoptic.extensions.calibrate.blur import fit_blur
 from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, numbers_of
 

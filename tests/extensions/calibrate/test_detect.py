@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, render_capture, write_capture
-from mitsuba_plenoptic.calibration import (
-    Board,
-    board_scene,
-    calibrate,
-    camera_centres,
-    detect_corners,
-    find_centres,
-    read_corners,
-)
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, calibrate, render_capture, write_capture
+from mitsuba_plenoptic.calibration import Board, board_scene, camera_centres, detect_corners, find_centres, read_corners
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict
 from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles

@@ -9,12 +9,11 @@ import calibration_cases as cases
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, PlenopticCamera, calibrate
 from mitsuba_plenoptic.calibration import (
     Board,
     LensIndex,
     Table,
-    calibrate,
     cross_validate,
     evaluate,
     read_camera,

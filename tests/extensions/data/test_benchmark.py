@@ -17,6 +17,7 @@ from mitsuba_plenoptic.benchmark import (
     BASELINES,
     CAMERAS,
     CAPTURES,
+    SCENES,
     TASKS,
     Benchmark,
     Size,
@@ -32,7 +33,7 @@ from mitsuba_plenoptic.extensions.data import baselines
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
 from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
-from mitsuba_plenoptic.extensions.data.scenes import MIRROR, MIRRORED, SCENES, Frame, SceneMaker
+from mitsuba_plenoptic.extensions.data.scenes import MIRROR, MIRRORED, Frame, SceneMaker
 from mitsuba_plenoptic.extensions.data.score import depth_scores, picture_scores
 from mitsuba_plenoptic.report.metrics import relative_error
 

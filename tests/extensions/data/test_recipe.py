@@ -12,26 +12,25 @@ import yaml
 from dataset_cases import small
 from scipy import stats
 
-from mitsuba_plenoptic import InputError, design
-from mitsuba_plenoptic.camera import PlenopticCamera
+from mitsuba_plenoptic import InputError, PlenopticCamera, design
 from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
-from mitsuba_plenoptic.extensions.data.generators import Illumination, Shapes
-from mitsuba_plenoptic.extensions.data.recipe import draw, parse
-
-
-def drawn(value, count=2000):
-    return [draw({"x": parse("x", value)}, 1, index, "test")["x"] for index in range(count)]
 
 
 def test_values_have_the_distributions_that_they_are_said_to_have():
-    linear, log = drawn({"from": 2, "to": 5}), drawn({"from": 0.1, "to": 10, "scale": "log"})
-    assert stats.kstest(linear, stats.uniform(2, 3).cdf).pvalue > 0.01
-    assert stats.kstest(log, stats.loguniform(0.1, 10).cdf).pvalue > 0.01
-    steps = drawn({"from": 1, "to": 4, "step": 1})
-    assert stats.chisquare(np.bincount(steps)[1:]).pvalue > 0.01
-    assert set(steps) == {1, 2, 3, 4}
-    assert set(drawn({"one_of": ["a", "b"]}, 50)) == {"a", "b"}
-    assert drawn([1, 2], 2) == [[1, 2]] * 2
+    camera = small()["camera"] | {"mla_lattice": {"one_of": ["square", "hexagonal"]}}
+    recipe = parse_recipe(small(count=2000, camera=camera, scenes=small()["scenes"][:1]))
+    drawn = [recipe.plan(index).draws for index in range(2000)]
+    linear, log = (
+        [each[part][name] for each in drawn] for part, name in (("camera", "focus_distance"), ("noise", "photons"))
+    )
+    assert stats.kstest(linear, stats.uniform(230, 20).cdf).pvalue > 0.01
+    assert stats.kstest(log, stats.loguniform(300, 3000).cdf).pvalue > 0.01
+    steps = [each["scene"]["objects"] for each in drawn]
+    assert stats.chisquare(np.bincount(steps)[3:]).pvalue > 0.01
+    assert set(steps) == {3, 4, 5, 6}
+    lattices = [each["camera"]["mla_lattice"] for each in drawn]
+    assert stats.binomtest(lattices.count("hexagonal"), 2000, 0.5).pvalue > 0.01
+    assert all(each["camera"]["resolution"] == [64, 64] for each in drawn)
 
 
 def test_a_draw_depends_on_the_seed_the_sample_and_the_name_alone():
@@ -55,7 +54,8 @@ def test_scenes_are_chosen_by_their_shares():
 def test_shapes_stand_where_the_camera_resolves_them():
     camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
     near, far = design.refocus_range(camera)
-    scene = Shapes(objects=200, tilt=0).scene(camera, Illumination(), np.random.default_rng(0))
+    plan = parse_recipe(small(scenes=[{"generator": "shapes", "objects": 200, "tilt": 0}])).plan(0)
+    scene = plan.maker.scene(camera, plan.light, np.random.default_rng(0))
     places = [item["to_world"].matrix for name, item in scene.items() if name.startswith("object")]
     depths = np.array([matrix[2, 3] for matrix in places])
     assert near < depths.min() < depths.max() < far

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError
+from mitsuba_plenoptic import CaptureOperator, InputError, reconstruct
 from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
-from mitsuba_plenoptic.refocus import reconstruct
 
 CAMERA = small_camera(4, **HALF, detector_distance=0.512, wavefront=(*(0.0,) * 10, 0.05))
 POINT = [(0.03, 0.01, 116.0)]

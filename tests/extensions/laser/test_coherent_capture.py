@@ -7,9 +7,8 @@ import pytest
 from stopped_runs import StoppedError, stopped_before
 from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
-from mitsuba_plenoptic import Checkpoint, InputError, Job, PlenopticCamera, laser
+from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, PlenopticCamera, laser
 from mitsuba_plenoptic.extensions.laser.modes import angular_modes
-from mitsuba_plenoptic.points.operator import CaptureOperator
 from tools.bench.cases import speckle
 
 CAMERA = small_camera(4, **HALF)

@@ -22,7 +22,7 @@ from mitsuba_plenoptic import (
     render_capture,
 )
 from mitsuba_plenoptic.design import design_warnings
-from tools.bench.cases import dual_pixels, dual_snell
+from tools.bench.cases import dual_pixels
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,
@@ -201,26 +201,26 @@ def test_presets_divide_the_light_alike_up_to_the_corner(name, pixel, lenses):
 def test_lenses_aligned_by_snells_law_halve_the_light(angle):
     """Of an even scene and of a point; parabolic rays have coma, and all rays the light of the closed form."""
     mi.set_variant("llvm_ad_mono")
-    camera, field = dual_snell.window(angle)
-    left, light = dual_snell.left_of_even(camera, "ray", 8192)
+    camera, field = dual_pixels.window(angle)
+    left, light = dual_pixels.left_of_even(camera, "ray", 8192)
     assert left == pytest.approx(0.5, abs=0.01)
     assert light == pytest.approx(1, abs=0.01)
-    assert dual_snell.left_of_point(camera, field, "ray") == pytest.approx(0.5, abs=0.01)
-    camera, field = dual_snell.window(angle, lens_model="parabolic")
-    left, light = dual_snell.left_of_even(camera, "ray", 8192)
-    assert left == pytest.approx(dual_snell.left_by_cosines(camera, field), abs=0.006)
+    assert dual_pixels.left_of_point(camera, field, "ray") == pytest.approx(0.5, abs=0.01)
+    camera, field = dual_pixels.window(angle, lens_model="parabolic")
+    left, light = dual_pixels.left_of_even(camera, "ray", 8192)
+    assert left == pytest.approx(dual_pixels.left_by_cosines(camera, field), abs=0.006)
     assert light == pytest.approx(1, abs=0.01)
 
 
 def test_halves_by_waves_are_sums_of_plane_waves():
     mi.set_variant("llvm_ad_mono")
-    camera, field = dual_snell.window(30)
-    left, light = dual_snell.left_of_even(camera, "wave", 64)
-    assert left == pytest.approx(dual_snell.left_by_waves(camera, field, 2**8), abs=0.005)
+    camera, field = dual_pixels.window(30)
+    left, light = dual_pixels.left_of_even(camera, "wave", 64)
+    assert left == pytest.approx(dual_pixels.left_by_waves(camera, field, 2**8), abs=0.005)
     # A little is turned into evanescent waves.
     assert light == pytest.approx(0.998, abs=0.004)
-    assert dual_snell.left_of_point(camera, field, "wave") == pytest.approx(
-        dual_snell.left_of_star(camera, field, 2**11), abs=0.005
+    assert dual_pixels.left_of_point(camera, field, "wave") == pytest.approx(
+        dual_pixels.left_of_star(camera, field, 2**11), abs=0.005
     )
 
 

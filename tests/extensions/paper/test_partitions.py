@@ -16,7 +16,7 @@ from mitsuba_plenoptic.extensions.paper.partitions import (
     sublattice_interference,
 )
 from mitsuba_plenoptic.report.metrics import interference
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views import white_image
 
 DISTANCE = 140.0
 SMALL = small_camera(8, **HALF)

@@ -16,8 +16,8 @@ import xarray as xr
 from foreign_files import write_matlab_7
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, write_capture
-from mitsuba_plenoptic.extensions.raw.exchange import (
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, write_capture
+from mitsuba_plenoptic.exchange import (
     open_light_field,
     read_lftoolbox,
     read_mosaic,
@@ -26,8 +26,7 @@ from mitsuba_plenoptic.extensions.raw.exchange import (
     write_lftoolbox,
     write_mosaic,
 )
-from mitsuba_plenoptic.io.pictures import write_picture
-from mitsuba_plenoptic.views import LensGrid, camera_of, decode, depth_map, grid_of, refocus, view, white_image
+from mitsuba_plenoptic.views import LensGrid, camera_of, depth_map, grid_of, refocus, view, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.4, resolution=(128, 96), mla_pitch=0.05, aperture_radius=4)
 
@@ -282,8 +281,10 @@ class TestFiles:
         # What it sees: brightness rises across the field.
         x = np.linspace(0.2, 1.0, 400, dtype=np.float32)
         raw = white * x
-        write_picture(tmp_path / "white.png", white)
-        write_picture(tmp_path / "raw.png", raw)
+        for name, image in (("white.png", white), ("raw.png", raw)):
+            # IEC 61966-2-1
+            codes = np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
+            Image.fromarray(np.round(65535 * codes).astype(np.uint16)).save(tmp_path / name)
         lf = open_light_field(tmp_path / "raw.png", white=tmp_path / "white.png")
         save_light_field(tmp_path / "lf.mat", lf)
         back = read_lftoolbox(tmp_path / "lf.mat")

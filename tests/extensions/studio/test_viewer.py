@@ -20,10 +20,11 @@ from mitsuba_plenoptic import (
     load_scene,
     reconstruct,
     render_capture,
+    view,
     with_camera,
 )
 from mitsuba_plenoptic.extensions.studio import viewer
-from mitsuba_plenoptic.extensions.studio.viewer import Recording, view
+from mitsuba_plenoptic.extensions.studio.viewer import Recording
 from mitsuba_plenoptic.report.images import encode, to_bytes
 from mitsuba_plenoptic.views import depth_map, focal_stack, shift_and_add
 from mitsuba_plenoptic.views import view as one_view

@@ -1,8 +1,31 @@
-"""Reconstructions of built-in scenes against Mitsuba's own thin lens, and at the sizes of real cameras."""
+"""Reconstructions of built-in scenes against Mitsuba's own thin lens, and at the sizes of real cameras.
+
+How many propagations a partially coherent reconstruction needs, by the partition of the lenses.
+
+The wave capture of the letters is refocused with every partition. Interference is the RMS distance of a letter from the
+image in which every lens is propagated alone, over its mean, in the bins that hold the letter.
+
+White walls and ramps, refocused at their own distance by every method: every bin that is reached, to the border.
+
+A wall of radiance 1 and one whose radiance rises from 0.5 to 1.5 across the field stand at a distance, or are the sky.
+Ray captures are refocused by rays without a white reference, all others with that of another white wall, at 400 mm, so
+that white walls are judged, too. The worst bin is compared with the known radiance. Bins that are NaN are not reached.
+
+Where the worst bin of a wave capture is beyond its limit, the image is compared with what the diffraction of the
+microlenses leaves of the wall (`diffraction`): rows within the limit of that are explained by "diffraction".
+
+Where a coherent or partially coherent image is still beyond it, its difference from the image in which no two lenses
+interfere (`auto`) is judged. That difference must have no mean where bins are weighted by their white, since
+interference moves power between bins and makes none; its RMS must be at most half as much again as predicted for lenses
+of random phases (a field of few fringes scatters by that much); and the image without it must be within the limit.
+Such rows are explained by "interference". All others beyond their limit fail.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +33,24 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct, render_capture, write_capture
-from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic import (
+    Capture,
+    PlenopticCamera,
+    load_scene,
+    read_capture,
+    reconstruct,
+    render_capture,
+    write_capture,
+)
+from mitsuba_plenoptic.extensions.paper.partitions import blocks, coloured, refocused, sublattice
+from mitsuba_plenoptic.report.experiment import bounding_boxes, thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.metrics import interference, shape_window
 
 from .. import Pivot, Row, at_least, at_most, case, pick
 from ..measures import best_shift, scores, write_comparison
+from ..scenes import walls
+from ..scenes.wall_diffraction import expected, interference_shift
 from ..timing import in_process, once, peak_memory
 
 DISTANCES = (210.0, 240.0, 280.0)
@@ -180,3 +215,232 @@ def _refocus(path: Path, method: str, distance: float) -> Row:
         "memory": peak_memory(), "unreached": float(np.isnan(image).mean()), "least": float(np.nanmin(image)),
         "mean": float(np.nanmean(image)), "most": float(np.nanmax(image)),
     }  # fmt: skip
+
+
+LETTERS = {"8": "eight", "F": "f", "#": "hash"}
+WAVELENGTH = 633.0
+SUFFICIENT = 0.01
+KINDS = ("interleaved", "blocks", "sublattice", "colours")
+
+
+@dataclasses.dataclass(frozen=True)
+class Refocused:
+    """Images of a capture, by distance, and the bins of each letter."""
+
+    capture: Capture
+    windows: dict[str, Any]
+
+    def images(self, distances: tuple[float, ...], **options: Any) -> dict[float, np.ndarray]:
+        """Return partially coherent images."""
+        results = reconstruct(self.capture, list(distances), method="partial", **options)
+        return {each.distance: each.image for each in results}
+
+    def runs(self, kind: str, counts: tuple[int, ...]) -> Iterator[tuple[int, dict[float, np.ndarray]]]:
+        """Yield the images by one kind of partition with the count of propagations."""
+        camera = self.capture.camera
+        for count in counts:
+            if kind == "interleaved":
+                yield count**2, self.images(DISTANCES, interleave=count)
+            elif kind == "blocks":
+                yield count**2, refocused(self.capture, DISTANCES, blocks(camera, count))
+            else:
+                labels = {distance: sublattice(camera, distance, count, WAVELENGTH) for distance in DISTANCES}
+                found = [refocused(self.capture, (distance,), each) for distance, each in labels.items()]
+                yield count, {distance: image for each in found for distance, image in each.items()}
+
+
+@case(
+    "partitions",
+    "Interference that partitions of the lenses leave in the letters, the fewest propagations that leave less than 1 % "
+    "(0 where none does), and the subsets that a colouring takes in which no images of lit lenses overlap",
+    {
+        "partition": "{kind}", "propagations": "{propagations}", "g (mm)": "{distance:g}", "letter": "{letter}",
+        "interference": "{shown}",
+    },
+    page="docs/theory/image_quality.md",
+    pivot=Pivot("{kind}, {propagations}", "{letter} at {distance:g} mm", "{shown}"),
+    quick={"size": 1024, "periods": (1, 2, 3), "grids": (2,), "counts": (2, 4, 7)},
+)  # fmt: skip
+def partitions(
+    output: Path,
+    *,
+    size: int = 4096,
+    capture: str = "",
+    periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6),
+    grids: tuple[int, ...] = (2, 3, 4),
+    counts: tuple[int, ...] = (2, 3, 4, 5, 6, 7, 8),
+) -> Iterator[Row]:
+    """Refocus with interleaved subsets, blocks and the best sublattices, and colour the lit lenses."""
+    taken = read_capture(capture) if capture else letters_captures(capture, size)["wave"]
+    # All channels of a grey film are alike.
+    taken = dataclasses.replace(taken, image=np.ascontiguousarray(np.atleast_3d(taken.image)[..., 0]))
+    boxes = bounding_boxes(load_scene("letters", parameters={"letter_scale": str(size / 4096)}))
+    windows = {letter: shape_window(taken.camera, *boxes[name]) for letter, name in LETTERS.items()}
+    refocused = Refocused(taken, windows)
+    limits = refocused.images(DISTANCES, interleave="auto")
+    pictures: dict[tuple[str, int], np.ndarray] = {}
+    for kind, chosen in zip(KINDS, (periods, grids, counts), strict=False):
+        fewest = {(distance, letter): 0 for distance in DISTANCES for letter in LETTERS}
+        for propagations, images in refocused.runs(kind, chosen):
+            pictures[kind, propagations] = images[DISTANCES[-1]]
+            for distance, letter in fewest:
+                left = interference(images[distance], limits[distance], windows[letter])
+                if left < SUFFICIENT and not fewest[distance, letter]:
+                    fewest[distance, letter] = propagations
+                yield _row(kind, propagations, distance, letter, f"{left:.2%}", interference=left)
+        for (distance, letter), count in fewest.items():
+            yield _row(kind, "fewest below 1 %", distance, letter, str(count), fewest=count)
+    for distance in DISTANCES:
+        colours = int(coloured(taken, distance).max()) + 1
+        yield from (
+            _row("colours", "no overlap", distance, letter, str(colours), colours=colours) for letter in LETTERS
+        )
+    write_png(output / "partitions.png", _sheet(pictures, limits[DISTANCES[-1]]))
+
+
+def _sheet(pictures: dict[tuple[str, int], np.ndarray], limit: np.ndarray) -> np.ndarray:
+    """Return the images at the last distance, above four times what they add to the limit on grey, from 0 to 1."""
+    names = (("interleaved", 1), ("interleaved", 4), ("blocks", 4), ("sublattice", 4), ("sublattice", 7))
+    peak = float(np.nanmax(limit))
+    columns = [
+        np.concatenate([pictures[name], peak / 2 + 4 * (pictures[name] - limit)]) for name in names if name in pictures
+    ]
+    return np.nan_to_num(np.concatenate(columns, 1) / peak).clip(0, 1).repeat(4, 0).repeat(4, 1)
+
+
+def _row(kind: str, propagations: int | str, distance: float, letter: str, shown: str, **values: float) -> Row:
+    return {
+        "kind": kind, "propagations": propagations, "distance": distance, "letter": letter, "shown": shown, **values
+    }  # fmt: skip
+
+
+LIMITS = {"ray": 0.02, "wave": 0.03}
+LATTICES: dict[str, dict[str, Any]] = {"square": {}, "hexagonal": {"mla_lattice": "hexagonal"}}
+
+WALL_METHODS: dict[str, dict[str, Any]] = {
+    "ray": {"method": "ray"},
+    "coherent": {"method": "coherent"},
+    "K = 2": {"method": "partial", "interleave": 2},
+    "auto": {"method": "partial", "interleave": "auto"},
+}
+
+INTERFERING = ("coherent", "K = 2")
+
+FREE_OF_MEAN = 0.1
+"""Mean over RMS that the difference by interference may have."""
+
+PREDICTED = 1.5
+"""RMS of that difference over the predicted one."""
+
+REFERENCE = 400.0
+"""Distance of the wall by whose capture the others are divided: none of theirs."""
+
+
+@case(
+    "walls",
+    "White walls and ramps that fill the view, refocused by every method: the worst bin against the known radiance",
+    {
+        "lattice": "{lattice}", "lenses": "{lenses}", "g (mm)": "{distance:g}", "capture": "{model}",
+        "method": "{method}", "wall": "{wall}", "worst bin": "{worst:.4f}", "limit": "{limit:g}",
+        "explained by": "{explained}", "not reached": "{unreached:.1%}", "s": "{seconds:.1f}",
+        "from what diffraction leaves": "{diffraction:.4f}", "contrast of white": "{contrast:.2f}",
+        "RMS of interference": "{rms:.4f}", "predicted": "{predicted:.4f}", "mean": "{mean:.4f}",
+        "worst bin without": "{without:.4f}",
+    },
+    (at_most("unexplained", "limit"),),
+    page="docs/theory/image_quality.md",
+    pivot=Pivot("{lenses} lenses, {model} capture, {lattice}, {wall}, {method}", "{distance:g} mm", "{worst:.3f}"),
+    quick={"lenses": (12,), "lattices": ("square",), "distances": (210.0,), "methods": ("ray", "coherent")},
+)  # fmt: skip
+def compare(
+    *,
+    lenses: tuple[int, ...] = (24, 128),
+    pixels: int = 32,
+    distances: tuple[float, ...] = (150.0, 210.0, 280.0, 1000.0, math.inf),
+    lattices: tuple[str, ...] = (),
+    models: tuple[str, ...] = tuple(LIMITS),
+    methods: tuple[str, ...] = (),
+    spp: int = 16,
+) -> Iterator[Row]:
+    """Capture and refocus all combinations."""
+    for count, lattice, model in itertools.product(lenses, pick(LATTICES, lattices), models):
+        camera = PlenopticCamera(detector_width=0.064 * count, resolution=(pixels * count,) * 2, **LATTICES[lattice])
+        reference = walls.capture(camera, REFERENCE, "white", model, spp)
+        for distance in distances:
+            pair = Walls(camera, distance, model, spp, reference)
+            for method in pick(WALL_METHODS, methods):
+                yield from ({"lattice": lattice, "lenses": count, **row} for row in pair.compare(method))
+
+
+class Walls:
+    """The captures of both walls by one camera, and what reconstructions make of them."""
+
+    def __init__(self, camera: PlenopticCamera, distance: float, model: str, spp: int, reference: Capture) -> None:
+        self._camera, self._distance, self._model, self._reference = camera, distance, model, reference
+        self._free: dict[str, np.ndarray] = {}
+        self._captures = {wall: walls.capture(camera, distance, wall, model, spp) for wall in walls.WALLS}
+
+    def compare(self, method: str) -> Iterator[Row]:
+        """Refocus the captures by one method, and find the worst bin of each."""
+        white = self._reference if method != "ray" or self._model == "wave" else None
+        for wall, taken in self._captures.items():
+            image, _, seconds = once(lambda taken=taken: self._refocus(taken, method, white))
+            worst, limit = self._worst(image, wall), LIMITS[self._model]
+            yield {
+                "distance": self._distance,
+                "model": self._model,
+                "method": method + (", white reference" if white else ""),
+                "wall": wall,
+                "worst": worst,
+                "limit": limit,
+                "unreached": float(np.isnan(image).mean()),
+                "seconds": seconds,
+                "unexplained": worst,
+                **(self._explanation(image, wall, method, limit) if worst > limit else {}),
+            }
+
+    def _explanation(self, image: np.ndarray, wall: str, method: str, limit: float) -> Row:
+        """Look for diffraction and interference in an image beyond its limit."""
+        found: dict[str, Any] = {}
+        if self._model == "wave":
+            found["diffraction"] = self._from_expected(image, wall)
+            if found["diffraction"] <= limit:
+                return found | {"explained": "diffraction", "unexplained": found["diffraction"]}
+        if method not in INTERFERING:
+            return found
+        bright = self._refocus(self._reference, method, None)
+        free = self._without_interference(wall)
+        difference = image - free
+        found["contrast"] = float(np.nanstd(bright) / np.nanmean(bright))
+        found["rms"], found["mean"] = _mean(difference**2, bright) ** 0.5, _mean(difference, bright)
+        shift = interference_shift(self._camera, self._distance, walls.WAVELENGTH, self._model)
+        found["predicted"] = found["contrast"] * shift * walls.SLOPE
+        found["without"] = self._worst(free, wall)
+        if self._model == "wave":
+            found["without"] = min(found["without"], self._from_expected(free, wall))
+        predicted = found["rms"] <= PREDICTED * found["predicted"]
+        if predicted and abs(found["mean"]) <= FREE_OF_MEAN * found["rms"]:
+            found |= {"explained": "interference", "unexplained": found["without"]}
+        return found
+
+    def _without_interference(self, wall: str) -> np.ndarray:
+        if wall not in self._free:
+            self._free[wall] = self._refocus(self._captures[wall], "auto", self._reference)
+        return self._free[wall]
+
+    def _refocus(self, taken: Capture, method: str, white: Capture | None) -> np.ndarray:
+        wavelength = None if method == "ray" else walls.WAVELENGTH
+        options = WALL_METHODS[method]
+        image = reconstruct(taken, self._distance, wavelength=wavelength, white=white, **options).image
+        return image.astype(np.float64)
+
+    def _from_expected(self, image: np.ndarray, wall: str) -> float:
+        known = expected(self._camera, self._distance, walls.WAVELENGTH, wall)
+        return float(np.nanmax(np.abs(image - known)))
+
+    def _worst(self, image: np.ndarray, wall: str) -> float:
+        return float(np.nanmax(np.abs(image - walls.known_radiance(self._camera, wall))))
+
+
+def _mean(values: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.nansum(values * weights) / np.nansum(weights))
