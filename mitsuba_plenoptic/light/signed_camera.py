@@ -36,6 +36,7 @@ from ..optics import rays
 from ..runtime.backend import drjit_array
 from .array_kernels import REACH, displaced
 from .lens_kinds import LensKinds
+from .noise import known_means
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of

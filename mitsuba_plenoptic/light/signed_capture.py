@@ -29,7 +29,7 @@ from ..camera.vector import Values
 from ..io.checkpoints import digest
 from ..runtime.batches import Job, SumTask
 from .cost import Cost
-from .noise import PARTS, Mended, keep_spread, with_spread
+from .noise import PARTS, Mended, halves, keep_spread, with_spread
 from .phase_space import FINE, parts_of
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents

@@ -34,6 +34,7 @@ from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from .array_kernels import REACH
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
+from .noise import known_means
 from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of

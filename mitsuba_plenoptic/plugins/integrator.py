@@ -33,13 +33,14 @@ from ..runtime.batches import Job
 from .properties import (
     NAME,
     SHARED,
+    asked_for,
     develop,
     develop_back,
+    make_base,
     put,
     read_choice,
     read_colours,
     read_plain,
-    require_read,
 )
 
 

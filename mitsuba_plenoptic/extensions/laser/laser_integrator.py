@@ -17,8 +17,7 @@ from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins.integrator import make_base
-from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain
+from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
