@@ -152,6 +152,7 @@ BEFORE_A_REFUSAL |= {
     "extension",
     "extensions.onchip.cameras",
     "cli.stages",
+    "refocus_options",
     "scene_files",
     "cli.choices",
     "cli.inputs",
