@@ -79,7 +79,7 @@ def locked(path: Path, refusal: str) -> Iterator[None]:
             mine = False
         except OSError as error:
             mine = True
-            warnings.warn(f"{path.parent}: it cannot be locked: {error.strerror}", stacklevel=4)
+            warn(f"{path.parent}: it cannot be locked: {error.strerror}")
         refuse_if(not mine, f"{refusal}; wait until it has ended")
         try:
             yield
