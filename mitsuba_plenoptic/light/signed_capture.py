@@ -186,7 +186,7 @@ class SignedRayAdjoint(SignedRaySum):
         """Return the derivatives by the radiance values of each ray of the pixels `met` of a lot."""
         drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
-        cell = self._cell_of(own, sample, dr.width(met))
+        cell = self._cell_of(own, sample)
         # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:

@@ -40,7 +40,7 @@ from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_
 from .pixel_kernels import PixelKernels
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels, chances_of
+from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels
 
 _BLOCK_BYTES = 2**29
 """Bytes of the images of one block of the detector."""
@@ -61,7 +61,7 @@ _LEAST = 2
 class Brought(NamedTuple):
     """What the rays of a lot bring."""
 
-    # For each node and image the mean values of cells, first those at the first place of each pixel.
+    # For each node and image the mean values of cells, pixel by pixel.
     values: list[list[list[Any]]]
     # Direction cosines of the light of pixels.
     cosines: Pair
@@ -200,7 +200,7 @@ class SignedRaySum:
 
     def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
         """Add the light of a lot's rays to the images."""
-        images, some, shape = iter(sums), lot.some.numpy(), (self._parts**2, dr.width(lot.some))
+        images, some, shape = iter(sums), lot.some.numpy(), (dr.width(lot.some), self._parts**2)
         cosines = np.array([value.numpy() for value in brought.cosines])
         for number, node in enumerate(brought.values):
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
@@ -208,9 +208,9 @@ class SignedRaySum:
                 total, values = next(images)[rows[0].start : rows[-1].stop], [part.numpy() for part in parts]
                 values = [part.reshape(shape) for part in values]
                 for few in kernels[0].portions(len(some)):
-                    combined = self._combined(kernels, np.stack([v[:, few] for v in values]), cosines[:, few], number)
+                    own = np.moveaxis(np.stack([v[few] for v in values], axis=1), 0, 2)
                     # A lot contains each pixel at most once.
-                    total[:, some[few]] += combined
+                    total[:, some[few]] += self._combined(kernels, own, cosines[:, few], number)
 
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
@@ -269,7 +269,8 @@ class SignedRaySum:
         terms = self._nodes[number].plan.oblique.terms(self._cosines(lot, some))
         own = images[:, dr.gather(mi.UInt32, lot.some, some).numpy()]
         return [
-            [drjit_array(mi.Float, part) for part in kernels.adjoint(own[rows], terms)]
+            # Pixel by pixel, as cells are.
+            [drjit_array(mi.Float, part.T) for part in kernels.adjoint(own[rows], terms)]
             for kernels, rows in zip(self._kernels[number][lot.kind], self._rows(number, lot.kind), strict=True)
         ]
 
@@ -330,13 +331,14 @@ class SignedRaySum:
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
-            require_finite(radiance, counted, *drawn.kept)
+            kept = [self._kept(drawn, number) for number in nodes]
+            require_finite(radiance, counted, kept)
             # Any function may be the light; derivatives and band-limited light may be negative.
             if getattr(self._light, "is_radiance", False):
                 require_light(radiance)
             known, lit = known_means(radiance, counted, count, self._together)
-            for number in nodes:
-                sums.append(self._bring(lot, drawn, radiance, known, lit, number, lanes))
+            for number, own in zip(nodes, kept, strict=True):
+                sums.append(self._bring(lot, own, radiance, known, lit, number, lanes))
         cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
         return Brought(sums, cosines)
@@ -348,9 +350,9 @@ class SignedRaySum:
         sample = lane - own * dr.opaque(mi.UInt32, self._together)
         return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
 
-    def _cell_of(self, own: Any, sample: Any, pixels: int) -> Any:
-        """Return the position of the cell of rays among the cells of some pixels, first those at their first place."""
-        return quotient(sample, self._spp) * dr.opaque(mi.UInt32, pixels) + own
+    def _cell_of(self, own: Any, sample: Any) -> Any:
+        """Return the position of the cell of rays among the cells of pixels."""
+        return own * dr.opaque(mi.UInt32, self._parts**2) + quotient(sample, self._spp)
 
     def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
         """Return the arguments of the light: see `SceneLight`."""
@@ -370,10 +372,15 @@ class SignedRaySum:
         response = 1 if self._response is None else self._response(dr.atan(aside / depth))
         return response * transmittance(absorption, aside, depth) * even
 
+    def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
+        """Return what `_bring` needs to know of rays for a node."""
+        places = self._coefficients[number].places(drawn.point, drawn.inner, drawn.chance, drawn.open)
+        return places, dr.select(drawn.open, drawn.weight, 0)
+
     def _bring(
         self,
         lot: Lot,
-        drawn: Drawn,
+        kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
         lit: Any,
@@ -381,8 +388,7 @@ class SignedRaySum:
         lanes: Lanes | None,
     ) -> list[list[Any]]:
         """Return, for each image of a node, the mean coefficients of the rays of each cell."""
-        (first, start), kept = self._first(lot.pixels), drawn.kept
-        pixel, key = self._spread(lot.pixels.index), lot.key
+        (first, start), (places, weight) = self._first(lot.pixels), kept
         # Computed before the recorded loop, so as not to become a part of it.
         node, coefficients = self._nodes[number], self._coefficients[number]
         used, weights = node.mixture(lanes)
@@ -391,18 +397,17 @@ class SignedRaySum:
             weights = self._spread(weights)
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            ray, even = kept.at(first + k), ((start + k) & 1) == 0
+            own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
             others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in known]
             changes = [
                 dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
             ]
-            active = ray.open & dr.any([change != 0 for change in changes], axis=0)
-            values = coefficients(ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), active)
+            values = coefficients.read(*(dr.gather(type(place), place, first + k) for place in places))
             result = []
             for row, before in zip(weights, brought, strict=True):
-                change = ray.weight * mixed(row, changes)
-                after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
-                after[0] += dr.select(ray.open, mixed(row, others), 0)
+                change = own * mixed(row, changes)
+                after = [dr.fma(value, change, old) for old, value in zip(before, values, strict=True)]
+                after[0] += dr.select(own > 0, mixed(row, others), 0)
                 result.append(after)
             return k + 1, result
 
@@ -410,11 +415,9 @@ class SignedRaySum:
 
     def _first(self, pixels: Pixels) -> Pair:
         """Return the number of the first ray of all cells of pixels: among the rays of all, and of each pixel."""
-        places, count = self._parts**2, dr.width(pixels.index)
-        lane, every = dr.arange(mi.UInt32, count * places), dr.opaque(mi.UInt32, count)
-        place = quotient(lane, count)
-        start = place * dr.opaque(mi.UInt32, self._spp)
-        return (lane - place * every) * dr.opaque(mi.UInt32, self._together) + start, start
+        places = self._parts**2
+        lane, spp = dr.arange(mi.UInt32, dr.width(pixels.index) * places), dr.opaque(mi.UInt32, self._spp)
+        return lane * spp, (lane - quotient(lane, places) * dr.opaque(mi.UInt32, places)) * spp
 
     def _spread(self, values: Any) -> Any:
         """Return values of pixels, or sequences of these, for each of their cells."""
@@ -422,10 +425,8 @@ class SignedRaySum:
             return values
         if isinstance(values, Sequence):
             return [self._spread(value) for value in values]
-        count = dr.width(values)
-        return dr.gather(
-            type(values), values, dr.arange(mi.UInt32, count * self._parts**2) % dr.opaque(mi.UInt32, count)
-        )
+        places = self._parts**2
+        return dr.gather(type(values), values, quotient(dr.arange(mi.UInt32, dr.width(values) * places), places))
 
     def _mean_of(self, bring: Callable[..., Any], lit: Any, number: int) -> list[list[Any]]:
         """Return the mean values of each cell of lit pixels, over its rays in a loop, for each image of a node."""
