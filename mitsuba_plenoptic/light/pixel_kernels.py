@@ -78,7 +78,6 @@ class PixelKernels:
         self._term, self._moment = np.divmod(used, functions * len(self._moments))
         self._of_terms = of_terms.reshape(len(self.kernels), -1)[:, used].astype(np.float32)
 
-    @single_threaded_blas()
     def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the images (n, pixels) of coefficients (functions, places, pixels) of light from some directions.
 
@@ -87,7 +86,6 @@ class PixelKernels:
         images = self._factors @ values.reshape(self._factors.shape[1], -1)
         return images + self.turned(values, terms) if len(self._term) else images
 
-    @single_threaded_blas()
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of images that is proportional to terms; see `combined`."""
         moments = np.matmul(self._moments, values).reshape(-1, values.shape[2])

@@ -105,7 +105,7 @@ class SignedCapture:
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = self.sums(spp, seed, runs, SignedRaySum)
         first = sums[0]()
-        found, items = first.probe(), int(first.items.sum())
+        items = int(first.items.sum())
         if runs == 1:
             sums = [lambda: first]
         tasks = [SumTask(items, plan, partial(_part, runs)) for plan in sums]
@@ -113,13 +113,14 @@ class SignedCapture:
             tasks = [keep_spread(task) for task in tasks]
         channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
-        if not found.any():
+        every = sum(task.items for task in tasks)
+        image = job.run(tasks, shape, every, lambda: {"scene_digest": digest(first.probe())})
+        if not image.any():
             warnings.warn(
-                "plenoptic_wave: none of some rays meets anything that shines; a nested integrator with "
-                "hide_emitters sees no emitters",
+                "plenoptic_wave: none of the rays meets anything that shines; a nested integrator with hide_emitters "
+                "sees no emitters",
                 stacklevel=2,
             )
-        image = job.run(tasks, shape, sum(task.items for task in tasks), lambda: {"scene_digest": digest(found)})
         if noise:
             image = with_spread(image, runs)
         np.maximum(image[..., channels:], 0, out=image[..., channels:])

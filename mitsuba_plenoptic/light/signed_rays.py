@@ -32,6 +32,7 @@ from ..optics.rays import angular_response, transmittance
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..runtime.limits import single_threaded_blas
 from .array_kernels import REACH
 from .control_variate import known_means
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
@@ -198,6 +199,7 @@ class SignedRaySum:
             self._add(*before, sums)
         return sums
 
+    @single_threaded_blas()
     def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
         """Add the light of a lot's rays to the images."""
         images, some, shape = iter(sums), lot.some.numpy(), (dr.width(lot.some), self._parts**2)
