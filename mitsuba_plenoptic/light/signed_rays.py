@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import angular_response, transmittance
+from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
@@ -54,6 +55,12 @@ _RAY_BYTES = 200
 
 _PROBES, _CELLS = 2**10, 2**16
 """Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
+
+_NEAR = 3.0
+"""Pixels and spots of a microlens from the recorded pixels beyond which a pixel brings little light to these."""
+
+_THINNED = 2
+"""Width in pixels of the squares, farther from the recorded pixels, of which one random pixel stands for all."""
 
 _LEAST = 2
 """Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
@@ -127,6 +134,9 @@ class SignedRaySum:
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
+            far = self._far(bins)
+            for image in images:
+                image[:, far] *= _THINNED**2
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
@@ -227,10 +237,11 @@ class SignedRaySum:
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield pixels of a box with each lens that lights them, in lots."""
         size = max(1, _LANES // self._together)
+        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, self._kept_of(box, seeds)), pixels) != 0
         for steps in self._draws.candidates:
             aims = self._draws.aims(Pixels(box, pixels, steps))
             pupil = self._draws.seen(aims.middle, aims)
-            seen = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2
+            seen = kept & (dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2)
             for kind in range(len(self._draws.kinds.every)):
                 lit = dr.compress(seen & (aims.kind == kind))
                 for start in range(0, dr.width(lit), size):
@@ -243,6 +254,28 @@ class SignedRaySum:
                     own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
                     for turn, seed in enumerate(own[1:]):
                         yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
+
+    def _far(self, box: Box) -> NDArray[np.bool_]:
+        """Return which pixels (rows, columns) of a box are far from the recorded ones; see `_NEAR`."""
+        window, camera = box_of(self._camera, 0), self._camera
+        longest = in_millimetres(max(node.plan.wavelength for node in self._nodes))
+        spot = longest * camera.reduced_distance / float(camera.lattice.aperture_width) / camera.pixel_size
+        rows, columns = (
+            np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > _NEAR * (1 + spot)
+            for first, count, low, size in (
+                (box.top, box.rows, window.top, window.rows),
+                (box.left, box.columns, window.left, window.columns),
+            )
+        )
+        return np.asarray(rows[:, None] | columns)
+
+    def _kept_of(self, box: Box, seeds: np.random.SeedSequence) -> NDArray[np.bool_]:
+        """Return which pixels of a box have rays: all near ones, and one of each square of the others."""
+        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
+        chosen = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
+        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
+        kept = np.kron(chosen, np.ones_like(squares)) == np.tile(squares, shape)
+        return ~self._far(box) | kept[: box.rows, : box.columns]
 
     def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[NDArray[np.float32]]]]]:
         """Yield the lots of all blocks, and the gradients with respect to the images that the lots make.
@@ -259,6 +292,9 @@ class SignedRaySum:
                 ]
                 for node in self._nodes
             ]
+            far = self._far(bins).ravel()
+            for each in itertools.chain.from_iterable(felt):
+                each[:, far] *= _THINNED**2
             seeds = np.random.SeedSequence([self._seed, number])
             for lot in self._lots(bins, dr.arange(mi.UInt32, every), seeds):
                 yield lot, felt
