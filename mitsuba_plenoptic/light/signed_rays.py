@@ -240,8 +240,7 @@ class SignedRaySum:
         kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, self._kept_of(box, seeds)), pixels) != 0
         for steps in self._draws.candidates:
             aims = self._draws.aims(Pixels(box, pixels, steps))
-            pupil = self._draws.seen(aims.middle, aims)
-            seen = kept & (dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2)
+            seen = kept & self._draws.lights(aims)
             for kind in range(len(self._draws.kinds.every)):
                 lit = dr.compress(seen & (aims.kind == kind))
                 for start in range(0, dr.width(lit), size):
