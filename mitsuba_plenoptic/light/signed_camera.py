@@ -112,8 +112,8 @@ class CameraTangents(_CameraSum):
         self._changes = changes
         super().__init__(*arguments, **options)
 
-    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        (own,) = super()._kernels_of(plan, kind)
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
         change = sum(
             (
                 part * slope
@@ -122,7 +122,7 @@ class CameraTangents(_CameraSum):
             ),
             np.zeros_like(own),
         )
-        return [own, *displaced(own), change]
+        return [*displaced(own), change]
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
         return tuple(drawn.kept)
@@ -217,10 +217,10 @@ class CameraAdjoint(_CameraSum):
         start = parameters_of(self._camera)
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
-    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        (own,) = super()._kernels_of(plan, kind)
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
-        return [own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
+        return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""

@@ -15,6 +15,7 @@ which has the same mean, because the coefficients' integral over m is known, and
 
 from __future__ import annotations
 
+import functools
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -146,26 +147,21 @@ class SignedRaySum:
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
         """Return the kernels of each node, each kind of lenses and each set of values of a ray."""
-        order = 0 if self._draws.by_points else ORDER - 1
+        plans = [node.plan for node in self._nodes]
         return [
             [
                 [
-                    PixelKernels(
-                        # A pixel is the mean of its cells. Larger micro-images are darker.
-                        kernels / (self._parts * larger) ** 2,
-                        *(plan.oblique, self._parts, self._draws.turns(kind) / plan.oblique.largest, order),
-                        *(plan.covariance, plan.tolerance),
-                    )
-                    for kernels in self._kernels_of(plan, kind)
+                    _kernels_of(self._camera, plans[0], plan, kind, self._parts),
+                    *(_for_pixels(self._draws, plan, kind, each) for each in self._further_kernels(plan, kind)),
                 ]
-                for kind, larger in enumerate(self._draws.enlargements)
+                for kind in range(len(self._draws.enlargements))
             ]
-            for plan in (node.plan for node in self._nodes)
+            for plan in plans
         ]
 
-    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        """Return the kernels (values, k, k) of cells for a kind of lenses, for each set of values of a ray."""
-        return [plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)]
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        """Return the kernels (values, k, k) of cells for a kind of lenses, for sets of values after the first."""
+        return []
 
     @cached_property
     def _flat_kernels(self) -> list[list[NDArray[np.float32]]]:
@@ -182,7 +178,9 @@ class SignedRaySum:
     def _convolutions(self) -> list[Convolution]:
         """Return the convolution of each image; the channels of a node share one."""
         size = self._blocks[0].rows, self._blocks[0].columns
-        made = [Convolution(self._camera, kernels, size) for kernels in self._flat_kernels]
+        # Those of derivatives are used once.
+        make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
+        made = [make(self._camera, tuple(itertools.chain(*kinds)), size) for kinds in self._kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
     @cached_property
@@ -473,6 +471,32 @@ class SignedRaySum:
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[part / rays for part in parts] for parts in brought]
+
+
+@functools.lru_cache(maxsize=16)
+def _kernels_of(camera: PlenopticCamera, first: PhaseSpace, plan: PhaseSpace, kind: int, parts: int) -> PixelKernels:
+    """Return the kernels of a plan for a kind of lenses, which are cached for further captures of the camera.
+
+    `first` is the first plan of the capture.
+    """
+    kernels = plan.kernels(camera.pixel_size / parts, REACH * max(camera.mla_pitches), kind)
+    return _for_pixels(Draws(camera, [first], parts), plan, kind, kernels)
+
+
+def _for_pixels(draws: Draws, plan: PhaseSpace, kind: int, kernels: NDArray[np.float64]) -> PixelKernels:
+    """Return kernels for the images of pixels from those (values, k, k) of cells."""
+    return PixelKernels(
+        # A pixel is the mean of its cells. Larger micro-images are darker.
+        kernels / (draws.parts * draws.enlargements[kind]) ** 2,
+        *(plan.oblique, draws.parts, draws.turns(kind) / plan.oblique.largest),
+        *(0 if draws.by_points else ORDER - 1, plan.covariance, plan.tolerance),
+    )
+
+
+@functools.lru_cache(maxsize=4)
+def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int]) -> Convolution:
+    """Return the convolution with kernels, whose spectra are cached for further captures of the camera."""
+    return Convolution(camera, [kernel for each in sets for kernel in each.kernels], size)
 
 
 def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:
