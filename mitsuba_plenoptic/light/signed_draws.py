@@ -162,7 +162,7 @@ class Draws:
         # Count of cells across a pixel.
         parts: int = 1,
     ) -> None:
-        self._camera, self.parts = camera, parts
+        self._camera, self._parts = camera, parts
         self.pupil, self._lens = RayPupil(plans[0].system), plans[0].system.lens
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
@@ -185,7 +185,7 @@ class Draws:
         """Return the radius in the pupil's plane within which the ray through a lit pixel's centre passes."""
         camera = self._camera
         # Other points of the pixel and around its cells see other points of the pupil.
-        wide = camera.pixel_size * (self.parts + ORDER - 1) / self.parts
+        wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
         pixel = wide * camera.pupil_distance / camera.reduced_distance / math.sqrt(2)
         # Snell's law spreads them most at the corner, along the radius.
         corner = self._lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
@@ -209,7 +209,7 @@ class Draws:
     @property
     def lit_lenses(self) -> float:
         """Return the mean count of lenses that light a pixel, counted in the middle of the detector."""
-        return _lit_lenses(self._camera, self._longest, self.parts)
+        return _lit_lenses(self._camera, self._longest, self._parts)
 
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
@@ -220,7 +220,7 @@ class Draws:
     @property
     def _step(self) -> float:
         """The width of a cell in millimetres."""
-        return self._camera.pixel_size / self.parts
+        return self._camera.pixel_size / self._parts
 
     def aims(self, pixels: Pixels) -> Aims:
         """Return the centres of pixels and of the lenses through which they are lit."""
@@ -242,10 +242,10 @@ class Draws:
 
     def _cells(self, aims: Aims, place: Any) -> Aims:
         """Return the aims of the cells at some places of pixels, numbered row by row, from those of the pixels."""
-        row = quotient(place, self.parts)
+        row = quotient(place, self._parts)
         x, y = (
-            p + (mi.Float(index) + 0.5 - self.parts / 2) * self._step
-            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self.parts), row), strict=True)
+            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
+            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
         )
         return aims._replace(middle=(x, y))
 
@@ -283,7 +283,7 @@ class Draws:
     def turns(self, kind: int) -> NDArray[np.float64]:
         """Return the changes (places, 2) of `cosines` from a pixel to its cells, near the middle of a lens."""
         camera = self._camera
-        along = (np.arange(self.parts) - (self.parts - 1) / 2) * self._step
+        along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
         y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
         scale = camera.mla_medium / (camera.detector_distance * self.enlargements[kind])
         return np.column_stack(camera.lattice.to_frame(x, y)) * scale

@@ -147,16 +147,20 @@ class SignedRaySum:
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
         """Return the kernels of each node, each kind of lenses and each set of values of a ray."""
-        plans = [node.plan for node in self._nodes]
+        draws, order = self._draws, 0 if self._draws.by_points else ORDER - 1
+        grids = [
+            _Grid(self._parts, larger, tuple(map(tuple, draws.turns(kind).tolist())), order)
+            for kind, larger in enumerate(draws.enlargements)
+        ]
         return [
             [
                 [
-                    _kernels_of(self._camera, plans[0], plan, kind, self._parts),
-                    *(_for_pixels(self._draws, plan, kind, each) for each in self._further_kernels(plan, kind)),
+                    _kernels_of(plan, grid, kind),
+                    *(grid.for_pixels(plan, kernels) for kernels in self._further_kernels(plan, kind)),
                 ]
-                for kind in range(len(self._draws.enlargements))
+                for kind, grid in enumerate(grids)
             ]
-            for plan in plans
+            for plan in (node.plan for node in self._nodes)
         ]
 
     def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
@@ -473,24 +477,29 @@ class SignedRaySum:
         return [[part / rays for part in parts] for parts in brought]
 
 
-@functools.lru_cache(maxsize=16)
-def _kernels_of(camera: PlenopticCamera, first: PhaseSpace, plan: PhaseSpace, kind: int, parts: int) -> PixelKernels:
-    """Return the kernels of a plan for a kind of lenses, which are cached for further captures of the camera.
+class _Grid(NamedTuple):
+    """How kernels of pixels are made from those of cells, for a kind of lenses."""
 
-    `first` is the first plan of the capture.
-    """
-    kernels = plan.kernels(camera.pixel_size / parts, REACH * max(camera.mla_pitches), kind)
-    return _for_pixels(Draws(camera, [first], parts), plan, kind, kernels)
+    # Count of cells across a pixel, and factor by which micro-images are larger than by rays through lens centres.
+    parts: int
+    larger: float
+    # Changes of the direction cosines from a pixel to its cells, and the order of B-splines of collected rays.
+    turns: tuple[tuple[float, ...], ...]
+    order: int
 
-
-def _for_pixels(draws: Draws, plan: PhaseSpace, kind: int, kernels: NDArray[np.float64]) -> PixelKernels:
-    """Return kernels for the images of pixels from those (values, k, k) of cells."""
-    return PixelKernels(
+    def for_pixels(self, plan: PhaseSpace, kernels: NDArray[np.float64]) -> PixelKernels:
+        """Return kernels for the images of pixels from those (values, k, k) of cells."""
+        turns = np.array(self.turns) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.
-        kernels / (draws.parts * draws.enlargements[kind]) ** 2,
-        *(plan.oblique, draws.parts, draws.turns(kind) / plan.oblique.largest),
-        *(0 if draws.by_points else ORDER - 1, plan.covariance, plan.tolerance),
-    )
+        mean = kernels / (self.parts * self.larger) ** 2
+        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, plan.covariance, plan.tolerance)
+
+
+@functools.lru_cache(maxsize=16)
+def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
+    """Return the kernels of a plan for a kind of lenses, which are cached for further captures of the camera."""
+    camera = plan.camera
+    return grid.for_pixels(plan, plan.kernels(camera.pixel_size / grid.parts, REACH * max(camera.mla_pitches), kind))
 
 
 @functools.lru_cache(maxsize=4)
