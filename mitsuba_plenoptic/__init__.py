@@ -58,8 +58,7 @@ if TYPE_CHECKING:
     from .prescription.objective import Objective
     from .refocus import Reconstruction, estimate_reconstruction, reconstruct
     from .report.sharpness import EdgeSharpness, edge_sharpness
-    from .runtime.batches import Cluster
-    from .runtime.jobs import Job
+    from .runtime.batches import Cluster, Job
     from .runtime.progress import progress_bar
     from .scene_files import scene_path
     from .shipped import *  # noqa: F403

@@ -42,7 +42,7 @@ class InputError(ValueError):
 
 
 def refuse_if(broken: object, message: str) -> None:
-    """Raise an `InputError` where a rule is broken; the message is made in any case, so it must be quick to make."""
+    """Raise an `InputError` if a rule is broken; the message is always made, so it must be quick to make."""
     if broken:
         raise InputError(message)
 
@@ -80,7 +80,7 @@ def refusing(rule: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 def printable(text: str, longest: int | None = None) -> str:
-    """Make one line that no terminal acts on: white space becomes a space, other control characters escapes."""
+    """Return a text as one line on which no terminal acts: white space becomes a space, control characters escapes."""
     if longest is not None and len(text) > longest:
         text = f"{text[: longest - 3]}..."
     if text.isprintable():
@@ -92,7 +92,7 @@ def printable(text: str, longest: int | None = None) -> str:
 
 
 def short_repr(value: Any) -> str:
-    """Show a value in a message: its representation, shortened."""
+    """Return the representation of a value for a message, shortened."""
     try:
         text = _SHORT.repr(value)
     except Exception as error:  # such as an int of more digits than Python prints
@@ -106,7 +106,7 @@ _options: Mapping[str, str] | None = None
 
 @contextlib.contextmanager
 def at_shell(options: Mapping[str, str]) -> Iterator[None]:
-    """Let advice name options of the command line; `options` has those whose names differ from their arguments."""
+    """Let advice name options of the command line; `options` lists options named differently from their arguments."""
     global _options
     before, _options = _options, options
     try:
@@ -121,7 +121,7 @@ def advice(*, python: str, shell: str) -> str:
 
 
 def argument(name: str) -> str:
-    """Name an argument in advice: as it is in Python, as the option that it belongs to at a shell."""
+    """Return the name of an argument for advice: as in Python or, at a shell, as the command's option."""
     return advice(python=name, shell=(_options or {}).get(name, f"--{name.replace('_', '-')}"))
 
 
@@ -149,13 +149,13 @@ _RELATIONS = {
 
 
 def relation(name: str) -> str:
-    """Return what a camera has instead of a name that is common elsewhere; nothing for other names."""
+    """Return a sentence about the parameter that a camera has instead of a common name, empty for other names."""
     parameter, rule = _RELATIONS.get(name.lower(), ("", ""))
     return f"{parameter} is {rule.format(name)}" if parameter else ""
 
 
 def did_you_mean(name: Any, known: Iterable[Any]) -> str:
-    """Return the end of a message on an unknown name: the known one that it resembles, or nothing if none does."""
+    """Return the end of a message on an unknown name: the most similar known name, or nothing."""
     names = {str(one).lower(): str(one) for one in known}
     if _RELATIONS.get(str(name).lower(), ("",))[0] in names:
         return f"; {relation(str(name))}"
@@ -169,7 +169,7 @@ def suggest_keywords(
     gone: Mapping[str, str] | None = None,
     absent: Callable[[str], str] = lambda name: "",
 ) -> _Call:
-    """Have a call with an unknown keyword name the one that it resembles, as Python itself does from 3.13 on.
+    """Return a function that answers an unknown keyword with the most similar known one.
 
     A function that hands further keywords on knows the `others`. Of a class it is the constructor. Keywords that
     earlier versions had are refused with what serves instead, `gone`, and those that an extension would add with the
@@ -207,7 +207,7 @@ def require_number(
     positive: bool = False,
     finite: bool = True,
 ) -> float:
-    """Return `value` as a float."""
+    """Return `value` as a float within the bounds; refuse anything else."""
     if _is_flag(value) or isinstance(value, (str, bytes, bytearray)) or value is None:
         raise InputError(f"{name} = {short_repr(value)}: it must be a number")
     try:
@@ -359,13 +359,13 @@ def require_length(name: str, value: Any, *, finite: bool = True) -> float:
 
 
 def require_lengths(name: str, value: Any) -> tuple[float, ...]:
-    """Return one length or several as a tuple."""
+    """Return one or several lengths as a tuple."""
     value = _plain(value)
     return tuple(require_length(name, number) for number in (value if isinstance(value, (tuple, list)) else [value]))
 
 
 def require_pitches(name: str, value: Any) -> tuple[float, float]:
-    """Return the pitches along the rows of a lattice and across them, which one number gives both."""
+    """Return the pitches along and across the rows of a lattice, both equal if one number is given."""
     pitches = require_lengths(name, value)
     if len(pitches) not in (1, 2):
         raise InputError(f"{name} = {short_repr(value)}: it must be one number, or two, along the rows and across them")
@@ -432,7 +432,7 @@ def _require_pairs(name: str, value: Any, meaning: str, rising: str) -> tuple[fl
 def require_numbers(
     name: str, value: Any, *, count: int, minimum: float | None = None, maximum: float | None = None
 ) -> tuple[float, ...]:
-    """Return a given count of numbers as a tuple, each within bounds."""
+    """Return `count` numbers within bounds as a tuple."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) != count:
         raise InputError(f"{name} = {short_repr(value)}: it must be {count} numbers")
@@ -440,7 +440,7 @@ def require_numbers(
 
 
 def _is_flag(value: Any) -> bool:
-    """Return whether a value is a truth value, of Python's or of NumPy's, which need not be imported for that."""
+    """Return whether a value is a truth value of Python or NumPy, without importing NumPy."""
     return isinstance(value, bool) or (type(value).__module__ == "numpy" and type(value).__name__.startswith("bool"))
 
 

@@ -44,7 +44,7 @@ class FileFormat:
 
 @dataclass(frozen=True, kw_only=True)
 class Extension:
-    """The record of what an extension adds; modules are named relative to the extension's package.
+    """Record of what an extension adds; modules are named relative to the extension's package.
 
     A place is the name of a module, a colon, and the name of an object in the module.
 
@@ -76,6 +76,9 @@ class Extension:
     cameras : mapping of str to str
         Programs whose JSON files of cameras are read, and the places of functions of such a file's object that return
         the camera.
+    displays : mapping of str to str
+        Classes whose objects notebooks show with a picture or a table, such as ``Capture``, and the places of functions
+        of such an object that return its HTML.
     formats : mapping of str to FileFormat
         Suffixes of files, such as ``.lfr``, or the name of a file in each folder, such as ``parameters.cfg``, and how
         they are read and written.
@@ -92,6 +95,7 @@ class Extension:
     methods: tuple[str, ...] = ()
     lenses: tuple[str, ...] = ()
     cameras: Mapping[str, str] = field(default_factory=dict)
+    displays: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, FileFormat] = field(default_factory=dict)
 
 
@@ -135,8 +139,20 @@ def entry_of(kind: str, key: str, what: str) -> Any:
     raise InputError(f"{what}: {missing(kind, key) or f'no extension has {key}'}")
 
 
+class Displayed:
+    """A class whose objects notebooks show as an extension draws them, and as plain text without one."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str | None:
+        for package, name, text in entries("displays"):
+            if name == type(self).__name__:
+                return str(place(package, text)(self))
+        return None
+
+
 def register(kind: str) -> None:
-    """Import the modules that register what the records list: ``methods`` or ``lenses``."""
+    """Import the modules that the records list under ``methods`` or ``lenses``, and that register themselves."""
     for package, record in installed().items():
         for module in getattr(record, kind):
             importlib.import_module(f"{package}.{module}")
@@ -160,9 +176,4 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 def missing(kind: str, name: str) -> str:
     """Return the line that a shipped extension is missing, which adds `name`; an empty text for other names."""
     owner = SHIPPED[kind].get(name)
-    return f"{name}: extension {owner} is not installed" if owner and not _is_installed(owner) else ""
-
-
-def _is_installed(name: str) -> bool:
-    """Return whether a shipped extension is there."""
-    return f"{GROUP}.{name}" in installed()
+    return f"{name}: extension {owner} is not installed" if owner and f"{GROUP}.{owner}" not in installed() else ""

@@ -41,8 +41,7 @@ _NAMES = {
     "plugins.other_camera": ("with_camera",),
     "prescription": ("Prescription",),
     "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
-    "runtime.batches": ("Cluster",),
-    "runtime.jobs": ("Job",),
+    "runtime.batches": ("Cluster", "Job"),
     "runtime.progress": ("progress_bar",),
     "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
 }
@@ -60,7 +59,7 @@ MOVED = {
     "reconstruction.ray": "refocus.ray",
     "reconstruction.radiance": "refocus.radiance",
     "reconstruction.methods": "refocus.methods",
-    "reconstruction.partitions": "refocus.partitions",
+    "reconstruction.partitions": "extensions.paper.partitions",
     "reconstruction.waves": "refocus.wave_methods",
     "reconstruction.deconvolution": "refocus.deconvolution",
     "reconstruction.deconvolution.variation": "refocus.deconvolution.variation",
@@ -98,7 +97,7 @@ _MODULES = {"far_sources": "points.far_sources", "objective": "prescription.obje
 
 
 def public_names() -> list[str]:
-    """Return the public names of the core and of the extensions that are there."""
+    """Return the public names of the core and of the installed extensions."""
     from .extension import entries
 
     return sorted({*_MODULE_OF, *(name for _, _, names in entries("names") for name in names)})
@@ -130,7 +129,7 @@ def attribute(name: str) -> Any:
 
 
 def _moved(name: str) -> str:
-    """Return what a module of version 1.0 is called now, with what it contained; an empty text for other modules."""
+    """Return the new name of a module of version 1.0, with its former content; empty for other modules."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         if now := MOVED.get(".".join(parts[:count])):
@@ -146,18 +145,18 @@ class _Alias(Loader):
         self._spec = self._module.__spec__
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        """Return the module itself."""
+        """Return the module that has the new name."""
         return self._module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore what the import system has overwritten; some are packages by their names in version 1.0."""
+        """Restore attributes that the import system has overwritten; some modules were packages in version 1.0."""
         module.__spec__ = self._spec
         if not hasattr(module, "__path__"):
             module.__path__ = []
 
 
 class _MovedFinder(MetaPathFinder):
-    """Finder of modules by what they were called in version 1.0."""
+    """Finder of modules by their names in version 1.0."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -172,12 +171,12 @@ class _MovedFinder(MetaPathFinder):
 
 
 class _ServedFinder(MetaPathFinder):
-    """Finder of public modules that are not directly in the package, those of extensions among them."""
+    """Finder of public modules that lie deeper in the package, those of extensions among them."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that is served, None for all others."""
+        """Return the spec of a module that is served by its name, None for all others."""
         root, _, name = fullname.partition(".")
         if root != ROOT or name in ("", "extensions") or "." in name:
             return None

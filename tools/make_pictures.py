@@ -70,7 +70,7 @@ def sheet(
     The colours of the last image are explained by a bar below it.
     """
     radiances = [image for row in rows for _, image in row if image.dtype != np.uint8]
-    peak = white or (Brightness().white(radiances) if radiances else 1.0)
+    peak = white or (Brightness().peak(radiances) if radiances else 1.0)
     columns, gap, title = len(rows[0]), 0.06, 0.24
     side = (WIDTH - (columns - 1) * gap) / columns
     tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
@@ -289,7 +289,7 @@ def cameras() -> Image.Image:
 def detector() -> Image.Image:
     """Expose a capture, and record it through a mosaic."""
     capture = close()
-    peak = Brightness().white([capture.image])
+    peak = Brightness().peak([capture.image])
     scaled = replace(capture, image=capture.image / peak)
     raw = mp.expose(scaled, mp.Detector(mosaic="RGGB"), photons=300, seed=1)
     mosaic = np.zeros_like(scaled.image)
@@ -486,9 +486,9 @@ def run_files() -> Image.Image:
     shown[np.isnan(depth)] = 0.85, 0.85, 0.85, 1
     views = mp.views.view_mosaic(mp.views.pick_views(light_field, 5))
     panels = [(f"wave.pdf, {one.distance:g} mm", one.image) for one in found]
-    white = Brightness().white([one.image for one in found])
+    white = Brightness().peak([one.image for one in found])
     depths = ("depth.exr", (255 * shown[..., :3]).astype(np.uint8))
-    views = to_bytes(np.nan_to_num(views), Brightness().white([np.nan_to_num(views)]))
+    views = to_bytes(np.nan_to_num(views), Brightness().peak([np.nan_to_num(views)]))
     return sheet([[*panels, depths, ("views.png, 5 x 5", views)]], white)
 
 
@@ -501,7 +501,7 @@ def dual_pixel() -> Image.Image:
     scene = mp.with_camera(mp.load_scene("still_life", variant="llvm_ad_rgb"), camera)
     halves = mp.dual_pixel(mp.render_capture(scene, model="ray", spp=160))
     left, right = halves[0].values
-    white = Brightness().white([left + right])
+    white = Brightness().peak([left + right])
     grey = [to_bytes(half.mean(-1) * 2, white) for half in (left, right)]
     disparity = mp.match_halves(halves, window=21, search=12).values
     shown = matplotlib.colormaps["viridis"](np.clip((disparity + 8) / 12, 0, 1))

@@ -9,8 +9,8 @@ from typing import Any
 
 from ..errors import NO_RECORD, naming, refuse_if, refusing
 from ..extension import entry_of
-from ..io.files import parse_yaml, read_text, read_yaml
 from ..presets import PRESETS
+from ..runtime.files import parse_yaml, read_text, read_yaml
 from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24
@@ -20,7 +20,7 @@ _LIBPLENO = {"mla", "main_lens", "sensor"}
 
 
 def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
-    """Read a camera, and what a calibration has added to its file under ``calibration``, None without that.
+    """Return a camera, and the object ``calibration`` of its file, None without one.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
 
 
 def states_camera(source: str | Path) -> bool:
-    """Return whether a text states parameters of a camera; a file of that name takes precedence."""
+    """Return whether a text states parameters of a camera; a file of this name takes precedence."""
     return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
-from collections.abc import Iterator
 from typing import Any
 
-from .entry import Captures, Form, Parameter
+from .entry import Captures, Form
 from .parameters import PARAMETERS
 
 _WIDTH = 116
@@ -28,38 +27,36 @@ def signature() -> inspect.Signature:
 
 def numpy_section() -> str:
     """Return the entries of the section of parameters of the camera's docstring."""
-    return "".join(line + "\n" for entry in PARAMETERS.values() for line in _numpy_entry(entry))
-
-
-def _numpy_entry(entry: Parameter) -> Iterator[str]:
-    optional = ", optional" if entry.default is None else ""
-    yield f"    {entry.name} : {entry.takes or entry.form.value[0]}{optional}"
-    default = f" Default: {entry.otherwise}." if entry.otherwise else ""
-    yield from _filled(entry.words + default, " " * 8, " " * 8)
+    lines = []
+    for entry in PARAMETERS.values():
+        lines.append(f"    {entry.name} : {entry.takes or entry.form.value[0]}{', optional' * (entry.default is None)}")
+        default = f" Default: {entry.otherwise}." if entry.otherwise else ""
+        lines += _filled(entry.words + default, " " * 8, " " * 8)
+    return "".join(line + "\n" for line in lines)
 
 
 def with_sensor_parameters(docstring: str) -> str:
     """Replace the row CAMERA of a docstring by the rows of all parameters that a sensor takes."""
-    rows = [line for entry in PARAMETERS.values() if entry.form is not Form.FILM for line in _sensor_row(entry)]
+    rows = []
+    for entry in PARAMETERS.values():
+        if entry.form is Form.FILM:
+            continue
+        rows += [f" * - {entry.name}", f"   - {entry.form.value[1]}"]
+        default = entry.otherwise or _written(entry.default)
+        # Only in Python are they names that the site links.
+        words = re.sub(rf"(?<![`:])`({'|'.join(PARAMETERS)})`", r"``\1``", f"{entry.words} (Default: {default})")
+        rows += _filled(words, "   - ", "     ")
+        if entry.is_exposed:
+            flags = ["|exposed|", *(words for flag, words in _FLAGS.items() if flag in entry.gradients)]
+            rows.append(f"   - {', '.join(flags)}")
     # The docstring is indented where Python reads it, and not where the site does.
     indent = re.search(r"^( *) \* - CAMERA$", docstring, re.MULTILINE)
     assert indent is not None
     return docstring.replace(indent[0], "\n".join(indent[1] + row for row in rows))
 
 
-def _sensor_row(entry: Parameter) -> Iterator[str]:
-    yield f" * - {entry.name}"
-    yield f"   - {entry.form.value[1]}"
-    default = entry.otherwise or _written(entry.default)
-    # Only in Python are they names that the site links.
-    words = re.sub(rf"(?<![`:])`({'|'.join(PARAMETERS)})`", r"``\1``", f"{entry.words} (Default: {default})")
-    yield from _filled(words, "   - ", "     ")
-    if entry.is_exposed:
-        yield "   - " + ", ".join(["|exposed|", *(words for flag, words in _FLAGS.items() if flag in entry.gradients)])
-
-
 def _written(default: Any) -> str:
-    """Return a default as it is written in a scene file."""
+    """Return a default as written in a scene file."""
     if isinstance(default, tuple):
         return f'"{", ".join(map(_written, default))}"'
     return f"``{default}``" if isinstance(default, str) else f"{default:g}"

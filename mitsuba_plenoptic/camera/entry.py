@@ -30,7 +30,7 @@ class Form(Enum):
 
 
 class Captures(Flag):
-    """Kinds of captures, to state which of them support a parameter or have a derivative with respect to it."""
+    """Kinds of captures, used to state which of them support or differentiate a parameter."""
 
     NONE = 0
     RAYS = auto()
@@ -46,7 +46,7 @@ class Captures(Flag):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Parameter(Generic[Given, Kept]):
-    """An entry of the table: a parameter of the type `Given` in the constructor, which a camera stores as `Kept`.
+    """Entry of the table of parameters: `Given` is the type in the constructor, `Kept` the type in a camera.
 
     The comments describe each attribute; only the first three are required.
     """
@@ -76,12 +76,12 @@ class Parameter(Generic[Given, Kept]):
     name: str = field(default="", init=False)
 
     def __set_name__(self, owner: type, attribute: str) -> None:
-        """Take the names from the table."""
+        """Take the name of the parameter from its attribute in the table."""
         object.__setattr__(self, "attribute", attribute)
         object.__setattr__(self, "name", self.alias or attribute)
 
     def plain(self, value: Kept) -> Any:
-        """Return a value in its shortest form, as files have it."""
+        """Return a value in its shortest form, as in files."""
         return self.shortest(value) if self.shortest else value
 
     @property

@@ -17,18 +17,18 @@ from .parameters import CameraParameters
 
 @record
 class CameraGeometry(CameraParameters):
-    """A camera's parameters, and the quantities that follow from them."""
+    """Parameters of a camera, with the quantities that follow from them."""
 
     # -- main lens -----------------------------------------------------------------------------------
 
     @property
     def objective(self) -> Objective | None:
-        """The main lens if it is a microscope's objective."""
+        """Main lens if it is a microscope's objective, otherwise None."""
         return self.main_lens if isinstance(self.main_lens, Objective) else None
 
     @property
     def prescription(self) -> Prescription | None:
-        """The main lens if it has surfaces."""
+        """Main lens if it has surfaces, otherwise None."""
         return self.main_lens if isinstance(self.main_lens, Prescription) else None
 
     @property
@@ -128,7 +128,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def reduced_focal_lengths(self) -> tuple[float, ...]:
-        """Focal lengths :math:`f_2 / n` of the microlenses, reduced alike: the reciprocals of their powers."""
+        """Focal lengths :math:`f_2 / n` of the microlenses in air, the reciprocals of their powers."""
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
 
     def medium_wavelength(self, wavelength: float) -> float:
@@ -319,5 +319,5 @@ _MM_PER_NM = 1e-6
 
 
 def has_small_lenses(camera: CameraGeometry, wavelength: float) -> bool:
-    """Return whether a camera's lenses are so small that they need the responses of photodiodes."""
+    """Return whether a camera's lenses are so small that captures need the responses of photodiodes."""
     return min(camera.mla_pitches) < _SMALLEST * wavelength * _MM_PER_NM

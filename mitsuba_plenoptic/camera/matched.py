@@ -35,7 +35,7 @@ _FOLLOWING = {
 
 
 def require_enough(given: dict[str, Any]) -> None:
-    """Refuse arguments of a matched camera that are too few, or one that follows from the others."""
+    """Refuse too few arguments of a matched camera, or an argument that follows from the others."""
     names = [*MATCHED, *(["focal_length"] if given.get("main_lens") is None else [])]
     missing = [name for name in names if given.get(name) is None]
     if given.get("focus_distance") is None and given.get("mla_distance") is None:

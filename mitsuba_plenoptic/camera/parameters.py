@@ -17,6 +17,7 @@ from ..errors import (
     LEAST_FILL,
     MOST_SEED,
     STEEPEST_TILT,
+    naming,
     require_chief_rays,
     require_choice,
     require_count,
@@ -34,9 +35,10 @@ from ..extension import entries, place
 from ..lattice import APERTURES, LATTICES
 from ..microlens.shape import MicrolensShape, known_shape
 from ..prescription import Glass
+from ..prescription.glass import LINE_D
 from ..prescription.lens_data import LensData
+from ..prescription.lens_file import lens_from_plain, read_lens
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
-from .given_lens import known_glass, known_lens
 from .phase_screen import PhaseScreen, known_screen
 
 if TYPE_CHECKING:
@@ -48,6 +50,23 @@ LENS_MODELS = ("ideal", "parabolic")
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
 
 _Glass = Glass | str | float | dict[str, Any]
+
+
+def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:
+    """Return a main lens from any of its forms; None means a thin lens."""
+    if value is None or isinstance(value, LensData):
+        return value
+    return read_lens(value) if isinstance(value, (str, Path)) else lens_from_plain(value)
+
+
+def known_glass(name: str, value: Any) -> Glass | None:
+    """Return a lens's glass from any of its forms; refuse one that does not refract light of the line d."""
+    if value is None:
+        return None
+    glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
+    with naming(name):
+        glass.focal_ratio(LINE_D)
+    return glass
 
 
 @record
@@ -452,7 +471,7 @@ if TYPE_CHECKING:
 
     @record
     class CameraParameters(CoreParameters, ShippedParameters):
-        """One camera's values."""
+        """Parameters of one camera, with their values."""
 
 else:
     _added = {name: place(package, text) for package, name, text in entries("parameters")}

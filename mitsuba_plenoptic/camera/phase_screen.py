@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import (
     WAVEFRONT_UNIT,
@@ -25,8 +24,8 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io.files import read_json_value
 from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, read_samples
+from ..runtime.files import read_json_value
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 """Unit of the samples."""
@@ -35,7 +34,7 @@ _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
 class PhaseScreen:
-    """A path that light gains over the pupil of the main lens, given by samples, such as that of a turbulent layer.
+    """Path that light gains over the pupil of the main lens, given by samples, such as a turbulent layer's.
 
     Between samples it is a bicubic spline, whose gradient deflects rays. The unit is that of the Zernike coefficients
     of `PlenopticCamera`: light of other wavelengths sees the same path. A sample represents the square around it, and
@@ -130,7 +129,7 @@ class PhaseScreen:
 
 
 def known_screen(value: Any, resolve: Callable[[str], str] = str) -> PhaseScreen | None:
-    """Return a screen from any of its forms: a screen, plain data, a JSON file or its text; None means none is given.
+    """Return a phase screen, given as a screen, plain data, a JSON file or its text; None means no screen.
 
     `resolve` finds files by their names, for example in the folder of a scene.
     """
@@ -200,15 +199,7 @@ def frozen_flow(
         f"waves of {large.shape[0]} x {large.shape[1]} samples: frames and wind need "
         f"{np.ceil(needed[0]):.6g} x {np.ceil(needed[1]):.6g}",
     )
-    return _windows(large, step, count, velocity * interval, frames)
-
-
-def _windows(
-    large: NDArray[np.float64], step: float, count: int, moved: NDArray[np.float64], frames: int
-) -> Iterator[PhaseScreen]:
-    """Yield windows of a screen, of `count` samples along each axis, between which it moves by `moved` millimetres."""
     grid = SampledGrid(large, (large.shape[1] - 1) * step)
     offsets = (np.arange(count) - (count - 1) / 2) * step
-    for frame in range(frames):
-        x, y = -moved * (frame - (frames - 1) / 2)
-        yield PhaseScreen(grid.at(*np.meshgrid(offsets + x, offsets + y)), (count - 1) * step)
+    centres = (-velocity * interval * (frame - (frames - 1) / 2) for frame in range(frames))
+    return (PhaseScreen(grid.at(*np.meshgrid(offsets + x, offsets + y)), (count - 1) * step) for x, y in centres)

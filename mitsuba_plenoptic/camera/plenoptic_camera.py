@@ -10,6 +10,7 @@ import json
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -26,38 +27,27 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..extension import missing
+from ..extension import Displayed, missing
 from ..lattice import LATTICES
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
-from ..runtime.notebook import Displayed
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
-from .scene_file import describe, write_xml
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Check a camera's arguments, given by name, and fill in defaults; return all values by attribute."""
+    """Return all parameters of a camera by attribute: the given ones, checked, and defaults."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
         missing = value is None and entry.default is None
         values[entry.attribute] = None if missing else entry.check(name, value)
-    _complete_lens(values)
-    _complete_microlenses(values)
-    _check_array(values)
-    if values["detector_distance"] is None:
-        values["detector_distance"] = values["mla_focal_lengths"][0]
-    _complete_window(values)
-    return values
 
-
-def _complete_lens(values: dict[str, Any]) -> None:
-    """Fill in the main lens's parameters and the array's distance from it; refuse values that contradict the lens."""
+    # The main lens, and the distance of the array from it.
     data, focus = values["main_lens"] or THIN, values["focus_distance"]
     for name, number in zip(("focal_length", "aperture_radius"), data.own_numbers(values["focal_length"]), strict=True):
         if values[name] is None:
@@ -76,19 +66,13 @@ def _complete_lens(values: dict[str, Any]) -> None:
     # It is what follows from the others, whatever digits it was given with.
     values["focus_distance"] = data.focus_distance(values["focal_length"], values["mla_distance"])
 
-
-def _complete_microlenses(values: dict[str, Any]) -> None:
-    """Fill in the focal length of the microlenses; refuse one that contradicts their shape."""
+    # The microlenses.
     if values["mla_shape"] is not None:
         own = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
         values["mla_focal_lengths"] = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
         refuse_if(values["mla_glass"] is not None, "mla_glass: an mla_shape brings its own material; leave it out")
     elif values["mla_focal_lengths"] is None:
         values["mla_focal_lengths"] = (0.512,)
-
-
-def _check_array(values: dict[str, Any]) -> None:
-    """Refuse focal lengths for which the lattice has no lens types, and arrays too irregular for their pitches."""
     types, focal_lengths = LATTICES[values["mla_lattice"]].lens_types, values["mla_focal_lengths"]
     if len(focal_lengths) not in (1, types):
         several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
@@ -101,10 +85,10 @@ def _check_array(values: dict[str, Any]) -> None:
     bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
     for value, most in zip(values["mla_jitter"], bounds, strict=True):
         require_number("mla_jitter", value, maximum=most)
+    if values["detector_distance"] is None:
+        values["detector_distance"] = values["mla_focal_lengths"][0]
 
-
-def _complete_window(values: dict[str, Any]) -> None:
-    """Fill in the size of the crop window, by default the rest of the detector; refuse a window outside of it."""
+    # The crop window, by default the part of the detector beyond its offset.
     resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
     if size is None:
         rest = tuple(count - first for count, first in zip(resolution, offset, strict=True))
@@ -113,6 +97,7 @@ def _complete_window(values: dict[str, Any]) -> None:
         any(first + recorded > count for count, first, recorded in zip(resolution, offset, size, strict=True)),
         f"crop_offset = {offset} with crop_size = {size}: the window must lie within the resolution {resolution}",
     )
+    return values
 
 
 def require_whole(camera: CameraGeometry) -> None:
@@ -144,7 +129,7 @@ def require_whole(camera: CameraGeometry) -> None:
 def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
-    """Refuse a camera with a parameter that captures of a kind would ignore, `besides` some; `what` begins the rule."""
+    """Refuse a camera with parameters that captures of a kind would ignore, `besides` excepted."""
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
         if name not in besides and captures not in entry.known_to and value != entry.default:
@@ -219,7 +204,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:
-        """Build one of the known cameras; `presets` lists them with the sources of their numbers.
+        """Return one of the known cameras; `presets` lists them with the sources of their numbers.
 
         Parameters
         ----------
@@ -246,7 +231,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         pixel_size: float | None = None,
         **others: Any,
     ) -> PlenopticCamera:
-        r"""Build the unfocused camera whose micro-images touch, from what data sheets state.
+        r"""Return the unfocused camera whose micro-images touch, from the numbers of a data sheet.
 
         Micro-images on the detector are `pixels_per_lens` pixels wide and as far apart. The first four parameters, the
         focal length of the main lens and its focus are all required.
@@ -323,7 +308,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
-        """Build a camera from a dictionary of `to_dict`, for example from a file's header.
+        """Return the camera of a dictionary of `to_dict`, for example from a file's header.
 
         Parameters
         ----------
@@ -343,7 +328,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls._from_names(values)
 
     def arguments(self) -> dict[str, Any]:
-        """Return all parameters by name as the camera stores them; the constructor accepts them."""
+        """Return all parameters by name in the form that the camera stores and the constructor accepts."""
         return {name: getattr(self, entry.attribute) for name, entry in PARAMETERS.items() if not entry.instead_of}
 
     def to_dict(self) -> dict[str, Any]:
@@ -353,7 +338,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Build a camera from the text of a JSON file: an object of parameters, which have defaults if left out.
+        """Return the camera of a JSON file's text: an object of parameters, which have defaults if left out.
 
         Or of arguments of `matched`.
 
@@ -381,7 +366,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def _from_names(cls, values: Any) -> PlenopticCamera:
-        """Build a camera from parameters of unknown origin."""
+        """Return the camera of parameters of unknown origin."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
         of_sheet = [name for name in MATCHED if name in values]
@@ -394,7 +379,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return cls.matched(**values) if of_sheet else cls(**values)
 
     def to_sensor(self, to_world: Any = None) -> dict[str, Any]:
-        """Describe the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
+        """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
         ----------
@@ -407,11 +392,48 @@ class PlenopticCamera(CameraGeometry, Displayed):
             The sensor, whose film records luminance in single precision. When it is loaded, `from_sensor` returns this
             camera.
         """
-        return describe(self.to_dict(), to_world)
+        values = self.to_dict()
+        columns, rows = values.pop("resolution")
+        (left, top), (width, height) = values.pop("crop_offset"), values.pop("crop_size")
+        sensor: dict[str, Any] = {"type": "plenoptic"}
+        for name, value in values.items():
+            # Lenses and glasses are JSON, several values have commas between them.
+            if isinstance(value, dict):
+                sensor[name] = json.dumps(value)
+            elif value != ():
+                sensor[name] = ", ".join(map(repr, value)) if isinstance(value, tuple) else value
+        if to_world is not None:
+            sensor["to_world"] = to_world
+        sensor["film"] = {
+            "type": "hdrfilm",
+            "width": columns,
+            "height": rows,
+            "crop_offset_x": left,
+            "crop_offset_y": top,
+            "crop_width": width,
+            "crop_height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "luminance",
+            "component_format": "float32",
+        }
+        return sensor
 
     def to_xml(self) -> str:
         """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file."""
-        return write_xml(self.to_sensor())
+
+        def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
+            made = ElementTree.Element(tag, {"type": values["type"], **attributes})
+            for name, value in values.items():
+                if isinstance(value, dict):
+                    made.append(element(name, value))
+                elif name != "type":
+                    kind = {int: "integer", float: "float", str: "string"}[type(value)]
+                    ElementTree.SubElement(made, kind, name=name, value=str(value))
+            return made
+
+        tree = element("sensor", self.to_sensor(), id="camera")
+        ElementTree.indent(tree, "    ")
+        return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
     def __repr__(self) -> str:
         values = self.to_dict()
@@ -486,6 +508,15 @@ def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
     return value
 
 
+def film_numbers(film: Any) -> dict[str, Any]:
+    """Return the parameters of a camera that its film states: resolution and crop, in pixels."""
+    return {
+        "resolution": tuple(film.size()),
+        "crop_offset": tuple(film.crop_offset()),
+        "crop_size": tuple(film.crop_size()),
+    }
+
+
 def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:
-    """Return whether two cameras differ in nothing but their `lens_model`, so that pixels and views correspond."""
+    """Return whether two cameras differ at most in `lens_model`, so that pixels and views correspond."""
     return one == other or (other is not None and one == other.replace(lens_model=one.lens_model))

@@ -71,21 +71,11 @@ def with_parts(camera: PlenopticCamera, parts: Mapping[str, Array], **others: An
 
 @dataclass(frozen=True)
 class Component:
-    """An entry of a vector: components of one parameter, which are equal, and its label in results."""
+    """Entry of a vector: one or several equal components of a parameter, with a label for results."""
 
     name: str
     parts: tuple[int, ...]
     label: str
-
-
-def _components(camera: PlenopticCamera, name: str) -> list[Component]:
-    """Return the vector entries of a parameter; the piston of aberrations is left out."""
-    count, entry = len(parts_of(camera, name)), PARAMETERS[name]
-    if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
-        return [Component(name, tuple(range(count)), name)]
-    refuse_if(count <= entry.unseen, f"{name}: the camera has no coefficients to start from; give it some, zeros too")
-    labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
-    return [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
 
 
 @dataclass(frozen=True)
@@ -97,11 +87,24 @@ class CameraVector:
 
     @classmethod
     def by_names(cls, camera: PlenopticCamera, names: Iterable[str]) -> CameraVector:
-        """Return the vector of parameters; refuse coefficients of which the camera has none."""
-        return cls(camera, tuple(each for name in names for each in _components(camera, name)))
+        """Return the vector of parameters; refuse coefficients of which the camera has none.
+
+        The piston of aberrations is left out.
+        """
+        found = []
+        for name in names:
+            count, entry = len(parts_of(camera, name)), PARAMETERS[name]
+            if entry.form is Form.SEVERAL and len(shortest_parts(camera, name)) == 1:
+                found.append(Component(name, tuple(range(count)), name))
+                continue
+            rule = "the camera has no coefficients to start from; give it some, zeros too"
+            refuse_if(count <= entry.unseen, f"{name}: {rule}")
+            labels = [f"{name}.{part + 1}" for part in range(count)] if count > 1 else [name]
+            found += [Component(name, (part,), labels[part]) for part in range(entry.unseen, count)]
+        return cls(camera, tuple(found))
 
     def of(self, camera: PlenopticCamera) -> CameraVector:
-        """Return the same components of another camera."""
+        """Return the vector of the same components for another camera."""
         return replace(self, camera=camera)
 
     def keep(self, labels: Iterable[str]) -> CameraVector:
@@ -116,7 +119,7 @@ class CameraVector:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters, each once."""
+        """Names of the parameters, without repetitions."""
         return tuple(dict.fromkeys(each.name for each in self.components))
 
     @property
@@ -177,5 +180,5 @@ class CameraVector:
         return changes
 
     def slopes(self, gradient: Mapping[str, Array]) -> Array:
-        """Return the derivatives by the vector's entries from those by all components of the parameters."""
+        """Return the derivatives by the vector's entries from derivatives by all components of the parameters."""
         return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])

@@ -99,7 +99,7 @@ def _command() -> typer.Typer:
 
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with some of its subcommands; loading all of them takes a second."""
+    """Return the command with the named subcommands; loading all of them would take a second."""
     from .judging import judging
     from .run_file import recorded
 
@@ -115,7 +115,7 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 
 def _outline() -> typer.Typer:
-    """Return the command with subcommands that have their help alone, for which none of their modules is imported."""
+    """Return the command with subcommands that have only their help, without importing their modules."""
     made = _command()
     for name in COMMANDS:
         made.command(name, help=_docstring(name))(lambda: None)
@@ -123,7 +123,7 @@ def _outline() -> typer.Typer:
 
 
 def _docstring(name: str) -> str | None:
-    """Return the docstring of a subcommand's function from its file; for a group of commands, that of the file."""
+    """Return the docstring of a subcommand's function, or of the file for a group of commands, from the file."""
     spec = importlib.util.find_spec(COMMANDS[name])
     module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
     own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
@@ -131,7 +131,7 @@ def _docstring(name: str) -> str | None:
 
 
 def _called(words: Sequence[str]) -> list[str]:
-    """Return the subcommand among the words of a command line, or of one that a shell completes; else nothing."""
+    """Return the subcommand among the words of a command line, or of one being completed; empty without one."""
     if "_MITSUBA_PLENOPTIC_COMPLETE" in os.environ:
         # The last word is being typed.
         words = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split(" ")[1:-1]
@@ -139,7 +139,7 @@ def _called(words: Sequence[str]) -> list[str]:
 
 
 def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
-    """Yield the commands of Typer's group with what is typed for them, such as ``benchmark make``."""
+    """Yield the commands of a Typer group with the words that call them, such as ``benchmark make``."""
     for name, command in group.commands.items():
         if hasattr(command, "commands"):
             yield from commands_of(command, *words, name)
@@ -148,7 +148,7 @@ def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
 
 
 def command_group(names: Iterable[str] = COMMANDS) -> Any:
-    """Return Typer's group of some commands, each with the options that all of them have."""
+    """Return the Typer group of the named commands, each with the common options."""
     group: Any = typer.main.get_command(command_line(names))
     for_all = typer.Typer()
     for_all.command()(_for_all)
@@ -183,7 +183,7 @@ def _for_all(
         ),
     ] = False,
 ) -> None:
-    """Hold the options that every command has."""
+    """Store the options that every command has."""
 
 
 def _be_quiet() -> None:
@@ -265,7 +265,7 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
 
 
 def _is_usage(error: Exception) -> bool:
-    """Return whether an error is one of Typer's own of usage; their class has no public name in all versions."""
+    """Return whether an error is one of Typer's usage errors, whose class has no public name in all versions."""
     return hasattr(error, "format_message")
 
 
@@ -278,7 +278,7 @@ def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
 
 @contextlib.contextmanager
 def _remarks() -> Iterator[None]:
-    """Show the library's warnings and remarks, such as what a long rendering will take, on standard error."""
+    """Print the library's warnings and remarks, such as the time of a long rendering, on standard error."""
     handler = logging.Handler()
     handler.emit = _print_record  # type: ignore[method-assign]
     level = _logger.level
@@ -299,7 +299,7 @@ def _print_record(record: logging.LogRecord) -> None:
 
 
 def _with_options(message: str, options: Mapping[str, str]) -> str:
-    """Spell the arguments that a message is about, ``name = value: ...``, as options where the command has such."""
+    """Return a message with the arguments it is about, ``name = value: ...``, spelt as options of the command."""
 
     def spelled(found: re.Match[str]) -> str:
         option = options.get(_OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}"))

@@ -5,9 +5,6 @@
 
 MODELS = ("ray", "wave")
 UNITS = ("mm", "cm", "m")
-METHODS = ("ray", "coherent", "partial", "incoherent", "deconvolved")
-FOOTPRINTS = ("lens", "point")
-RESPONSES = ("wave", "ray")
 VIEW_METHODS = ("shift", "fourier")
 AXES = ("horizontal", "vertical")
 LAYOUTS = ("2x1", "1x2", "2x2")

@@ -27,8 +27,8 @@ def example(
     """
     from ..io import examples
     from ..io.captures import write_capture
-    from ..io.files import require_writable
     from ..io.truth_files import NAME, truth_path, write_ground_truth
+    from ..runtime.files import require_writable
 
     capture, truth = examples.example(name), examples.example_truth(name)
     path = require_writable(output or Path(f"{name}.exr"), ".exr")

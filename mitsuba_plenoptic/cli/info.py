@@ -94,8 +94,8 @@ def info(
 
     from ..design import design_warnings, mended
     from ..extension import format_of
-    from ..io.files import require_writable, write_text
     from ..report.design_sheet import design_sheet
+    from ..runtime.files import require_writable, write_text
 
     if fix is not None:
         require_writable(fix, ".json")
@@ -156,7 +156,7 @@ def _changes(camera: PlenopticCamera, better: PlenopticCamera) -> dict[str, Any]
 
 
 def _origin(capture: Capture) -> dict[str, Any]:
-    """Describe how a capture was made, as far as its header says."""
+    """Return how a capture was made, as far as its header states it."""
     noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
     facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
     return {name: value for name, value in facts.items() if value not in (None, "")}

@@ -271,7 +271,7 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
 def drawing_of(
     exposure: float | None, percentile: float | None, scale: int | None, figure: bool, *paths: Path | None
 ) -> Drawing:
-    """Return how pictures are drawn; refuse the options where no such picture is written."""
+    """Return the settings for pictures; refuse these options where the output is no picture."""
     from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
 
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
@@ -293,7 +293,7 @@ def drawing_of(
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:
-    """Return the camera that an option names, None where it is not given."""
+    """Return the camera that an option names, None where the option is not given."""
     return None if source is None else load_camera(source, {})[0]
 
 
@@ -305,7 +305,7 @@ def open_scene(
     index: int = 0,
     unit: str = "mm",
 ) -> Any:
-    """Load a scene to be rendered, in the variant of its film's colours by default, and warn of a poor design."""
+    """Return a loaded scene, by default in the variant that fits its film; warn of a poor design."""
     from ..camera import PlenopticCamera
     from ..design import design_warnings
     from ..light.render_capture import plenoptic_sensor
@@ -334,7 +334,7 @@ _OWN = ("sampler", "transform", "medium")
 
 
 def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -> None:
-    """Refuse scene parameters that only the scene's own camera has, where another camera takes its place.
+    """Refuse parameters of the scene's camera where another camera takes its place.
 
     The position of the camera and its sampler remain those of the scene. Names that the scene does not have are left
     to its loading.
@@ -392,7 +392,7 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
 
 def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
-    """Turn ``name=value`` texts into a dictionary."""
+    """Return ``name=value`` texts as a dictionary."""
     parameters = {}
     for text in definitions or []:
         name, equals, value = text.partition("=")

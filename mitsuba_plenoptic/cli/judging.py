@@ -17,13 +17,13 @@ from ..scene_files import scene_names, scene_path
 
 @dataclass(frozen=True)
 class Judged:
-    """Metadata of an annotation: a function of an option's name and value that refuses wrong values."""
+    """Metadata of an annotation: a function that refuses wrong values of an option."""
 
     judge: Callable[[str, Any], object]
 
 
 def judging(function: Callable[..., None]) -> Callable[..., None]:
-    """Have a command's values judged when it is called; in a run an earlier step may write what a later one reads."""
+    """Return a command whose option values are judged when it is called, not when a run file is parsed."""
     parameters = inspect.signature(function, eval_str=True).parameters
     judges = {
         name: one.judge
@@ -59,7 +59,7 @@ def _require_file(name: str, path: Path) -> None:
 
 
 def require_camera_name(name: str, source: str) -> None:
-    """Refuse what names no camera: a preset, parameters, a file or a scene."""
+    """Refuse a text that names no camera: neither a preset, parameters, a file nor a scene."""
     names = scene_names()
     if "=" not in source and not Path(source).exists() and source not in (*PRESETS, *names):
         absent = missing("presets", source)

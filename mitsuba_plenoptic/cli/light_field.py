@@ -65,9 +65,9 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    from ..io.files import require_apart
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_orbit, write_views
+    from ..runtime.files import require_apart
     from ..views import pick_views
     from ..views.light_field_files import open_light_field
 
@@ -123,8 +123,8 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
-    from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_epipolar_image
+    from ..runtime.files import require_apart
     from ..views import epipolar_image
     from ..views.light_field_files import open_light_field
 
@@ -176,10 +176,10 @@ def stack(
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
     """
-    from ..io.files import require_apart
     from ..report.animations import sweep_distances
     from ..report.images import ANIMATED
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
+    from ..runtime.files import require_apart
     from ..views import focal_stack
     from ..views.light_field_files import open_light_field
 
@@ -242,8 +242,8 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
-    from ..io.files import require_apart
     from ..report.output_files import require_picture_path, write_depth
+    from ..runtime.files import require_apart
     from ..views import depth_error, depth_map
     from ..views.depth import beyond_search, is_focused
     from ..views.light_field_files import open_light_field, open_micro_images
@@ -330,7 +330,7 @@ def convert(
       mitsuba-plenoptic convert folder -o lf.nc
     """
     from ..extension import format_of, place
-    from ..io.files import require_apart
+    from ..runtime.files import require_apart
     from ..views.light_field_files import HCI, open_light_field, require_light_field_path, save_light_field
 
     writer = None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import naming, refuse_if
-from .choices import METHODS
+from ..refocus_options import METHODS
 from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded
 from .judging import FILE, one_of
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InputError
+from ..refocus_options import METHODS, OPTIONS, Option, with_parameters
 from ..runtime.progress import in_words, progress_bar
-from .choices import FOOTPRINTS, METHODS, RESPONSES
 from .inputs import (
     EXPERT,
     WAVES,
@@ -33,7 +34,7 @@ from .inputs import (
     require_linear,
 )
 from .judging import COUNTED, WAVELENGTH, one_of
-from .stopping import Resume, existing_checkpoint, stopped_by_hand
+from .stopping import Resume, checkpoint_of, stopped_by_hand
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
@@ -42,6 +43,26 @@ if TYPE_CHECKING:
     from ..report.images import Drawing
 
 
+def _with_method_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give the command an option for each that single methods use."""
+    made: dict[str, Any] = {}
+    for name, option in OPTIONS.items():
+        flag = bool in option.types
+        kind: Any = str | None if str in option.types else option.types[0] | None
+        made[name] = Annotated[
+            kind,
+            typer.Option(
+                *([f"--{name}/--no-{name}" if option.default else f"--{name}"] if flag else []),
+                metavar="|".join(option.choices) or option.metavar or (None if flag else "N"),
+                show_default=name if flag and option.default else not flag and option.shown_default,
+                help=option.label,
+                rich_help_panel=WAVES if option.waves else EXPERT,
+            ),
+        ]
+    return with_parameters(command, made)
+
+
+@_with_method_options
 def reconstruct(
     capture: CaptureFile,
     distance: Distances,
@@ -65,28 +86,10 @@ def reconstruct(
         ),
         one_of(METHODS),
     ] = "ray",
-    interleave: Annotated[
-        str | None,
-        typer.Option(
-            metavar="K|auto",
-            show_default="2",
-            help="For partial: every K-th lens along both axes shares a wave; auto lets no two lenses interfere.",
-            rich_help_panel=WAVES,
-        ),
-    ] = None,
     wavelength: Annotated[
         float | None,
         numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM", panel=WAVES),
         WAVELENGTH,
-    ] = None,
-    relay: Annotated[
-        bool | None,
-        typer.Option(
-            "--relay/--no-relay",
-            show_default="relay",
-            help="For coherent and partial: whether the microlenses act again on the way back, as they should.",
-            rich_help_panel=WAVES,
-        ),
     ] = None,
     camera: CameraFile = None,
     linear: Linear = False,
@@ -97,65 +100,6 @@ def reconstruct(
             metavar="FILE",
             show_default="computed from the camera",
             help="A capture or picture of a white scene by the same camera; the result is divided by it.",
-        ),
-    ] = None,
-    footprint: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(FOOTPRINTS),
-            show_default="lens",
-            help="For ray: spread a pixel over what its lens sees, or put it into one bin.",
-            rich_help_panel=EXPERT,
-        ),
-    ] = None,
-    response: Annotated[
-        str | None,
-        typer.Option(
-            metavar="|".join(RESPONSES),
-            show_default="as the capture was made",
-            help="For deconvolved: how light goes through the camera.",
-            rich_help_panel=EXPERT,
-        ),
-    ] = None,
-    iterations: Annotated[
-        int | None,
-        numeric(
-            "For deconvolved: steps.",
-            "until only noise is left, where a capture states its exposure; else 30",
-            panel=EXPERT,
-        ),
-    ] = None,
-    accelerate: Annotated[
-        bool | None,
-        typer.Option(
-            "--accelerate/--no-accelerate",
-            show_default="accelerate",
-            help="For deconvolved: whether each step starts from an extrapolated point.",
-            rich_help_panel=EXPERT,
-        ),
-    ] = None,
-    photons: Annotated[
-        float | None,
-        numeric(
-            "For deconvolved: photons that a pixel of value 1 has counted.",
-            "those that 'expose' recorded",
-            panel=EXPERT,
-        ),
-    ] = None,
-    volume: Annotated[
-        bool,
-        typer.Option(
-            "--volume",
-            help="For deconvolved: all distances together explain the capture, not each alone.",
-            rich_help_panel=EXPERT,
-        ),
-    ] = False,
-    variation: Annotated[
-        float | None,
-        numeric(
-            "For deconvolved: weight of the total variation, which makes planes even between sharp borders.",
-            "0",
-            panel=EXPERT,
         ),
     ] = None,
     overview: Annotated[
@@ -190,6 +134,7 @@ def reconstruct(
     scale: Scale = None,
     figure: Figure = False,
     variant: Variant = None,
+    **options: Any,
 ) -> None:
     """Refocus a capture to one or several distances.
 
@@ -218,11 +163,10 @@ def reconstruct(
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
     from .. import refocus as reconstruction
-    from ..io.checkpoints import SUFFIX, Checkpoint
-    from ..io.files import require_apart, require_different, require_writable
     from ..refocus.methods import used_by
     from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
+    from ..runtime.files import require_apart, require_different, require_writable
     from ..runtime.limits import GIB
 
     chosen = reconstruction.METHODS[method]
@@ -233,32 +177,24 @@ def reconstruct(
     elif output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Those that the command alone knows, too, so that there is one note on all.
-    options = used_by(
+    used = used_by(
         chosen,
         white=white,
         wavelength=wavelength,
-        interleave=_period(interleave),
-        footprint=footprint,
-        relay=relay,
-        response=response,
-        iterations=iterations,
-        accelerate=accelerate,
-        photons=photons,
-        volume=volume or None,
-        variation=variation,
+        **{name: _value_of(OPTIONS[name], value) for name, value in options.items()},
         resume=resume or None,
         workers=workers,
         scheduler=scheduler,
     )
-    white, resume, workers, scheduler = (options.pop(name) for name in ("white", "resume", "workers", "scheduler"))
-    options |= {"method": method, "oversample": oversample}
+    white, resume, workers, scheduler = (used.pop(name) for name in ("white", "resume", "workers", "scheduler"))
+    used |= {"method": method, "oversample": oversample}
     known = named_camera(camera)
     require_linear(linear, capture, white)
     if output is None:
         with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, known, linear, variant)
             progress(1, 3)
-            cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **options)
+            cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **used)
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
     whole = output.suffix.lower() in SUFFIXES
@@ -273,9 +209,7 @@ def reconstruct(
     for path in filter(None, written):
         require_apart(path, capture, white)
     recorded, reference = _recorded(capture, white, known, linear, variant)
-    saved = (
-        Checkpoint(output.with_name(output.name + SUFFIX), existing_checkpoint(bool(resume))) if chosen.long else None
-    )
+    saved = checkpoint_of(output, bool(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
             results = reconstruction.reconstruct(
@@ -285,7 +219,7 @@ def reconstruct(
                 progress=progress,
                 checkpoint=saved,
                 batch_map=batch_map,
-                **options,
+                **used,
             )
         if not whole:
             write_reconstructions(paths, results, recorded.metadata, drawing)
@@ -312,16 +246,16 @@ def sheet(
 
       mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
     """
-    from ..io.files import require_apart, require_writable
     from ..refocus import read_reconstruction
     from ..report.images import Brightness
+    from ..runtime.files import require_apart, require_writable
 
     require_apart(require_writable(output, ".pdf", ".png"), *results)
     read = [read_reconstruction(path) for path in results]
     # Brings Matplotlib, which takes a while to load.
     from ..report.figures import contact_sheet
 
-    contact_sheet(read, Brightness(exposure, percentile).white([one.image for one in read])).save(output)
+    contact_sheet(read, Brightness(exposure, percentile).peak([one.image for one in read])).save(output)
     methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images, {len(methods)} methods at {len(distances)} distances")
 
@@ -329,7 +263,7 @@ def sheet(
 def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
-    """Read a capture and its white reference, and set the variant."""
+    """Return a capture and its white reference, and set the variant."""
     from ..runtime.backend import set_variant
 
     recorded = read_recorded(capture, known, linear)
@@ -338,13 +272,17 @@ def _recorded(
     return recorded, reference
 
 
-def _period(interleave: str | None) -> int | str | None:
-    """Return a period in lenses as an integer; other words are checked where they are used."""
-    return int(interleave) if interleave and interleave.isdecimal() and len(interleave) < 10 else interleave
+def _value_of(option: Option, value: Any) -> Any:
+    """Return the value that a command was given for an option, None where none is; the library checks words."""
+    if bool in option.types:
+        # A flag that is off by default cannot be given as off.
+        return value if option.default else value or None
+    short = isinstance(value, str) and value.isdecimal() and len(value) < 10
+    return int(value) if short and int in option.types else value
 
 
 def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
-    """Write all distances together, as a volume and as a picture, where these are asked for."""
+    """Write all distances together as a volume, and as an overview picture, if requested."""
     from ..refocus import Volume, write_volume
 
     if path is None and overview is None:
@@ -358,12 +296,12 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
         # Brings libraries that take a second to load.
         from ..report.volumes import write_volume_overview
 
-        write_volume_overview(overview, made, drawing.brightness.white([made.values]))
+        write_volume_overview(overview, made, drawing.brightness.peak([made.values]))
         typer.echo(f"{overview}: overview")
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Describe a deconvolution in words."""
+    """Return a deconvolution's facts as words."""
     if not facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"

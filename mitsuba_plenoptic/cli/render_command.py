@@ -30,7 +30,7 @@ from .inputs import (
     output_option,
     parse_definitions,
 )
-from .stopping import Resume, existing_checkpoint, stopped_by_hand
+from .stopping import Resume, checkpoint_of, stopped_by_hand
 
 _log = logging.getLogger(__name__)
 
@@ -127,10 +127,9 @@ def render(
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
     from ..io.captures import Capture, write_capture
-    from ..io.checkpoints import SUFFIX, Checkpoint
-    from ..io.files import remove_leftovers, require_different, require_writable
     from ..io.truth_files import NAME, require_quantities, truth_path, write_ground_truth
     from ..light.render_capture import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+    from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
     options = {"wavelength": wavelength, "method": method}
@@ -159,9 +158,7 @@ def render(
         require_writable(path, ".exr")
     truth_file = require_writable(truth_path(output))
     require_different(output, white, truth_file if names else None)
-    saved = Checkpoint(
-        require_writable(checkpoint or output.with_name(output.name + SUFFIX)), existing_checkpoint(resume)
-    )
+    saved = checkpoint_of(output, resume, checkpoint)
     with progress_bar("Loading the scene"):
         loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
     remove_leftovers(output)
@@ -249,9 +246,9 @@ def expose(
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
     from ..io.captures import RAW_SUFFIXES, read_capture, write_capture, write_raw
-    from ..io.files import require_apart, require_writable
     from ..light.detector import Detector
     from ..light.detector import expose as record
+    from ..runtime.files import require_apart, require_writable
 
     require_writable(output, ".exr", *RAW_SUFFIXES)
     require_apart(output, capture)
@@ -276,7 +273,7 @@ def expose(
 
 
 def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
-    """Return how long a capture takes, and what is the cheapest to change about that."""
+    """Return a sentence about the time of a capture, and the change that shortens it at least cost."""
     from ..light.render_capture import plenoptic_sensor
 
     if (method or getattr(scene.integrator(), "method", "")) == "points":

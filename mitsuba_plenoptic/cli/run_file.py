@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import inspect
 import json
 import os
 import re
@@ -15,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_known, short_repr
+from ..refocus_options import with_parameters
 from .inputs import EXPERT
 
 _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
@@ -42,7 +42,7 @@ class RunStep:
 
 
 def parameters_of(commands: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the arguments and options of each command by the names that a run file has for them."""
+    """Return the arguments and options of each command by their names in a run file."""
     return {name: _by_name(command) for name, command in commands.items()}
 
 
@@ -84,7 +84,7 @@ def _word(name: str, value: Any) -> str:
 
 def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
     """Read the steps of a run file; `commands` has the parameters by name of each command."""
-    from ..io.files import read_yaml
+    from ..runtime.files import read_yaml
 
     content = read_yaml(path)
     with naming(path):
@@ -92,7 +92,7 @@ def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
 
 
 def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
-    """Make steps of what a run file holds; each gets the shared options that its command has."""
+    """Return the steps of a run file; each has the shared options that its command takes."""
     from ..io.versions import KEY
 
     refuse_if(
@@ -134,31 +134,23 @@ SaveRun = Annotated[
 
 
 def recorded(function: Callable[..., None], commands: Callable[[], Mapping[str, Any]]) -> Callable[..., None]:
-    """Give a command the option ``--save-run``; `commands` returns all that can be steps, by name."""
+    """Return a command with the option ``--save-run``; `commands` returns all possible steps by name."""
 
     @functools.wraps(function)
     def command(*, save_run: Path | None, context: typer.Context, **options: Any) -> None:
         if save_run is not None:
-            from ..io.files import require_writable
+            from ..runtime.files import require_writable
 
             require_writable(save_run, ".yaml", ".yml")
         function(**options)
         if save_run is not None:
             add_step(save_run, _step_of(context, save_run.parent), parameters_of(commands()))
 
-    given = inspect.signature(function, eval_str=True)
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    added = [
-        inspect.Parameter("save_run", keyword, default=None, annotation=SaveRun),
-        inspect.Parameter("context", keyword, annotation=typer.Context),
-    ]
-    command.__signature__ = given.replace(parameters=[*given.parameters.values(), *added])  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in (*given.parameters.values(), *added)}
-    return command
+    return with_parameters(command, {"save_run": SaveRun, "context": typer.Context})
 
 
 def _step_of(context: Any, folder: Path) -> RunStep:
-    """Return the command that is being run, with the options that it was given; files relative to a folder."""
+    """Return the running command as a step, with the options given to it and files relative to a folder."""
     options: dict[str, Any] = {}
     for name, parameter in _by_name(context.command).items():
         if context.get_parameter_source(parameter.name).name != "COMMANDLINE":
@@ -176,7 +168,7 @@ _FILES_OR_NAMES = {"scene", "camera", "source"}
 
 
 def _seen_from(folder: Path, name: str, value: Any) -> str:
-    """Return an option's value as a word; a file's path relative to the folder, where it is not absolute."""
+    """Return an option's value as a word; relative paths of files are made relative to the folder."""
     word = _word("", value)
     named = isinstance(value, Path) or (name in _FILES_OR_NAMES and Path(word).is_file())
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word
@@ -184,8 +176,8 @@ def _seen_from(folder: Path, name: str, value: Any) -> str:
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
     """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
-    from ..io.files import parse_yaml, write_text
     from ..io.versions import KEY, VERSION
+    from ..runtime.files import parse_yaml, write_text
 
     # It is read as a run file first, which refuses what is none.
     steps = read_run_file(path, commands) if path.exists() else []
@@ -213,7 +205,7 @@ def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tupl
 
 def _yaml(value: Any) -> str:
     """Write a word, a list of words or a flag as YAML, as plain text where it is read back as the same word."""
-    from ..io.files import parse_yaml
+    from ..runtime.files import parse_yaml
 
     if isinstance(value, bool):
         return str(value).lower()

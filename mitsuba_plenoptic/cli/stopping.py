@@ -7,6 +7,7 @@ import logging
 import signal
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -16,7 +17,7 @@ from . import StoppedError
 from .inputs import EXPERT
 
 if TYPE_CHECKING:
-    from ..io.checkpoints import Checkpoint, Existing
+    from ..io.checkpoints import Checkpoint
 
 _log = logging.getLogger(__name__)
 
@@ -31,14 +32,18 @@ Resume = Annotated[
 ]
 
 
-def existing_checkpoint(resume: bool) -> Existing:
-    """Return what a command does with a checkpoint that is there."""
-    return "resume" if resume else "resume_if_same"
+def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Checkpoint:
+    """Return the checkpoint of what a command writes, next to it or at another path, with what `Resume` says of it."""
+    from ..io.checkpoints import SUFFIX, Checkpoint
+    from ..runtime.files import require_writable
+
+    path = require_writable(path or output.with_name(output.name + SUFFIX))
+    return Checkpoint(path, "resume" if resume else "resume_if_same")
 
 
 @contextlib.contextmanager
 def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
-    """Let Ctrl-C say that the same command goes on from what is done, and how much that is where it is known."""
+    """On Ctrl-C, print that the same command continues the run, and the finished part where it is known."""
     try:
         yield
     except KeyboardInterrupt:

@@ -9,7 +9,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
 from ..lenses.common import main_lens
-from .focus import best_distances
+from .quantities import best_distances
 
 _RINGS, _SPOKES, _HEIGHTS = 33, 24, 5
 """Radii and angles on the pupil, and image heights from the axis to the farthest pixel."""
@@ -19,7 +19,7 @@ _FAR = 1e4
 
 
 def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Return by how much a parabolic phase for the main lens aberrates the light of the plane in focus, in waves.
+    r"""Return the aberration of a parabolic main lens for light of the plane in focus, in waves.
 
     Light of a point gains the path :math:`W = (p - i) / \lambda`, with the paths p and i through a thin parabolic phase
     and through a stigmatic lens. Piston and tilt, which move an image and do not blur it, are taken away at each image

@@ -16,8 +16,7 @@ from ..errors import InputError, refuse_if, require_wavelength
 from ..optics.waves import in_millimetres
 from ..prescription.lens_data import SINGLE
 from ..prescription.objective import Objective
-from .focus import focus_types, mla_object_distances, sharp_images, vergence_slack
-from .micro_images import direction_count
+from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
 from .remedies import Finding, detector_at, finer_pixels
 
 
@@ -114,7 +113,7 @@ def lens_aperture(camera: PlenopticCamera) -> float:
 
 
 def lenses_across_stop(camera: PlenopticCamera) -> float:
-    r"""Return how many lenses of the Fourier arrangement lie across the image of the stop, :math:`2 f_F NA / M D_2`.
+    r"""Return the number of lenses across the stop's image in the Fourier arrangement, :math:`2 f_F NA / M D_2`.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def lenses_across_stop(camera: PlenopticCamera) -> float:
 
 
 def parallax(camera: PlenopticCamera, position: float) -> float:
-    r"""Return how far a lens's picture of a point moves on the detector for each millimetre of depth.
+    r"""Return the displacement on the detector of a lens's picture of a point per millimetre of depth.
 
     :math:`-(z M / f_F) \tan\theta` along the line to the lens, with :math:`n \sin\theta = M c / f_F` for the lens whose
     centre is the distance c from the axis.
@@ -153,7 +152,7 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
 
 
 def microscope_findings(camera: PlenopticCamera, wavelength: float | None = None) -> Iterator[Finding]:
-    """Yield what is poor about the design of a microscope."""
+    """Yield findings about the design of a microscope."""
     lens = objective_of(camera)
     if lens.images_stop:
         across = lenses_across_stop(camera)

@@ -15,7 +15,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal, one_if_single
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError
-from .focus import mla_object_distances
+from .quantities import mla_object_distances
 
 Changes = dict[str, Any] | None
 """Parameters by name; None where no parameters mend a design."""
@@ -26,7 +26,7 @@ _FASTEST = 0.5
 
 @dataclass(frozen=True)
 class Finding:
-    """What is poor about a design, and what would mend it, the best first: words and changes of parameters."""
+    """A fault of a design and its remedies, the best first, each as words and changes of parameters."""
 
     text: str
     remedies: tuple[tuple[str, Changes], ...] = ()
@@ -42,7 +42,7 @@ class Finding:
                 yield f"{words} ({values})", changed
 
     def sentence(self, camera: PlenopticCamera) -> str:
-        """Return the sentence of a warning: what is poor, and what would mend it."""
+        """Return the sentence of a warning: the fault and its remedies."""
         offers = [words for words, _ in self.mended(camera)] + [self.besides] * bool(self.besides)
         return self.text + ("; " + ", or ".join(offers) if offers else "")
 
@@ -82,7 +82,7 @@ def larger_lenses(camera: PlenopticCamera, factor: float) -> Changes:
 
 
 def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
-    """Return the same detector with pixels narrower by a factor, rounded up to a whole one."""
+    """Return changes that make pixels narrower by a factor, rounded up to a whole number, on the same detector."""
     count = math.ceil(factor * (1 - 1e-9))
 
     def several(pair: tuple[int, int]) -> tuple[int, int]:
@@ -95,7 +95,7 @@ def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
 
 
 def in_millimetres(camera: PlenopticCamera) -> Changes:
-    """Return the lengths of a camera that was given in metres."""
+    """Return changes that turn a camera's lengths from metres into millimetres."""
     of_length = [name for name, entry in PARAMETERS.items() if entry.unit == "mm" and not entry.instead_of]
     values = {name: getattr(camera, PARAMETERS[name].attribute) for name in of_length}
     return {

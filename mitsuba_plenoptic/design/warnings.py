@@ -9,9 +9,19 @@ from ..camera import PlenopticCamera
 from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE
 from .aberration import parabolic_aberration
-from .focus import best_distances, best_images, focus_type, lenses_across, mla_object_distances
-from .micro_images import crosstalk_lenses, direction_count, micro_image_distance, mla_fresnel_number, spot_radius
 from .microscope import microscope_findings
+from .quantities import (
+    best_distances,
+    best_images,
+    crosstalk_lenses,
+    direction_count,
+    focus_type,
+    lenses_across,
+    micro_image_distance,
+    mla_fresnel_number,
+    mla_object_distances,
+    spot_radius,
+)
 from .remedies import (
     Changes,
     Finding,
@@ -72,7 +82,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
-    """Yield what is poor about a design."""
+    """Yield findings about a design."""
     if isinstance(camera.main_lens, Collimator):
         return
     if not camera.lens_data.converges:
@@ -102,7 +112,7 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
 
 
 def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
-    """Yield what is poor about the sizes of micro-images."""
+    """Yield findings about the sizes of micro-images."""
     diameter, pitch = camera.micro_image_diameter, micro_image_distance(camera)
     # The stop for which the micro-images just touch, and the distance of the detector.
     touching = camera.aperture_diameter * pitch / diameter
@@ -149,7 +159,7 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
 
 
 def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
-    """Yield what is poor about the planes that are in focus."""
+    """Yield findings about the planes in focus."""
     image = max(best_images(camera))
     if image < camera.focal_length * (1 - SINGLE):
         farther = camera.mla_distance + camera.focal_length - image
@@ -170,7 +180,7 @@ def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
 
 
 def _gaps(camera: PlenopticCamera) -> dict[float, float]:
-    """Return where focused microlenses are sharpest and yet see less than all, and the lenses that a point lights."""
+    """Return planes where focused microlenses are sharpest but leave gaps, with the count of lenses a point lights."""
     if focus_type(camera) == "unfocused":
         return {}
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}
@@ -198,7 +208,7 @@ def _seeing_farther(camera: PlenopticCamera) -> Changes:
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding]:
-    """Yield what is poor about the diffraction of light of one wavelength, and about aberrations."""
+    """Yield findings about diffraction of light of one wavelength, and about aberrations."""
     spot = spot_radius(camera, wavelength)
     # Pixels of unfocused microlenses are to gather directions; those of others sample an image.
     if focus_type(camera) != "unfocused" and camera.pixel_size > 0.5 * spot * (1 + SINGLE):

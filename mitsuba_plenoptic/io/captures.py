@@ -10,8 +10,6 @@ from __future__ import annotations
 import functools
 import json
 import logging
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from ..camera import PlenopticCamera, are_alike, require_camera
+from ..camera import PlenopticCamera, require_camera
 from ..errors import (
     NO_ARRAY,
     NO_RECORD,
@@ -37,17 +35,16 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
+from ..extension import Displayed
+from ..runtime.files import atomic_output, require_file, require_writable
 from ..runtime.limits import require_memory
-from ..runtime.notebook import Displayed, report_module
+from ..served import attribute
 from .exr import read_exr, write_exr
-from .files import atomic_output, require_file, require_writable
 from .versions import camera_of_waves, is_of_1_0, stamped
 
 MODELS = ("ray", "wave")
 
 _log = logging.getLogger(__name__)
-
-_MOST_SATURATED = 0.01
 
 BRIGHTEST = 1e30
 """Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
@@ -124,7 +121,7 @@ class Capture(Displayed):
             put(self, noise=np.asarray(noise, dtype=np.float32))
 
     def __repr__(self) -> str:
-        """Describe the capture in one line."""
+        """Return a description of the capture in one line."""
         rows, columns = self.camera.shape
         colours = " x 3" if self.image.ndim == 3 else ""
         light = "" if self.wavelength is None else f", {short_repr(self.wavelength)} nm"
@@ -148,7 +145,7 @@ class Capture(Displayed):
         Viewer
             ``save(path)`` writes the page.
         """
-        return report_module("viewer").view(self, *others, title=title)
+        return attribute("view")(self, *others, title=title)
 
     @property
     def relative_noise(self) -> float | None:
@@ -160,7 +157,7 @@ class Capture(Displayed):
 
 
 def as_array(name: str, values: Any) -> np.ndarray:
-    """Return an array of real numbers, or refuse what is not a regular one."""
+    """Return an array of real numbers; refuse anything else."""
     with refusing(f"{name}: it must be an array:", *NO_ARRAY):
         array = np.asarray(values)
     refuse_if(array.dtype.kind not in "fiu", f"{name} of type {array.dtype}: it must hold real numbers")
@@ -189,31 +186,13 @@ EXPOSED, RECORDED = "exposure", "raw"
 
 
 def recording_of(capture: Capture) -> dict[str, Any]:
-    """Return what a capture's metadata state of the detector that recorded it, an empty record if nothing."""
+    """Return the record of the detector in a capture's metadata, empty if there is none."""
     found = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
     return found if isinstance(found, dict) else {}
 
 
-def require_suitable_white(white: Capture, cameras: Sequence[PlenopticCamera]) -> None:
-    """Refuse a white capture by another camera than a capture's, `lens_model` aside, or with many saturated pixels."""
-    saturated = recording_of(white).get("saturated_pixels", 0)
-    pixels = math.prod(white.camera.shape)
-    refuse_if(
-        isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
-        f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
-    )
-    if not cameras or any(are_alike(white.camera, camera) for camera in cameras):
-        return
-    theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
-    name = next(name for name in {**ours, **theirs} if name != "lens_model" and theirs.get(name) != ours.get(name))
-    raise InputError(
-        f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
-        f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
-    )
-
-
 def write_capture(path: str | Path, capture: Capture) -> None:
-    """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all about it in the header.
+    """Write a capture as float32 OpenEXR: channel Y, or R, G and B, with all other data in the header.
 
     The noise, if it has any, is a layer of the same file: noise.Y, or noise.R, noise.G and noise.B.
 
@@ -243,7 +222,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
 
 
 def _record(capture: Capture, kind: str) -> dict[str, Any]:
-    """Return all about a capture but its pixels, as files have it."""
+    """Return all data of a capture except its pixels, as stored in files."""
     return {
         "kind": kind,
         "camera": capture.camera.to_dict(),
@@ -256,7 +235,7 @@ def _record(capture: Capture, kind: str) -> dict[str, Any]:
 def _capture_of(
     path: str | Path, record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None
 ) -> Capture:
-    """Make a capture of its pixels and all else about it."""
+    """Return a capture from its pixels and the record of its other data."""
     found = Capture(
         image,
         PlenopticCamera.from_dict(record["camera"]),
@@ -277,12 +256,12 @@ def _capture_of(
 # Some commands read a capture twice.
 @functools.cache
 def _remark(path: str | Path, lens_model: str) -> None:
-    """Say once that a wave capture is read as its waves were."""
+    """Log once that a wave capture is read with the `lens_model` of its waves."""
     _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
 def read_capture(path: str | Path) -> Capture:
-    """Read a capture that `write_capture` wrote.
+    """Return the capture in a file of `write_capture`.
 
     A wave capture of version 1.0 or earlier gets the ``lens_model`` that its waves had: ``parabolic`` behind a thin
     main lens and lenses of at least 20 wavelengths, with a remark in the log.
@@ -322,7 +301,7 @@ _PIXEL_BYTES = 16.0
 
 
 def write_raw(path: str | Path, capture: Capture) -> None:
-    """Write what a detector has recorded as the digital numbers that it gave, in 16 bits.
+    """Write an exposed capture as the digital numbers of its detector, in 16 bits.
 
     Parameters
     ----------
@@ -353,7 +332,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
 
 
 def read_raw(path: str | Path) -> Capture:
-    """Read a capture that `write_raw` wrote: digital numbers, in the units of the capture that was exposed.
+    """Return the capture in a file of `write_raw`, in the units of the capture that was exposed.
 
     Parameters
     ----------
@@ -377,7 +356,7 @@ def read_raw(path: str | Path) -> Capture:
 
 
 def states_detector(path: str | Path) -> bool:
-    """Return whether a picture states its camera and detector, so that `read_raw` reads it."""
+    """Return whether a picture states camera and detector, so that `read_raw` reads it."""
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 

@@ -1,20 +1,25 @@
-"""Checkpoints: what is done of a wave capture or a deconvolution, on disk, from which a killed run resumes.
+"""What goes on after a stop: checkpoints of unfinished computations, logs of finished steps, and locks.
 
 A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text that holds all that the run's
 bits depend on; a run with anything else there is refused. Nothing of a checkpoint is ever unpickled.
+
+A log is a JSON file beside the files of a run or an experiment. A step is finished if the hash of its settings and
+of the software is in the log, and every file that the step read or wrote has the digest noted there.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
 import math
 import os
+import sys
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, TypeVar, get_args
@@ -22,20 +27,22 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, require_choice, require_count, require_number
+from ..errors import InputError, refuse_if, require_choice, require_count, require_number
 from ..runtime.backend import backend_of
-from ..runtime.batches import PartialSum
-from ..runtime.jobs import Snapshot
+from ..runtime.batches import PartialSum, Snapshot
+from ..runtime.files import FilesUsed, atomic_output, read_text, remove_leftovers, write_text
 from ..runtime.limits import require_memory, software
-from .files import atomic_output, remove_leftovers
 from .versions import KEY, VERSION, stamped
+
+if sys.platform != "win32":
+    import fcntl
 
 FORMAT = 2
 SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
 
-_LARGEST_HEADER = 2**26
+_LARGEST_HEADER = _LARGEST_LOG = 2**26
 
 INTERVAL = 10.0
 """Seconds between checkpoints, at least."""
@@ -50,8 +57,45 @@ _State = TypeVar("_State")
 _log = logging.getLogger(__name__)
 
 
+@contextlib.contextmanager
+def locked(path: Path, refusal: str) -> Iterator[None]:
+    """Hold a lock file next to `path`; refuse if another process holds it.
+
+    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
+    """
+    new = not path.parent.exists()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w")
+    except OSError as error:
+        raise InputError(f"{path.parent}: {error.strerror}") from error
+    with file:
+        try:
+            if sys.platform != "win32":
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # The process that had it may have removed the file between the two calls.
+            mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
+        except (BlockingIOError, FileNotFoundError):
+            mine = False
+        except OSError as error:
+            raise InputError(f"{path.parent}: it cannot be locked: {error.strerror}") from error
+        refuse_if(not mine, f"{refusal}; wait until it has ended")
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                if new:
+                    path.parent.rmdir()
+
+
+def lock_of(path: Path) -> Path:
+    """Return the lock file that stands for a file."""
+    return path.with_name(f".{path.name}.lock")
+
+
 class Checkpoint:
-    """A file into which a capture or a deconvolution writes its state now and then, and from which it can resume.
+    """File into which a capture or a deconvolution writes its state now and then, to resume from it.
 
     A context in which the result is computed and written: left without an exception, the file is removed.
 
@@ -73,13 +117,14 @@ class Checkpoint:
         require_choice("existing", existing, get_args(Existing))
         self.path = Path(path)
         self.run: dict[str, Any] = {}
-        self._existing = existing
+        self.existing = existing
         self._due = math.inf
         self._complained = False
         self._stopping = False
+        self._lock = contextlib.ExitStack()
 
     def __enter__(self) -> Checkpoint:
-        if self._existing == "refuse" and self.path.exists():
+        if self.existing == "refuse" and self.path.exists():
             raise InputError(
                 f"{self.path}: the checkpoint of a run that was stopped; resume from it with existing='resume', or "
                 "remove the file"
@@ -92,9 +137,10 @@ class Checkpoint:
         # A run that never began has no claim to a file that is there.
         if error_type is None and self._due < math.inf:
             self.path.unlink(missing_ok=True)
+        self._lock.close()
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Say what the run is, and return how far an earlier process has come with it.
+        """Register the run; return the state that an earlier process saved, None if there is none.
 
         Parameters
         ----------
@@ -106,33 +152,25 @@ class Checkpoint:
         Raises
         ------
         InputError
-            If there is the checkpoint of another run, with the differences, or a damaged one.
+            If there is the checkpoint of another run, with the differences, or a damaged one, or if another process
+            is at it.
         """
         return self._begin(facts, _snapshot, {"image": shape})
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
-        """Say what a run is whose state is no sum, and return the arrays that an earlier process has saved of it.
-
-        Parameters
-        ----------
-        **facts
-            As for `begin`.
-
-        Returns
-        -------
-        dict of float32 and float64 arrays by name, or None
-            None if nothing is saved.
-
-        Raises
-        ------
-        InputError
-            As for `begin`.
-        """
+        """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
         return self._begin(facts, _named_arrays, {})
 
     def _begin(
         self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State], shapes: dict[str, tuple[int, ...]]
     ) -> _State | None:
+        self._lock.close()
+        try:
+            self._lock.enter_context(locked(lock_of(self.path), f"{self.path}: another process is computing this"))
+        except InputError as error:
+            # What cannot be locked cannot be written either, of which `save` tells.
+            if error.__cause__ is None:
+                raise
         self._due = time.monotonic() + INTERVAL
         self.run = json.loads(json.dumps({**self.run, **facts, "software": software()}))
         remove_leftovers(self.path)
@@ -141,7 +179,7 @@ class Checkpoint:
         try:
             found = _read(self.path, self.run, take, shapes)
         except InputError as error:
-            if self._existing == "resume":
+            if self.existing == "resume":
                 raise
             _log.info("%s; beginning anew", error)
             return None
@@ -149,7 +187,7 @@ class Checkpoint:
         return found
 
     def stop(self) -> bool:
-        """Have the next state written whenever the last one was, and the run end there with a KeyboardInterrupt.
+        """Make the run save its next state and end there with a KeyboardInterrupt.
 
         Returns
         -------
@@ -160,7 +198,7 @@ class Checkpoint:
         return self._stopping
 
     def save(self, snapshot: Snapshot) -> None:
-        """Write the state, if it is time to.
+        """Write the state if it is time to.
 
         A disk that is full costs a warning, not the run: the checkpoint of before stays.
 
@@ -177,18 +215,7 @@ class Checkpoint:
         self._save(lambda path: _write(path, self.run, snapshot))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
-        """Write the arrays that `begin_arrays` is to return, if it is time to; as `save` does.
-
-        Parameters
-        ----------
-        arrays : callable
-            Gathers them: float32 and float64, by name.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            After `stop`.
-        """
+        """Write the float32 and float64 arrays for `begin_arrays` if it is time to."""
         self._save(lambda path: _write_archive(path, self.run, {}, dict(arrays())))
 
     def _save(self, write: Callable[[Path], None]) -> None:
@@ -211,7 +238,7 @@ class Checkpoint:
 
 
 def digest(*arrays: NDArray[Any] | None) -> str:
-    """Hash arrays by type, shape and content."""
+    """Return a hash of arrays by type, shape and content."""
     text = hashlib.sha256()
     for array in arrays:
         if array is None:
@@ -220,6 +247,75 @@ def digest(*arrays: NDArray[Any] | None) -> str:
         text.update(f"{array.dtype.str}{array.shape}".encode())
         text.update(np.ascontiguousarray(array).data)
     return text.hexdigest()[:32]
+
+
+def hash_of(content: Any) -> str:
+    """Return a hash of plain JSON values."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def step_key(settings: Any) -> str:
+    """Return a hash of a step's settings and of the software, without the files that the step reads."""
+    return hash_of({"settings": settings, "software": software()})
+
+
+def finished_step(log: Path, settings: Any) -> dict[str, Any] | None:
+    """Return the log's entry on a finished step of these settings that wrote a file, None without one."""
+    entry = _steps(log).get(step_key(settings))
+    if not entry or not entry["written"]:
+        return None
+    files = {**entry["read"], **entry["written"]}
+    return entry if all(_digest(log.parent / name) == noted for name, noted in files.items()) else None
+
+
+def note_step(log: Path, settings: Any, used: FilesUsed, **facts: Any) -> None:
+    """Record a step's files in a log, and drop entries of steps that wrote one of these files before.
+
+    Files in the folder of the log are named relative to it, so that the folder can be moved.
+    """
+    folder = log.parent.absolute()
+
+    def digests(paths: set[Path]) -> dict[str, str | None]:
+        names = {path: path.relative_to(folder) if path.is_relative_to(folder) else path for path in paths}
+        return {names[path].as_posix(): _digest(path) for path in sorted(paths) if path.exists()}
+
+    entry = {"read": digests(used.read - used.written), "written": digests(used.written), **facts}
+    steps = {key: one for key, one in _steps(log).items() if not entry["written"].keys() & one["written"].keys()}
+    write_json(log, {**steps, step_key(settings): entry})
+
+
+def _steps(log: Path) -> dict[str, dict[str, Any]]:
+    """Return the entries of a log, without damaged ones."""
+    try:
+        content = json.loads(read_text(log, _LARGEST_LOG))
+    except (InputError, ValueError):
+        return {}
+    return {
+        key: entry
+        for key, entry in (content if isinstance(content, dict) else {}).items()
+        if isinstance(entry, dict) and all(isinstance(entry.get(part), dict) for part in ("read", "written"))
+    }
+
+
+def _digest(path: Path) -> str | None:
+    """Return a hash of a file, or of all files of a folder with their names, None if it does not exist."""
+    found = hashlib.sha256()
+    files = sorted(path.rglob("*")) if path.is_dir() else [path]
+    try:
+        for file in files:
+            if file != path:
+                found.update(file.relative_to(path).as_posix().encode() + b"\0")
+            if not file.is_dir():
+                with file.open("rb") as content:
+                    found.update(hashlib.file_digest(content, "sha256").digest())
+    except OSError:
+        return None
+    return found.hexdigest()[:32]
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON to read and to compare: indented, names sorted, whole or not at all."""
+    write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
@@ -246,7 +342,7 @@ def _read(
     take: Callable[[Any, dict[str, Any]], _State],
     shapes: dict[str, tuple[int, ...]],
 ) -> _State:
-    """Read the checkpoint of a run, and refuse that of another run or a damaged one."""
+    """Return the state in the checkpoint of a run; refuse a damaged one or another run's."""
     try:
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:
@@ -266,7 +362,7 @@ def _read(
 
 
 def _check_sizes(path: Path, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Compare what arrays claim to be with what there is of them and with the shapes that they must have."""
+    """Refuse arrays whose claimed sizes differ from their data or from the required shapes."""
     # The list of the members is read whole, too.
     require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
     if not zipfile.is_zipfile(path):
@@ -324,7 +420,7 @@ def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Return what differs between the run of a checkpoint and this one."""
+    """Return the names of entries in which a checkpoint's run differs from this one."""
     found, wanted = flattened(there), flattened(here)
     return [
         f"{name} = {found.get(name, 'nothing')} there, {wanted.get(name, 'nothing')} here"

@@ -14,8 +14,8 @@ import numpy as np
 import OpenEXR
 
 from ..errors import InputError, advice, refuse_if, refusing
+from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
-from .files import atomic_output, native_output_dropped, require_file
 from .versions import stamped
 
 ATTRIBUTE = "mitsuba_plenoptic"
@@ -117,11 +117,17 @@ def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
-    """Read what `write_exr` wrote: the image, its noise if there is any, and the attributes."""
+    """Return the image, the noise if any, and the attributes of a file of `write_exr`."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
-        part, names = parts[0], _image_channels(parts[0])
+        part = parts[0]
+        _require_lossless(part)
+        colours = set("YRGB").intersection(part.channels)
+        names: tuple[str, ...] = ("Y",) if colours == {"Y"} else ("R", "G", "B")
+        if colours != set(names):
+            hint = ", as ground truth has: name the capture that it belongs to" if "depth.Z" in part.channels else ""
+            raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B{hint}")
         refuse_if(
             ATTRIBUTE not in part.header,
             f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
@@ -150,7 +156,7 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
 
 
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
-    """Read what `write_exr_parts` wrote: the float32 channels of each part, and the attributes."""
+    """Return the float32 channels of each part, and the attributes, of a file of `write_exr_parts`."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -169,7 +175,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
-    """Read the attributes of a file without its pixels; those of other programs have none."""
+    """Return the attributes of a file without reading its pixels; files of other programs have none."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -177,7 +183,7 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
 
 
 def _attributes(part: ExrPart) -> dict[str, Any]:
-    """Return what the attribute of this package holds."""
+    """Return the content of this package's attribute."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
     if not isinstance(attributes, dict):
         raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
@@ -185,43 +191,40 @@ def _attributes(part: ExrPart) -> dict[str, Any]:
 
 
 def read_parts(path: Path) -> list[ExrPart]:
-    """Read the headers of an OpenEXR file, without its pixels."""
-    _require_small_header(path)
+    """Read the headers of an OpenEXR file, without its pixels; refuse one that is too large to be read whole."""
+    with path.open("rb") as raw:
+
+        def text() -> bytes:
+            return b"".join(itertools.islice(iter(lambda: raw.read(1).strip(b"\0"), b""), _LONGEST_NAME))
+
+        several = bool(int.from_bytes(raw.read(8)[4:], "little") & _SEVERAL_PARTS)
+        # A name, a type, a size and a value each; no name ends a part, and no attribute at all the last one of several.
+        # OpenEXR finds whether they are correct.
+        attributes = 0
+        while raw.tell() <= _LARGEST_HEADER:
+            if text():
+                text()
+                raw.seek(int.from_bytes(raw.read(4), "little"), os.SEEK_CUR)
+                attributes += 1
+            elif several and attributes:
+                attributes = 0
+            else:
+                break
+        else:
+            rule = "it may have at most as many"
+            raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: {rule}")
+    parts = []
     with (
         _undamaged(path),
         native_output_dropped(),
         OpenEXR.File(str(path), separate_channels=True, header_only=True) as file,
     ):
-        return [_part(part.header) for part in file.parts]
-
-
-def _require_small_header(path: Path) -> None:
-    """Refuse a file whose header is too large to be read whole; OpenEXR finds whether it is correct."""
-    with path.open("rb") as file:
-
-        def text() -> bytes:
-            return b"".join(itertools.islice(iter(lambda: file.read(1).strip(b"\0"), b""), _LONGEST_NAME))
-
-        several = bool(int.from_bytes(file.read(8)[4:], "little") & _SEVERAL_PARTS)
-        # A name, a type, a size and a value each; no name ends a part, and no attribute at all the last one of several.
-        attributes = 0
-        while file.tell() <= _LARGEST_HEADER:
-            if text():
-                text()
-                file.seek(int.from_bytes(file.read(4), "little"), os.SEEK_CUR)
-                attributes += 1
-            elif several and attributes:
-                attributes = 0
-            else:
-                return
-    raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: it may have at most as many")
-
-
-def _part(header: dict[str, Any]) -> ExrPart:
-    (left, top), (right, bottom) = (map(int, corner) for corner in header["dataWindow"])
-    names = tuple(channel.name for channel in header["channels"])
-    # Closing the file empties its own dictionary.
-    return ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(header))
+        for part in file.parts:
+            (left, top), (right, bottom) = (map(int, corner) for corner in part.header["dataWindow"])
+            names = tuple(channel.name for channel in part.header["channels"])
+            # Closing the file empties its own dictionary.
+            parts.append(ExrPart((left, top), right - left + 1, bottom - top + 1, names, dict(part.header)))
+    return parts
 
 
 @contextlib.contextmanager
@@ -243,7 +246,7 @@ def _undamaged(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
-    """Open the pixels of a file with these parts."""
+    """Open the pixels of a file with given parts."""
     with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
         if len(file.parts) < len(parts):
             raise ValueError("its pixels are damaged or incomplete")
@@ -253,12 +256,3 @@ def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
 def _require_lossless(part: ExrPart) -> None:
     if part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS:
         raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
-
-
-def _image_channels(part: ExrPart) -> tuple[str, ...]:
-    _require_lossless(part)
-    for names in (("Y",), ("R", "G", "B")):
-        if set("YRGB").intersection(part.channels) == set(names):
-            return names
-    hint = ", as ground truth has: name the capture that it belongs to" if "depth.Z" in part.channels else ""
-    raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B{hint}")

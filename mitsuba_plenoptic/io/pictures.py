@@ -10,8 +10,8 @@ import numpy as np
 from PIL import Image
 
 from ..errors import refusing
+from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
-from .files import atomic_output, native_output_dropped, require_file
 
 TIFF = (".tif", ".tiff")
 
@@ -20,7 +20,7 @@ _PIXEL_BYTES = 8 + 16 + 12
 
 
 def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
-    """Read a PNG or TIFF of 8 or 16 bits a channel; of TIFF files, grey ones and those of 8 bits.
+    """Return a PNG or TIFF of 8 or 16 bits a channel; TIFF files must be grey or have 8 bits.
 
     Parameters
     ----------
@@ -42,9 +42,18 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     path = require_file(path)
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     if path.suffix.lower() in TIFF:
-        return _read_tiff(path, linear)
+        with refusing(f"{path}: it cannot be read as a TIFF picture:"), Image.open(path) as picture:
+            require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
+            wide = picture.mode.startswith("I")
+            values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
+        image = values.astype(np.float32) / np.float32(65535 if wide else 255)
+        return image if linear else linear_of(image).astype(np.float32)
     with refusing(f"{path}: it cannot be read as a PNG picture:"):
-        columns, rows = _size(path)
+        with path.open("rb") as file:
+            head = file.read(24)
+        if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
+            raise ValueError("it does not begin as a PNG file")
+        columns, rows = struct.unpack(">II", head[16:])
         require_memory(float(_PIXEL_BYTES) * columns * rows, f"{path}: {columns} x {rows} pixels")
         with native_output_dropped():
             bitmap = mi.Bitmap(str(path))
@@ -55,29 +64,9 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     return values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
 
 
-def _read_tiff(path: Path, linear: bool) -> np.ndarray:
-    """Read a TIFF file, as industrial cameras write their raw pictures."""
-    with refusing(f"{path}: it cannot be read as a TIFF picture:"), Image.open(path) as picture:
-        require_memory(float(_PIXEL_BYTES) * picture.width * picture.height, f"{path}: its pixels")
-        wide = picture.mode.startswith("I")
-        values = np.asarray(picture if wide or picture.mode in ("L", "RGB") else picture.convert("RGB"))
-    image = values.astype(np.float32) / np.float32(65535 if wide else 255)
-    return image if linear else linear_of(image).astype(np.float32)
-
-
 def linear_of(encoded: np.ndarray) -> np.ndarray:
     """Return the light of values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-
-
-def _size(path: Path) -> tuple[int, int]:
-    """Return the columns and rows that a PNG's header claims, without allocating anything for them."""
-    with path.open("rb") as file:
-        head = file.read(24)
-    if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
-        raise ValueError("it does not begin as a PNG file")
-    columns, rows = struct.unpack(">II", head[16:])
-    return columns, rows
 
 
 def write_picture(path: str | Path, image: np.ndarray) -> None:

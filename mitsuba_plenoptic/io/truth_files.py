@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays of quantities by channel, such as ``normal.X``, without the axis of the three."""
+    """Return the arrays of quantities by channel, such as ``normal.X``, without the axis of three components."""
     return {
         f"{name}.{letter}": array[..., index] if len(letters) > 1 else array
         for name, array in values.items()
@@ -129,7 +129,7 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
-    """Read what `write_ground_truth` wrote.
+    """Return the ground truth in a file of `write_ground_truth`.
 
     Parameters
     ----------
@@ -159,7 +159,14 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
             for plane in parts[part].values():
                 refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
-        shapes, to_world = attributes.get("shapes"), _matrix(attributes.get("to_world"))
+        to_world: np.ndarray = np.empty(0)
+        with contextlib.suppress(TypeError, ValueError):
+            to_world = np.array(attributes.get("to_world"), dtype=np.float64)
+        refuse_if(
+            to_world.shape != (4, 4) or not np.isfinite(to_world).all(),
+            f"to_world = {short_repr(attributes.get('to_world'))}: it must be 4 x 4 numbers",
+        )
+        shapes = attributes.get("shapes")
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
         pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
@@ -167,20 +174,8 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
 
 
-def _matrix(value: Any) -> np.ndarray:
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        matrix = np.empty(0)
-    refuse_if(
-        matrix.shape != (4, 4) or not np.isfinite(matrix).all(),
-        f"to_world = {short_repr(value)}: it must be 4 x 4 numbers",
-    )
-    return matrix
-
-
 def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.ndarray]:
-    """Undo `channel_planes`, for a scene of `shapes` shapes."""
+    """Return quantities from channels, the inverse of `channel_planes`, for a scene of `shapes` shapes."""
     names = [name for name in QUANTITIES if any(key.startswith(f"{name}.") for key in planes)]
     keys = {name: [f"{name}.{letter}" for letter in QUANTITIES[name]] for name in names}
     refuse_if(

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ..camera import PlenopticCamera, has_small_lenses
 from ..prescription.glass import LINE_D
-
-if TYPE_CHECKING:
-    from ..camera import PlenopticCamera
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
@@ -29,7 +27,7 @@ def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_of_1_0(record: Mapping[str, Any]) -> bool:
-    """Return whether version 1.0 or an earlier one wrote a record: it states no version."""
+    """Return whether version 1.0 or an earlier one wrote a record, which then states no version."""
     return KEY not in record
 
 
@@ -40,8 +38,6 @@ def camera_of_waves(
 
     The capture's longest wavelength decides whether its lenses are small; the line d, where it states none.
     """
-    from ..camera import has_small_lenses
-
     if camera.main_lens is not None or camera.lens_model == "parabolic":
         return camera
     spectrum = metadata.get("spectrum")

@@ -23,12 +23,152 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..runtime.backend import floor, is_zero, maximum, turn
+from ..runtime.backend import floor, is_zero, maximum, minimum, module_of, turn
 from ..runtime.limits import require_memory
-from .apertures import APERTURES
 
 # Points across a sample for the fraction of it that is aperture.
 _POINTS = 8
+
+# First zero of the diffraction pattern of a disc, in wavelengths over its diameter: that of J1 over pi.
+AIRY_ZERO = 1.21967
+
+
+class Aperture(abc.ABC):
+    """A shape of apertures, the same for all lenses of a lattice."""
+
+    product: ClassVar[bool]
+    """Whether an aperture of upright rectangular cells is a product of one along x and one along y."""
+
+    @abc.abstractmethod
+    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
+        """Return the width along the rows and across them: from side to side, or the diameter."""
+
+    @abc.abstractmethod
+    def area(self, lattice: Lattice) -> Any:
+        """Return its area."""
+
+    @abc.abstractmethod
+    def reach(self, lattice: Lattice) -> Any:
+        """Return the greatest distance of one of its points from its centre."""
+
+    @abc.abstractmethod
+    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
+        """Return whether a point is within the aperture.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            Lattice with apertures of this shape.
+        dx : float or array
+            Offset of the point from the centre along x of the camera frame.
+        dy : float or array
+            Offset along y.
+        """
+
+    @abc.abstractmethod
+    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
+        """Map a point of the unit square evenly to the aperture; return its offset from the centre in the camera frame.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            Lattice with apertures of this shape.
+        s : float or array
+            From 0 to 1.
+        t : float or array
+            From 0 to 1.
+        """
+
+    @abc.abstractmethod
+    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
+        """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
+
+    def diffraction_width(self, lattice: Lattice) -> float:
+        r"""Return the width w for which the first zero of the aperture's diffraction lies at :math:`\lambda / w`.
+
+        By default this is the width of the disc whose area the aperture has.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            Lattice with apertures of this shape.
+        """
+        return math.sqrt(4 / math.pi * self.area(lattice)) / AIRY_ZERO
+
+
+class Cell(Aperture):
+    """The lattice's cell itself, shrunk by `fill`."""
+
+    product = True
+
+    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
+        """Return the cell's widths times `fill`."""
+        along, across = lattice.pitches
+        return lattice.fill * along, lattice.fill * across
+
+    def area(self, lattice: Lattice) -> Any:
+        """Return the cell's area times the square of `fill`."""
+        return lattice.cell_area * lattice.fill**2
+
+    def reach(self, lattice: Lattice) -> Any:
+        """Return the distance of its farthest corner."""
+        return lattice.fill * lattice.cell_reach
+
+    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
+        """Decide in the frame in which cells are regular."""
+        u, v = lattice.to_frame(dx, dy)
+        return lattice.in_cell(u, v / lattice.aspect, lattice.fill * lattice.pitches[0])
+
+    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
+        """Map to a cell shrunk by `fill`."""
+        return lattice.cell_point(s, t, lattice.fill)
+
+    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
+        """Enlarge the cell: cells are convex and the same on both sides of their centre."""
+        return 0.0, 1 + smear * lattice.fill
+
+    def diffraction_width(self, lattice: Lattice) -> float:
+        """Return the narrower width of a rectangle, and of any other cell that of the disc of its area."""
+        return min(self.widths(lattice)) if lattice.rectangular else super().diffraction_width(lattice)
+
+
+class Circle(Aperture):
+    """A disc whose diameter is `fill` times the pitch, the shorter one if there are two."""
+
+    product = False
+
+    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
+        """Return the diameter, twice."""
+        along, across = lattice.pitches
+        diameter = lattice.fill * (along if along is across else minimum(along, across))
+        return diameter, diameter
+
+    def area(self, lattice: Lattice) -> Any:
+        """Return the disc's area."""
+        return math.pi / 4 * self.widths(lattice)[0] ** 2
+
+    def reach(self, lattice: Lattice) -> Any:
+        """Return the radius."""
+        return self.widths(lattice)[0] / 2
+
+    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
+        """Compare with the radius."""
+        radius = self.reach(lattice)
+        return dx * dx + dy * dy <= radius * radius
+
+    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
+        """Map to polar coordinates."""
+        module = module_of(s)
+        radius = module.sqrt(s) * self.reach(lattice)
+        return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
+
+    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
+        """Reach out from the cell by the enlarged radius."""
+        return smear * self.reach(lattice), 1.0
+
+
+APERTURES: dict[str, Aperture] = {"cell": Cell(), "circle": Circle()}
+"""Shapes of apertures by the names that `mla_aperture` takes."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +221,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point of the unit frame: its indices, integers as floats."""
+        """Return the indices, integers as floats, of the cell that holds a point of the unit frame."""
 
     @staticmethod
     @abc.abstractmethod
@@ -91,7 +231,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Whether a point at this offset from the centre is in a cell of equal pitches `width`.
+        """Return whether a point at an offset from the centre is in a cell of equal pitches `width`.
 
         Parameters
         ----------
@@ -106,7 +246,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell of equal pitches `width`.
+        """Return the point of a cell of equal pitches `width` for (s, t) in the unit square, evenly.
 
         Parameters
         ----------
@@ -122,7 +262,7 @@ class Lattice(abc.ABC):
 
     @property
     def aspect(self) -> Any:
-        """Pitch across the rows over that along them."""
+        """Pitch across the rows over the pitch along the rows."""
         along, across = self.pitches
         return 1.0 if along is across else across / along
 
@@ -165,12 +305,12 @@ class Lattice(abc.ABC):
 
     @property
     def aperture_widths(self) -> tuple[Any, Any]:
-        """Diameter of a circular aperture, twice; width of another along the rows and across them."""
+        """Diameter of a circular aperture, twice; widths of other apertures along and across the rows."""
         return APERTURES[self.aperture].widths(self)
 
     @property
     def aperture_width(self) -> Any:
-        """Diameter of a circular aperture; width of another, the greater one."""
+        """Diameter of a circular aperture; larger width of other apertures."""
         along, across = self.aperture_widths
         return along if self.pitches[0] is self.pitches[1] else maximum(along, across)
 
@@ -198,18 +338,18 @@ class Lattice(abc.ABC):
 
     @property
     def axis_aligned(self) -> bool:
-        """Whether cells are rectangles along x and y, for plain floats: an index along x follows from x alone."""
+        """Whether cells are rectangles along x and y, with plain floats: an index along x follows from x alone."""
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
     def separable(self) -> bool:
-        """Whether cells and apertures are products of one along x and one along y."""
+        """Whether cells and apertures are products of an interval along x and one along y."""
         return self.axis_aligned and APERTURES[self.aperture].product
 
     # -- cells ---------------------------------------------------------------------------------------
 
     def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Find the cell that holds a point: its indices, integers as floats."""
+        """Return the indices, integers as floats, of the cell that holds a point."""
         u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
         return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
@@ -228,12 +368,12 @@ class Lattice(abc.ABC):
         return self.centre(index, index)[axis]
 
     def lens_type(self, i: Any, j: Any) -> Any:
-        """Return which of the interleaved types a lens is, from 0: (i - j) modulo their number."""
+        """Return the index, from 0, of a lens's interleaved type: (i - j) modulo the number of types."""
         difference = i - j
         return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
 
     def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
-        """Map the unit square evenly to a cell, shrunk by `scale`; the result is an offset from the centre.
+        """Return the point of a cell shrunk by `scale` for (s, t) in the unit square, as an offset from its centre.
 
         Parameters
         ----------
@@ -250,15 +390,15 @@ class Lattice(abc.ABC):
     # -- apertures -----------------------------------------------------------------------------------
 
     def in_aperture(self, dx: Any, dy: Any) -> Any:
-        """Whether a point at this offset from its lens's centre is within the aperture."""
+        """Return whether a point at an offset from its lens's centre is within the aperture."""
         return APERTURES[self.aperture].holds(self, dx, dy)
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map the unit square evenly to the aperture; the result is an offset from the centre."""
+        """Return the point of the aperture for (s, t) in the unit square, evenly, as an offset from the centre."""
         return APERTURES[self.aperture].point(self, s, t)
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
-        """Draw an aperture, enlarged by `scale`, into samples of width `step`: the fractions of its area in each.
+        """Return the fractions of samples of width `step` that an aperture, enlarged by `scale`, covers.
 
         Parameters
         ----------
@@ -295,7 +435,7 @@ class Lattice(abc.ABC):
         return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
 
     def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
-        """Find the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
+        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
 
         Parameters
         ----------
@@ -331,7 +471,7 @@ class Lattice(abc.ABC):
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*position.T) / self.pitches[0], 6)))]
 
     def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
-        """Find the lenses whose centre lies in the rectangle from `low` to `high`.
+        """Return the lenses whose centre lies in the rectangle from `low` to `high`.
 
         Parameters
         ----------
@@ -372,13 +512,13 @@ LATTICES: dict[str, type[Lattice]] = {}
 
 
 def register(cls: type[Lattice]) -> type[Lattice]:
-    """Register a lattice under its name; a decorator of its class."""
+    """Register a lattice under its name; a decorator of classes."""
     LATTICES[cls.name] = cls
     return cls
 
 
 def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice:
-    """Build a lattice.
+    """Return the lattice of a name with given pitches.
 
     Parameters
     ----------

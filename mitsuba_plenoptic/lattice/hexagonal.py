@@ -29,7 +29,7 @@ class HexagonalLattice(Lattice):
 
     @staticmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Find the nearest centre, which is in the row below or the row above."""
+        """Return the indices of the nearest centre, which lies in the row below or above."""
         low = floor(v)
         rows = (low, low + 1)
         columns = [floor(u - row / 2 + 0.5) for row in rows]
@@ -41,7 +41,7 @@ class HexagonalLattice(Lattice):
 
     @staticmethod
     def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
-        """Offset each row by half a pitch more than the one before."""
+        """Return the centre of a cell; each row is offset by half a pitch more than the row before."""
         return i + j / 2, j
 
     @staticmethod
@@ -52,7 +52,7 @@ class HexagonalLattice(Lattice):
 
     @staticmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Map to three rhombi about the centre; the upper left one is spanned by two of the corners."""
+        """Return a point of the hexagon in one of three rhombi about the centre, by (s, t) in the unit square."""
         third = floor(s * 3)
         s = s * 3 - third
         u, v = -0.5 * t * width, (s - 0.5 * t) * (width / (2 * _ROW))

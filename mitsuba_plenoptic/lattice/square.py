@@ -24,7 +24,7 @@ class SquareLattice(Lattice):
 
     @staticmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Cut off the fractions."""
+        """Return the indices of the cell of a point: the whole parts of its coordinates."""
         return floor(u), floor(v)
 
     @staticmethod
@@ -34,11 +34,11 @@ class SquareLattice(Lattice):
 
     @staticmethod
     def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Compare with both pairs of sides."""
+        """Return whether a point is between both pairs of sides."""
         half = width / 2
         return (abs(u) <= half) & (abs(v) <= half)
 
     @staticmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Scale the unit square."""
+        """Return a point of the square, the unit square scaled."""
         return (s - 0.5) * width, (t - 0.5) * width

@@ -44,7 +44,7 @@ class CollimatedLens(UniformLens):
         return self.pupil.path(pupil, point, wavelength)
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
-        """Return that of a thin lens."""
+        """Return the amplitude behind a thin lens."""
         return self.pupil.amplitude(pupil, point)
 
     def power_through(self, point: NDArray[np.float64]) -> float:

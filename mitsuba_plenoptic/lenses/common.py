@@ -41,27 +41,27 @@ class UniformLens:
         return Entrance()
 
     def waves_of(self, points: NDArray[np.float64]) -> Self:
-        """Return the lens itself."""
+        """Return this lens, whose light is the same for all points."""
         return self
 
     def waves_of_one(self, point: NDArray[np.float64]) -> Self:
-        """Return the lens itself."""
+        """Return this lens, whose light is the same for all points."""
         return self
 
     def bind(self, points: NDArray[np.float64], which: Any = None) -> Self:
-        """Return the lens itself."""
+        """Return this lens, whose light is the same for all points."""
         return self
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
-        """Return no points."""
+        """Return no points, as no point limits the light."""
         return np.empty((0, 3))
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 1."""
+        """Return 1, as the whole pupil is open to every position."""
         return np.ones(np.broadcast_shapes(np.shape(x), np.shape(y)))
 
     def open_part(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 1."""
+        """Return 1, as the whole pupil is open to every point."""
         return np.ones(len(points))
 
     def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -69,7 +69,7 @@ class UniformLens:
         return {}
 
     def opaque(self, number: Callable[[Any], Any]) -> Self:
-        """Return the lens itself."""
+        """Return this lens unchanged."""
         return self
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
@@ -110,7 +110,7 @@ class FiniteDistance:
     pupil_distance: Any
 
     def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
+        """Return a coordinate on the MLA of the line from a detector position to the centre of the exit pupil."""
         return rays.chief_point(position, self.pupil_distance, detector_distance)
 
     def pupil_distance_from(self, behind: Any) -> Any:
@@ -118,7 +118,7 @@ class FiniteDistance:
         return self.pupil_distance + behind
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the exit pupil of rays from positions at a height before the MLA."""
+        """Return a coordinate on the exit pupil of the ray from a position at a height before the MLA."""
         return position + (self.pupil_distance - height) * slope
 
     def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
@@ -214,7 +214,7 @@ def main_lens(
     varying: Mapping[str, Any] | None = None,
     model: str | None = None,
 ) -> Any:
-    """Return a camera's main lens.
+    """Return the optics of a camera's main lens at a wavelength.
 
     Parameters
     ----------

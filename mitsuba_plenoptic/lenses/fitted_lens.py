@@ -1,10 +1,16 @@
-"""A real main lens for waves from many points: its exit pupil as polynomials of pupil position, field and distance.
+r"""A real main lens for waves from many points: its exit pupil as polynomials of pupil position, field and distance.
 
 `ExitPupil` traces and fits the light of one point. This module fits rays of points over the whole field and range of
 distances together, so that the number of rays does not depend on the number of points. One polynomial is the difference
 of the path from that of a sphere around the paraxial image (the wave aberration, distortion included: Welford,
 "Aberrations of Optical Systems", chapters 7 and 8); others are the amplitude and the edge of each vignetting surface.
 Rays of other points within the same range check the fit.
+
+Derivatives by focal length, aperture radius and wavelength are fitted to the same rays, traced through two slightly
+different lenses. Along a ray a fitted function F changes by :math:`F' + \nabla F \cdot P'`, where P' is the change of
+the ray's position P on the exit pupil and F' the change at a fixed position; polynomials of the same degrees are fitted
+to F'. The scene point is fixed in the camera frame, whereas the entrance pupil moves with the focal length. All
+quantities refer to the pupils of the unchanged lens.
 """
 
 from __future__ import annotations
@@ -21,12 +27,15 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
+from ..lattice import turn
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
+from ..runtime.limits import single_threaded_blas
 from .common import FinitePupil
+from .lens_system import LensSystem
 from .main_lens import Pair, Traced
-from .pupil_fit import PupilFit
-from .pupil_polynomials import LensLight, Polynomial
+from .pupil_fit import PupilFit, PupilRays, entrance_place, nodes, trace_all
+from .pupil_polynomials import LensLight, Polynomial, PupilPolynomial, fit
 
 FAR = 1e13
 """Distance in millimetres at which light counts as collimated."""
@@ -62,7 +71,7 @@ _STRETCHED = 257
 
 @dataclass(frozen=True)
 class ImageStretch:
-    """Positions on the array of chief rays from object points, relative to those that reconstruction bins assume."""
+    """Positions on the array of chief rays from object points, over the positions that reconstruction bins assume."""
 
     # Distances of object points from the axis on the scale of the bins, :math:`X b / g`, in the lit field, (n,).
     places: NDArray[np.float64]
@@ -80,8 +89,8 @@ class FittedLens(FinitePupil):
     # Radius in millimetres of a circle about the axis that contains the open exit pupil for the whole detector.
     pupil_radius: float
     fitted: PupilFit
-    # Derivatives by parameters, cached by name; see `lens_changes`.
-    changes: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    # Derivatives by parameters, cached by name; see `lens_change`.
+    changes: dict[str, LensChange] = field(default_factory=dict, init=False, repr=False)
 
     is_round = True
 
@@ -145,19 +154,15 @@ class FittedLens(FinitePupil):
 
     def open_slopes(self, names: Iterable[str], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """Return derivatives of the logarithm of the open area, (1, n), as `MainLens.open_slopes` does."""
-        from .lens_changes import LENS_NUMBERS, open_area_slopes
-
         return {name: open_area_slopes(self, name, points)[None] for name in names if name in LENS_NUMBERS}
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
         """Return the lens with the gradients of its parameters, as `MainLens.varying` does."""
-        from .lens_changes import LENS_NUMBERS, VaryingLens
-
         own = {name: numbers[name] for name in LENS_NUMBERS if name in names}
         return VaryingLens(self, numbers["mla_distance"], own, turned)
 
     def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
-        """Return the lens itself, because its parameters are stored in arrays."""
+        """Return this lens, whose parameters are stored in arrays."""
         return self
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
@@ -194,11 +199,11 @@ class FittedLens(FinitePupil):
 
     @property
     def reach(self) -> float:
-        """The same as `pupil_radius`."""
+        """Radius of the exit pupil, as `pupil_radius`."""
         return self.pupil_radius
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these images and inverse distances."""
+        """Return the scene points (n, 3) with given images and inverse distances."""
         pupils, distance = self.fitted.pupils, 1 / inverse_distance
         depth = distance + pupils.entrance
         field = -images * (pupils.magnification / self.pupil_distance)
@@ -211,7 +216,7 @@ class FittedLens(FinitePupil):
         return np.column_stack([field * distance[:, None], depth])
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (..., 2) on the MLA, those outside the illuminated field moved inwards to its edge."""
+        """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
         away = np.hypot(images[..., 0], images[..., 1])[..., None]
         return np.asarray(images * np.minimum(1, self._covered / np.maximum(away, 1e-12)))
 
@@ -237,7 +242,7 @@ class FittedLens(FinitePupil):
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Distances of images from the axis, and there the largest changes of path and edge as an image moves.
+        """Distances of images from the axis, with the largest changes of path and edge there as an image moves.
 
         The maximum is taken over distances and over radial and tangential motion. Changes are per millimetre: of the
         path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
@@ -304,7 +309,7 @@ def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.
 def at_all(
     lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return a measure of points; for many it is interpolated over field and inverse distance, as lenses are round."""
+    """Return a measure of points, interpolated over field and inverse distance if there are many points."""
     from scipy.interpolate import RegularGridInterpolator
 
     if len(points) <= _FIELDS * _DEPTHS:
@@ -321,3 +326,221 @@ def at_all(
     nodes = np.column_stack([0 * u, u / near, 1 / near + lens.fitted.pupils.entrance])
     table = at_all(lens, nodes, measured).reshape(_FIELDS, _DEPTHS)
     return np.asarray(RegularGridInterpolator(axes, table, bounds_error=False)((heights, inverse_distance)))
+
+
+LENS_NUMBERS = ("focal_length", "aperture_radius", "wavelength")
+"""Parameters that change the light on the exit pupil."""
+
+_CHANGE = 1e-4
+"""Relative change of a parameter on either side."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensChange:
+    """Derivatives of a `FittedLens` by one parameter."""
+
+    # Derivative of the distance from the exit pupil to the MLA, in millimetres.
+    pupil_distance: float
+    aberration: Polynomial
+    brightness: Polynomial
+    stops: tuple[Polynomial, ...]
+
+
+def lens_change(lens: FittedLens, name: str) -> LensChange:
+    """Return the derivatives of a fitted lens by one of `LENS_NUMBERS`, which the lens caches."""
+    if name not in lens.changes:
+        lens.changes[name] = _found_change(lens, name)
+    return lens.changes[name]
+
+
+def _found_change(lens: FittedLens, name: str) -> LensChange:
+    system, fitted = lens.system, lens.fitted
+    scales = fitted.aberration.scales
+    step = _CHANGE * float(getattr(system, name))
+    sides = [replace(system, **{name: getattr(system, name) + amount}) for amount in (step, -step)]
+    depths = scales.middle - scales.half, scales.middle + scales.half
+    start = nodes(float(system.aperture_radius), scales.field, depths)
+    rays, valid = trace_all(system, *start)
+    moved = [_seen_from(system, side, *start) for side in sides]
+    for side in moved:
+        valid &= np.isfinite([*side.place, side.path, side.amplitude]).all(0) & np.isfinite(side.stops).all(0)
+    rays, (more, less) = rays.take(valid), [side.take(valid) for side in moved]
+    # All refer to the field and inverse distance of the point with respect to the unchanged lens.
+    more, less = (replace(side, field=rays.field, inverse_distance=rays.inverse_distance) for side in (more, less))
+    shift = (more.place - less.place) / (2 * step)
+
+    def values(side: PupilRays) -> list[NDArray[np.float64]]:
+        path = side.path - fitted.pupils.sphere_path(side)
+        return [path, side.amplitude, *side.stops[list(fitted.cutting)]]
+
+    def changed(polynomial: Polynomial, high: NDArray[np.float64], low: NDArray[np.float64]) -> NDArray[np.float64]:
+        along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.inverse_distance).T
+        _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.place[0], rays.place[1]))
+        return np.asarray((high - low) / (2 * step) - x * shift[0] - y * shift[1])
+
+    polynomials = [fitted.aberration, fitted.brightness, *fitted.stops]
+    changes = [changed(*parts) for parts in zip(polynomials, values(more), values(less), strict=True)]
+    made: list[Polynomial] = []
+    with single_threaded_blas():
+        for some in (slice(0, 2), slice(2, None)):
+            if changes[some]:
+                degrees, found = polynomials[some][0].degrees, np.stack(changes[some])
+                made += fit(scales, degrees, rays.place, rays.field, rays.inverse_distance, found)
+    high, low = (float(side.pupil_distance) for side in sides)
+    return LensChange((high - low) / (2 * step), made[0], made[1], tuple(made[2:]))
+
+
+def _seen_from(
+    lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
+) -> PupilRays:
+    """Trace rays through another lens, from points with the given fields and inverse distances for the first lens."""
+    nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
+    return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
+
+
+def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivatives (n,) of the logarithms of the open areas by a parameter of the camera.
+
+    The points and the lens are fixed; the derivative by parameters that are not in `LENS_NUMBERS` is 0.
+    """
+    if name not in LENS_NUMBERS:
+        return np.zeros(len(points))
+    changes = lens_change(lens, name).stops
+
+    def measured(some: NDArray[np.float64]) -> NDArray[np.float64]:
+        _, edge, pupil = places(lens)
+        light = lens.bind(some)
+        stop, least = edges(light, pupil)
+        fields, inverse_distance = lens.fitted.pupils.field(some)
+        moved = np.zeros_like(least)
+        for index, change in enumerate(changes):
+            lanes = [column[:, None] for column in change.at(fields, inverse_distance).T]
+            _, x, y = light.stops[index].gradient(pupil)
+            # An edge is where the squared height is 1; it moves by the change of that square over its slope.
+            value = change.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
+            moved = np.where(stop == index, -value / np.sqrt(np.maximum(x * x + y * y, 1e-20)), moved)
+        area = np.clip(least / edge + 0.5, 0, 1).sum(1)
+        return np.asarray(np.where(np.abs(least) < edge / 2, moved, 0).sum(1) / (edge * area))
+
+    return at_all(lens, points, measured)
+
+
+@dataclass(frozen=True)
+class VaryingLens(FinitePupil):
+    """A fitted lens with gradients; it offers the part of `MainLens` that `points.patch_factors` uses."""
+
+    # The lens for plain parameters.
+    base: FittedLens
+    mla_distance: Any
+    # Dr.Jit values with gradients, by names of `LENS_NUMBERS`; parameters that are absent are fixed.
+    numbers: dict[str, Any]
+    # Counter-clockwise rotation, in degrees, of the frame of the points against the scene.
+    turned: Any = 0.0
+    pupil_distance: Any = field(init=False)
+    _changes: list[tuple[Any, LensChange]] = field(init=False, repr=False)
+
+    is_round = True
+
+    def __post_init__(self) -> None:
+        system = self.base.system
+        changes, distance = [], self.base.pupil_distance + (self.mla_distance - float(system.mla_distance))
+        for name in LENS_NUMBERS:
+            if name in self.numbers:
+                number = self.numbers[name]
+                change, amount = lens_change(self.base, name), number - dr.detach(number)
+                changes.append((amount, change))
+                distance = distance + amount * change.pupil_distance
+        object.__setattr__(self, "pupil_distance", distance)
+        object.__setattr__(self, "_changes", changes)
+
+    @property
+    def pupil_radius(self) -> Any:
+        """Radius of a circle about the axis that contains the exit pupil and scales with vignetting edges."""
+        if "aperture_radius" not in self.numbers:
+            return self.base.pupil_radius
+        return grown(self.numbers["aperture_radius"]) * float(self.base.pupil_radius)
+
+    def convergence(self, distance: Any) -> Any:
+        """Return the reciprocal of the distance from the exit pupil to the image of a plane, without gradients."""
+        return self.base.convergence(distance)
+
+    def bind(self, points: NDArray[np.float64], which: Any) -> VaryingLight:
+        """Return the light of some points, as `MainLens.bind` does for Dr.Jit."""
+        light = self.base.bind(points, which)
+        fields, inverse_distance = self.base.fitted.pupils.field(points)
+        Float64 = dr.float64_array_t(type(which))
+
+        def bound(polynomial: Any) -> PupilPolynomial:
+            lanes = [
+                dr.gather(Float64, drjit_array(Float64, c), which) for c in polynomial.at(fields, inverse_distance).T
+            ]
+            return polynomial.over_pupil(lanes, light.aberration.field)
+
+        changes = [
+            Shown(amount, bound(c.aberration), bound(c.brightness), [bound(stop) for stop in c.stops])
+            for amount, c in self._changes
+        ]
+
+        def with_scene(polynomial: PupilPolynomial) -> PupilPolynomial:
+            return replace(polynomial, field=turn(*polynomial.field, -self.turned))
+
+        base = replace(
+            light,
+            slope=turn(*light.slope, -self.turned),
+            aberration=with_scene(light.aberration),
+            brightness=with_scene(light.brightness),
+            stops=[with_scene(stop) for stop in light.stops],
+        )
+        return VaryingLight(base, changes)
+
+
+def grown(number: Any) -> Any:
+    """Return the value 1 with the relative gradient of a number."""
+    return number / dr.detach(number)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The changes over the pupil by one parameter: `amount` is zero and carries the gradient."""
+
+    amount: Any
+    aberration: PupilPolynomial
+    brightness: PupilPolynomial
+    stops: list[PupilPolynomial]
+
+
+@dataclass(frozen=True)
+class VaryingLight:
+    """The light of one scene point per lane, as `LensLight`, and its changes with parameters."""
+
+    # The light for plain parameters, of points that may be rotated.
+    base: LensLight
+    changes: list[Shown]
+
+    def path(self, pupil: Pair, point: Any, wavelength: Any) -> Any:
+        """Return the path in waves, as `Light.path` does; the point must be the one to which the light is bound."""
+        length, held = self.base.length(pupil), dr.detach(pupil)
+        for change in self.changes:
+            length += change.amount * change.aberration.value(held)
+        return length * (1 / in_millimetres(wavelength))
+
+    def amplitude(self, pupil: Pair, point: Any) -> Any:
+        """Return the amplitude, as `Light.amplitude` does; the point must be the one to which the light is bound."""
+        result, held = self.base.amplitude(pupil, point), dr.detach(pupil)
+        for change in self.changes:
+            result += change.amount * change.brightness.value(held)
+        return result
+
+    def inside(self, pupil: Pair) -> Any:
+        """Return the distance from the edges, as `Light.inside` does, with gradients accurate near the edges."""
+        least, held = None, dr.detach(pupil)
+        for index, stop in enumerate(self.base.stops):
+            away = replace(self.base, stops=[stop]).inside(pupil)
+            if self.changes:
+                _, x, y = stop.gradient(held)
+                slope = dr.detach(dr.rsqrt(dr.maximum(x * x + y * y, 1e-20)))
+                for change in self.changes:
+                    # An edge is where the squared height is 1; it moves by the change of that square over its slope.
+                    away -= change.amount * change.stops[index].value(held) * slope
+            least = away if least is None else dr.minimum(least, away)
+        return least

@@ -23,7 +23,7 @@ _CLOSEST = 1e-3
 
 @suggest_keywords
 def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: float) -> PlenopticCamera:
-    """Move a group of elements of the main lens until an object distance is in focus; the array stays.
+    """Return the camera with a group of lens elements moved so that an object distance is in focus.
 
     The aperture stop keeps its opening, so that focal length, pupils and f-number become those of the lens with the
     moved group. Its figures are paraxial, at the prescription's own wavelength.
@@ -119,7 +119,7 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
 
 
 def _range(lens: Prescription, first: int, last: int, behind: float) -> tuple[float, float]:
-    """Return how far a group can move towards the scene and towards the array, where `behind` is left."""
+    """Return the distances that a group can move towards the scene and towards the array, leaving the gap `behind`."""
     room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else behind
     ahead = lens.surfaces[first - 1].thickness if first > 0 else room
     return -(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room

@@ -85,12 +85,12 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def numbers(self) -> Paraxial:
-        """Paraxial quantities of the unscaled prescription at its own wavelength."""
+        """Paraxial quantities of the unscaled prescription at the prescription's wavelength."""
         return paraxial(self.prescription)
 
     @functools.cached_property
     def scale(self) -> Any:
-        """Scale factor of the prescription."""
+        """Scale factor from the prescription to the camera's lens."""
         return self.focal_length / self.numbers.focal_length
 
     @functools.cached_property
@@ -163,9 +163,9 @@ class LensSystem(FiniteDistance):
         distance : float or array
             Distance of the plane before the front principal plane.
         """
-        if self._light == self.prescription.wavelength:
+        if self.light == self.prescription.wavelength:
             return vergence(self.focal_length, distance)
-        here = paraxial(self.prescription, self._light)
+        here = paraxial(self.prescription, self.light)
         # Extra distances of the object from the front principal plane, and of the image from the rear one.
         front = self.scale * (here.front_principal - self.numbers.front_principal)
         rear = self.scale * (here.rear_principal - self.numbers.rear_principal)
@@ -241,19 +241,20 @@ class LensSystem(FiniteDistance):
         )
 
     @property
-    def _light(self) -> float:
+    def light(self) -> float:
+        """Wavelength of the light in nanometres, by default that of the prescription."""
         return self.prescription.wavelength if self.wavelength is None else self.wavelength
 
     @functools.cached_property
     def _backwards(self) -> list[sequential.Element]:
         return sequential.elements(
-            self.prescription, self._light, stop_radius=self.stop_radius, backwards=True, indices=self.indices
+            self.prescription, self.light, stop_radius=self.stop_radius, backwards=True, indices=self.indices
         )
 
     @functools.cached_property
     def forwards(self) -> list[sequential.Element]:
         """The surfaces in the order in which light from the scene meets them, stopped down, before scaling."""
-        return sequential.elements(self.prescription, self._light, stop_radius=self.stop_radius)
+        return sequential.elements(self.prescription, self.light, stop_radius=self.stop_radius)
 
     def through(self, point: tuple[Any, Any, Any], slope: Pair) -> tuple[Pair, Pair, Any, Any]:
         """Follow a ray from a scene point, which may lie anywhere along it, to the MLA.

@@ -14,15 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-
-if TYPE_CHECKING:
-    from .real_lens import RoundMap
 
 Pair = tuple[Any, Any]
 """x and y in the camera frame, of positions, slopes or direction cosines."""
@@ -55,7 +52,7 @@ class MainLens(Protocol):
 
     @property
     def refraction(self) -> float:
-        """Value that is equal for lenses of one camera that refract all rays alike."""
+        """Number that characterises how a lens refracts rays; lenses with equal numbers refract all rays alike."""
 
     @property
     def is_open_evenly(self) -> bool:
@@ -63,11 +60,11 @@ class MainLens(Protocol):
 
     @property
     def changes_evenly(self) -> bool:
-        """Whether the light of points at neighbouring microlenses changes alike with the camera's parameters."""
+        """Whether the light of points at neighbouring microlenses changes equally with the camera's parameters."""
 
     @property
     def entrance(self) -> Entrance:
-        """The scene side of the lens."""
+        """Entrance pupil of the lens."""
 
     @property
     def round_map(self) -> RoundMap | None:
@@ -99,13 +96,13 @@ class MainLens(Protocol):
         """Return points (n, 3) that `waves_of` needs to cover all light at finite distances that a detector sees."""
 
     def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return one coordinate on the MLA of the rays from detector positions to the centre of the exit pupil."""
+        """Return a coordinate on the MLA of the line from a detector position to the centre of the exit pupil."""
 
     def pupil_distance_from(self, behind: Any) -> Any:
         """Return the separation on the exit pupil, per difference in slope, of rays from a point `behind` the MLA."""
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the exit pupil of rays from positions at a height before the MLA.
+        """Return a coordinate on the exit pupil of the ray from a position at a height before the MLA.
 
         Parameters
         ----------
@@ -178,10 +175,10 @@ class MainLens(Protocol):
         """Return the reciprocals (n,) of the distances of scene points (n, 3) from the lens's entrance pupil."""
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the positions (2, ...) where rays from points of the pupil with given direction cosines meet the MLA.
+        """Return positions (2, ...) on the MLA of rays from points of the pupil with given direction cosines.
 
         Parameters
         ----------
@@ -221,7 +218,7 @@ class MainLens(Protocol):
         """
 
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
-        """Return the lens with plain parameters made opaque by a function, if kernels depend on them."""
+        """Return the lens with plain parameters made opaque by a function, if compiled kernels depend on them."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return the positions on the MLA of chief rays from object points that reconstruction bins assign to x, y.
@@ -237,13 +234,13 @@ class MainLens(Protocol):
         """
 
     def within(self, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (..., 2) on the MLA, those outside the illuminated field moved inwards to its edge."""
+        """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
 
     def cone(self, distances: Any) -> float:
         """Return half the range of direction cosines of one point's light at the MLA, the largest over `distances`."""
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        """Follow plane waves back from a position on the MLA, as in the Debye integral.
+        """Return the pupil points of plane waves that reach a position on the MLA, as in the Debye integral.
 
         Parameters
         ----------
@@ -327,7 +324,7 @@ class Light(LightOnPupil, Protocol):
 
 
 class PointLight(LightOnPupil, Protocol):
-    """The light of one point, as `MainLens.waves_of_one` returns it."""
+    """Light of a single point, from `MainLens.waves_of_one`."""
 
     pupil_radius: Any
     pupil_distance: Any
@@ -350,3 +347,22 @@ class Entrance:
     pupil: float = 0.0
     front: float = 0.0
     magnification: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class RoundMap:
+    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x.
+
+    Parameters
+    ----------
+    field : float
+        Distance of the last field from the axis, on the array; the first is at 0.
+    half : float
+        Largest coordinate of the nodes in the plane of the pupil, along x and y.
+    points : array
+        Corresponding point of each node, (fields, rows, columns, 2).
+    """
+
+    field: float
+    half: float
+    points: NDArray[np.float32]

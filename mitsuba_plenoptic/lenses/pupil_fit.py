@@ -1,25 +1,31 @@
-"""Rays from scene points through a real main lens to the plane of its exit pupil, to which polynomials are fitted.
+r"""Rays from scene points through a real main lens to the plane of its exit pupil, to which polynomials are fitted.
 
 A scene point is described by its field, X and Y over its distance from the entrance pupil, and by its inverse
 distance, the reciprocal of that distance. Both are smooth through infinity, up to light that converges to a point
-behind the lens.
+behind the lens. Path, amplitude and the heights on each surface are smooth functions of the position there. For the
+path the polynomial is its difference from that of a sphere around the paraxial image (the wave aberration, distortion
+included: Welford, "Aberrations of Optical Systems", chapters 7 and 8).
+
+`fit_pupil` fits the rays of points over a whole field and range of distances together, so that the number of rays does
+not depend on the number of points; `ExitPupil` those of one point alone, as exactly as polynomials can.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import refuse_if
+from ..errors import InputError, refuse_if
+from ..optics import guards
 from ..optics.waves import in_millimetres
 from . import sequential
 from .lens_system import LensSystem
-from .pupil_polynomials import Degrees, Polynomial, Scales, fit
+from .pupil_polynomials import Degrees, LensLight, Polynomial, PupilPolynomial, Scales, fit
 
 _BEYOND = 1.1
 """Largest accepted ray height, over the semi-aperture of each surface."""
@@ -64,7 +70,7 @@ def entrance_place(lens: LensSystem) -> float:
 
 
 def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
-    """Trace rays as `trace_all` does, and drop those that miss a surface or pass one far beyond its edge."""
+    """Return rays traced as by `trace_all`, without rays that miss a surface or pass far beyond the edge of one."""
     rays, valid = trace_all(lens, field, inverse_distance, entrance)
     return rays.take(valid)
 
@@ -72,7 +78,7 @@ def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance:
 def trace_all(
     lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> tuple[PupilRays, NDArray[np.bool_]]:
-    r"""Trace rays, and return a mask of those that neither miss a surface nor pass one far beyond its edge.
+    r"""Return traced rays, and a mask of rays that neither miss a surface nor pass far beyond the edge of one.
 
     The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the inverse distance, E the
     position on the entrance pupil and P that on the exit pupil: the amplitude that a thin lens in the entrance pupil
@@ -164,7 +170,7 @@ class Pupils:
 
     @classmethod
     def of(cls, lens: LensSystem) -> Pupils:
-        """Compute the pupils of a lens."""
+        """Return the pupils of a lens."""
         numbers = lens.numbers
         # The sign of a ray near the axis shows whether the exit pupil is inverted relative to the entrance pupil.
         near = trace(lens, np.zeros(1), np.zeros(1), np.array([[1e-3 * float(lens.aperture_radius)], [0.0]]))
@@ -186,7 +192,7 @@ class Pupils:
         return self.at_infinity - inverse_distance / self.magnification**2
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
-        """Return the path to the exit pupil of a perfect wave towards the image, less that to its centre, (n,)."""
+        """Return the path of a perfect wave to the exit pupil, less the path to the pupil's centre, (n,)."""
         (x, y), w, s = rays.place, self.convergence(rays.inverse_distance), self.slope(rays.field)
         length = np.sqrt((x * w) ** 2 + (y * w - s) ** 2 + 1) + np.sqrt(s * s + 1)
         return (2 * y * s - (x * x + y * y) * w) / length
@@ -230,7 +236,7 @@ def fit_pupil(
     wavelength: float,
     good: float = GOOD,
 ) -> PupilFit:
-    """Trace rays, and fit polynomials of rising degree until the path's error is at most `good` waves."""
+    """Return traced rays and polynomials of rising degree, until the path's error is at most `good` waves."""
     rays, judges = tracer(*nodes(radius, field, inverse_distance)), tracer(*_random(radius, field, inverse_distance))
     is_open = rays.open
     refuse_if(not is_open.any(), "main_lens: no ray gets through it from where the scene points lie")
@@ -271,7 +277,7 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
 
 
 def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, inverse distances and positions of rays that check a fit, with those of each point adjacent."""
+    """Return fields, inverse distances and positions of random rays that check a fit, sorted by their points."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
     D = np.repeat(inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(_JUDGES), _JUDGING)
@@ -292,3 +298,79 @@ def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -
         found = aberration.over_pupil(coefficients, (0.0, field)).value((x, y))
         worst = max(worst, float(np.std(found - path[some])))
     return worst
+
+
+_ALONE, _ACROSS_ALONE = 10, 45
+"""Degree of the polynomials of a single point, and rays across the pupil; alternate ones are fitted, others check."""
+
+
+@dataclass(frozen=True)
+class ExitPupil(LensLight):
+    """The light of one scene point on the exit pupil, fitted to rays of this point alone."""
+
+    # Radius of a circle about the axis that contains the open pupil, in millimetres.
+    pupil_radius: float
+    # Positions (n, 2) and direction cosines (n, 2) of the rays that pass the lens.
+    bundle: tuple[NDArray[np.float64], NDArray[np.float64]]
+    # Root mean square error of the path in waves.
+    error: float
+
+    @classmethod
+    def of(cls, lens: LensSystem, point: tuple[float, float, float]) -> ExitPupil:
+        """Return the light of a point on the exit pupil of a lens, fitted to traced rays.
+
+        Raises
+        ------
+        InputError
+            If the point does not lie before the lens, or no light of it passes the lens.
+        PhysicsError
+            If the path cannot be fitted.
+        """
+        front = max(lens.front_bounds[1])
+        if not point[2] > front:
+            raise InputError(f"position: g = {point[2]:g}: it must lie before the main_lens, beyond {front:.6g}")
+        pupils = Pupils.of(lens)
+        (direction,), (near,) = pupils.field(np.array([point]))
+        field = float(np.hypot(*direction))
+        axis = np.linspace(-_WIDER, _WIDER, _ACROSS_ALONE) * float(lens.aperture_radius)
+        entrance = np.stack([part.ravel() for part in np.meshgrid(axis, axis)])
+        count = entrance.shape[1]
+        rays = trace(lens, np.full(count, field), np.full(count, near), entrance)
+        is_open = rays.open
+        if not is_open.any():
+            raise InputError(f"position = ({', '.join(f'{c:g}' for c in point)}): no light of it passes the main_lens")
+        # The beam's middle lies in the plane of axis and point.
+        middle = float(rays.place[1, is_open].mean())
+        radius = float(np.hypot(rays.place[0], rays.place[1] - middle).max())
+        # On the axis there is no direction on which the light could depend.
+        scales, degrees = (
+            Scales(radius + abs(middle), field or 1.0, near, 1.0),
+            Degrees(_ALONE, _ALONE * (field > 0), 0),
+        )
+        along = float(direction[0]), float(direction[1])
+
+        def fitted(some: Any, *values: NDArray[np.float64]) -> list[PupilPolynomial]:
+            own = rays.take(some)
+            made = fit(scales, degrees, own.place, own.field, own.inverse_distance, np.stack(values), alone=True)
+            return [each.over_pupil(each.coefficients[0, 0].tolist(), along) for each in made]
+
+        path = rays.path - pupils.sphere_path(rays)
+        checking = np.arange(len(path)) % 2 == 1
+        (aberration,) = fitted(~checking, path[~checking])
+        left = path - replace(aberration, field=(0.0, field)).value((rays.place[0], rays.place[1]))
+        error = float(np.std(left[checking & is_open])) / in_millimetres(lens.light)
+        guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * error) ** 2)))
+        # A surface that lets all traced rays through does not vignette.
+        brightness, *stops = fitted(slice(None), rays.amplitude, *rays.stops[rays.stops.max(1) > 1])
+        # Nothing is inside beyond the circle around the rays.
+        shift = middle / scales.field
+        circle = np.array([scales.radius**2 / 2, scales.radius**2 / 2 + middle**2, -2 * shift / scales.mixed])
+        stops.append(PupilPolynomial(scales, Degrees(2, 1, 0), (circle / radius**2).tolist(), along))
+        # From the frame in which the point lies along y to that of the camera.
+        (u, v), (x, y) = direction / scales.field if field else (0.0, 1.0), rays.place[:, is_open]
+        places = np.column_stack([x * v + y * u, y * v - x * u])
+        open_radius = float(np.hypot(x, y).max()) + radius / _ACROSS_ALONE
+        slope, convergence = pupils.slope(direction).tolist(), float(pupils.convergence(near))
+        light = float(lens.pupil_distance), (slope[0], slope[1]), convergence, aberration, brightness, stops
+        cosines = np.column_stack(LensLight(*light).cosines((places[:, 0], places[:, 1]), None))
+        return cls(*light, open_radius, (places, cosines), error)

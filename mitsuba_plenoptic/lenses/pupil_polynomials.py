@@ -87,8 +87,10 @@ def fit(
     field: NDArray[np.float64],
     inverse_distance: NDArray[np.float64],
     values: NDArray[np.float64],
+    *,
+    alone: bool = False,
 ) -> list[Polynomial]:
-    """Fit polynomials by least squares.
+    """Return polynomials fitted to values by least squares.
 
     Parameters
     ----------
@@ -96,12 +98,14 @@ def fit(
         Scales of the variables.
     degrees : Degrees
         Largest powers.
-    place : float64 array (2, n)
+    position : float64 array (2, n)
         Positions on the pupil, for points whose fields lie along y.
-    field, inverse distance : float64 array (n,)
+    field, inverse_distance : float64 array (n,)
         Fields and inverse distances of these points.
     values : float64 array (k, n)
         Values of k functions.
+    alone : bool
+        Whether all rays come from one point, so that no power of its field alone is fitted.
 
     Returns
     -------
@@ -109,7 +113,7 @@ def fit(
     """
     f, d = scales.of_points(field**2, inverse_distance)
     s, t = scales.of_pupil((position**2).sum(0)), position[1] * field * scales.mixed
-    own = [(b, c, a) for b, c in degrees.pairs for a in range((degrees.field - c) // 2 + 1)]
+    own = [(b, c, a) for b, c in degrees.pairs for a in range(1 if alone else (degrees.field - c) // 2 + 1)]
     highest = (degrees.pupil, degrees.field, degrees.field)
     powers = [np.vander(x, n + 1, increasing=True).T for x, n in zip((s, t, f), highest, strict=True)]
     base = np.stack([powers[0][b] * powers[1][c] * powers[2][a] for b, c, a in own])

@@ -21,11 +21,10 @@ from ..optics import guards
 from ..prescription import Prescription
 from ..runtime.limits import single_threaded_blas
 from .common import LensNumbers, builds
-from .exit_pupil import ExitPupil
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem
-from .main_lens import Entrance
-from .pupil_fit import Pupils, covered, fit_pupil, trace
+from .main_lens import Entrance, RoundMap
+from .pupil_fit import ExitPupil, Pupils, covered, fit_pupil, trace
 
 _FIELDS, _ANGLES, _DENSE, _MAP_NODES = 17, 256, 4096, 97
 """Distances from the axis, directions in which edges are searched and interpolated, and map nodes across the pupil."""
@@ -35,20 +34,8 @@ _MAP_WIDER, _BISECTIONS, _TRIED = 1.1, 24, 65
 pupil that find its centre."""
 
 
-@dataclass(frozen=True, eq=False)
-class RoundMap:
-    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x."""
-
-    # Distance of the last field from the axis, on the array; the first is 0.
-    field: float
-    # Largest coordinate of the nodes in the plane of the pupil, along x and y.
-    half: float
-    # Corresponding point of each node, (fields, rows, columns, 2).
-    points: NDArray[np.float32]
-
-
 def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
-    """Return the map of a lens."""
+    """Return the map from the exit pupil of a lens to a round pupil."""
     from scipy.spatial import cKDTree
 
     radius, half, last = float(lens.pupil_radius), _MAP_WIDER * reach, _MAP_WIDER * corner
@@ -118,7 +105,7 @@ _BEYOND = 1.05
 
 @dataclass(frozen=True, eq=False)
 class RealLens(LensSystem):
-    """A lens of several surfaces before a detector that sees a part of its field; it caches its fits for waves."""
+    """A lens of several surfaces before a detector that sees a part of its field, with cached fits for waves."""
 
     # Distance of the detector's corners from the axis in millimetres.
     corner: float = 0.0
@@ -130,8 +117,8 @@ class RealLens(LensSystem):
 
     @property
     def refraction(self) -> float:
-        """The wavelength if the glasses are dispersive, else the focal length."""
-        return self._light if self.prescription.disperses else float(self.focal_length)
+        """Wavelength if the glasses are dispersive, otherwise focal length."""
+        return self.light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
     def reach(self) -> float:
@@ -140,12 +127,12 @@ class RealLens(LensSystem):
 
     @property
     def _own(self) -> LensSystem:
-        """The lens at the wavelength of its prescription, for properties that are assumed equal at all wavelengths."""
+        """Lens at the wavelength of its prescription, for properties assumed equal at all wavelengths."""
         return self if self.wavelength is None else replace(self, wavelength=None)
 
     @functools.cached_property
     def entrance(self) -> Entrance:
-        """The scene side of the lens."""
+        """Entrance pupil of the lens."""
         pupils = Pupils.of(self)
         return Entrance(pupils.entrance, max(self.front_bounds[1]), pupils.magnification)
 
@@ -170,7 +157,7 @@ class RealLens(LensSystem):
 
     @functools.cached_property
     def round_map(self) -> RoundMap:
-        """Map from its exit pupil, as positions off the axis see it, to the round pupil near the axis."""
+        """Map from the exit pupil, as positions off the axis see it, to the round pupil near the axis."""
         return round_map(self, self.reach, self.corner)
 
     # -- waves ---------------------------------------------------------------------------------------
@@ -198,7 +185,7 @@ class RealLens(LensSystem):
         if (x, y, g) not in self._lights:
             while len(self._lights) >= _LIGHTS:
                 self._lights.pop(next(iter(self._lights)), None)
-            self._lights[x, y, g] = ExitPupil(self, (x, y, g))
+            self._lights[x, y, g] = ExitPupil.of(self, (x, y, g))
         return self._lights[x, y, g]
 
     def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
@@ -226,17 +213,17 @@ class RealLens(LensSystem):
         return self._fits[key]
 
     def _fit(self, field: float, low: float, high: float) -> FittedLens:
-        """Fit the lens for a range of inverse distances, up to a field or to the edge of its own field."""
+        """Return the lens fitted over a range of inverse distances, up to a field or the edge of the lens's field."""
         tracer, radius, inverse_distance = functools.partial(trace, self), self.aperture_radius, (low, high)
         field = covered(tracer, radius, field, inverse_distance)
         refuse_if(not field > 0, "main_lens: no light of the scene points passes it")
         with single_threaded_blas():  # the matrices are narrow, and its threads wait for each other actively
-            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self._light)
+            fitted = fit_pupil(tracer, Pupils.of(self), radius, field, inverse_distance, self.light)
         return FittedLens(self, self.reach, fitted)
 
 
 def _checked(lens: FittedLens) -> FittedLens:
-    """Return a lens after a check of the error of its fitted path."""
+    """Return a lens whose fitted path has passed the check of its error."""
     guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 

@@ -62,7 +62,7 @@ def elements(
     backwards: bool = False,
     indices: Sequence[Any] | None = None,
 ) -> list[Element]:
-    """Return a lens's surfaces in the order in which light meets them; the gap before the first is 0.
+    """Return the surfaces of a lens in the order in which light meets them; the gap before the first is 0.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def follow(
     direction: tuple[Any, Any, Any],
     squares: list[Any] | None = None,
 ) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    r"""Follow rays through a lens.
+    r"""Return position, direction and path of rays behind a lens.
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
     :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of

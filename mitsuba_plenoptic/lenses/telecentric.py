@@ -51,12 +51,12 @@ class TelecentricLens(UniformLens):
 
     @property
     def is_round(self) -> bool:
-        """Always True."""
+        """True: the pupil is round everywhere."""
         return True
 
     @property
     def refraction(self) -> float:
-        """The focal length, which is the same at all wavelengths."""
+        """Focal length of the lens, equal at all wavelengths."""
         return self.objective.focal_length
 
     @property
@@ -66,7 +66,7 @@ class TelecentricLens(UniformLens):
 
     @property
     def pupil_distance(self) -> float:
-        """Focal length of the tube lens: a position on the stop over it is a direction in the native image plane."""
+        """Focal length of the tube lens, over which a position on the stop is a direction in the native image."""
         return self.objective.tube_focal_length
 
     def _sines(self, pupil: Pair) -> Pair:
@@ -94,7 +94,7 @@ class TelecentricLens(UniformLens):
         return 1 / self.pupil_distance + 2 * lens.immersion * drop * distance / self.pupil_radius**2
 
     def convergence(self, distance: Any) -> Any:
-        """Return `vergence`."""
+        """Return the vergence behind the lens for an object distance, as `vergence` does."""
         return self.vergence(distance)
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
@@ -103,7 +103,7 @@ class TelecentricLens(UniformLens):
         return field / self.objective.magnification - self.front * steepest, (self.front,)
 
     def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return the position itself: chief rays are parallel to the axis."""
+        """Return the position: chief rays are parallel to the axis."""
         return position
 
     def pupil_distance_from(self, behind: Any) -> float:
@@ -131,7 +131,7 @@ class TelecentricLens(UniformLens):
         return points[:, 2]
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         return np.column_stack([images * (-1 / self.objective.magnification), inverse_distance])
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
@@ -198,7 +198,7 @@ class TelecentricLens(UniformLens):
         return -self.pupil_distance / self.objective.last_focal_length
 
     def power_through(self, point: NDArray[np.float64]) -> float:
-        """Return `passed_power`, the same for all scene points."""
+        """Return `passed_power`, which is equal for all scene points."""
         return self.passed_power
 
     @property

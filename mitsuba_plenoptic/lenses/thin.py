@@ -56,7 +56,7 @@ def zernike(j: int) -> NDArray[np.float64]:
 
 
 class Wavefront:
-    """A sum of Zernike polynomials, and a phase screen where one is given."""
+    """Path over the pupil in mm: a sum of Zernike polynomials and an optional phase screen."""
 
     def __init__(
         self,
@@ -140,12 +140,12 @@ class ThinLens(UniformLens, FinitePupil):
 
     @property
     def is_round(self) -> bool:
-        """True for a lens without aberrations."""
+        """Whether the lens has neither aberrations nor a phase screen."""
         return len(self.aberrations) == 0 and self.screen is None
 
     @property
     def refraction(self) -> Any:
-        """The focal length."""
+        """Focal length, which determines how the lens refracts rays."""
         return self.focal_length
 
     def vergence(self, distance: Any) -> Any:
@@ -170,7 +170,7 @@ class ThinLens(UniformLens, FinitePupil):
         return tx, ty
 
     def convergence(self, distance: Any) -> Any:
-        """Return `vergence`: the lens is its own pupil."""
+        """Return `vergence`, as the lens is its own pupil."""
         return self.vergence(distance)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
@@ -202,7 +202,7 @@ class ThinLens(UniformLens, FinitePupil):
         return np.asarray(1 / points[:, 2])
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the scene points (n, 3) with these `images` and this `inverse_distance`."""
+        """Return the scene points (n, 3) with given `images` and `inverse_distance`."""
         distance = 1 / inverse_distance[:, None]
         return np.hstack([images * (-distance / self.pupil_distance), distance])
 
@@ -331,7 +331,7 @@ def _signed(length: Any, g: Any) -> Any:
 
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
-    """A thin lens whose rays continue as if they came from another point of the MLA's plane, for the ray model only.
+    """Thin lens whose rays continue as if from another point of the MLA's plane, for the ray model only.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ class DistortedLens(ThinLens):
     distortion: tuple[float, ...] = (0.0,) * 5
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA through the same pupil point to the scene."""
+        """Return the ray from a position on the MLA through an unchanged pupil point to the scene."""
         source = undistort(*position, self.distortion)
         moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, position, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))

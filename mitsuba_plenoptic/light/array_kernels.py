@@ -25,12 +25,14 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
+from ..lattice import Lattice
 from ..optics.waves import in_millimetres
 from ..runtime.limits import require_memory, single_threaded_blas
 from .lens_functions import LensFunctions
-from .lens_kinds import Kind
-from .lens_waves import LensWaves
-from .oblique import DIRECTIONS, Oblique, changes, terms
+from .lens_kinds import Kind, LensKinds
+from .microlenses import aperture_points
+from .oblique import DIRECTIONS, Oblique, changes, phase, terms
 
 _TRANSFER_SAMPLES = 64
 """Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
@@ -72,6 +74,105 @@ MOST_PHASE = 8.0
 
 
 @dataclass(frozen=True)
+class LensWaves:
+    """The phases of one camera's microlenses at one wavelength, without the path by which rays land."""
+
+    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
+    camera: PlenopticCamera
+    wavelength: float
+
+    @property
+    def lattice(self) -> Lattice:
+        """The microlens lattice."""
+        return self.camera.lattice
+
+    @cached_property
+    def _lens_kinds(self) -> LensKinds:
+        return LensKinds(self.camera)
+
+    @property
+    def kinds(self) -> list[Kind]:
+        """The kinds of microlenses."""
+        return self._lens_kinds.every
+
+    @property
+    def defocus(self) -> float:
+        """Largest defocus of the microlenses' waves on the detector, in radians at the edge of a lens."""
+        square = float(self.lattice.aperture_reach) ** 2
+        most = max(abs(self.convergence(kind)) for kind in self.kinds)
+        return math.pi * most * square / in_millimetres(self.wavelength)
+
+    @property
+    def aberration(self) -> float:
+        """Difference of the shape of lenses from the parabola by which rays land, in radians at the edge of a lens.
+
+        It is that of the slopes, since a phase may have jumps.
+        """
+        shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
+        assert shape is not None
+        u, v = lattice.to_frame(*aperture_points(lattice))
+        strength = shape.strength(self.wavelength)
+        slopes = (s * strength + place / focal_length for s, place in zip(shape.slopes(u, v), (u, v), strict=True))
+        most = float(np.hypot(*slopes).max())
+        return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
+
+    def convergence(self, kind: Kind) -> float:
+        """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
+        # Waves from a point of an objective's stop are plane.
+        own = self.camera.lens_data.converges / self.camera.pupil_distance
+        return 1 / kind.distance + own - 1 / kind.focal_length
+
+    def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
+        """Return the phase of a lens in waves, less the phase of the parabola by which rays land."""
+        shape = self.camera.mla_shape
+        assert shape is not None
+        ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
+        parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
+        return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
+
+    def _beyond_paraxial(
+        self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind, cosines: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        """Return the phase of a lens in waves for light of some direction cosines without the paraxial one."""
+        camera = self.camera
+        power = 1 / kind.focal_length - camera.lens_data.converges / camera.pupil_distance
+        enlargement = self._lens_kinds.enlargement(kind.focal_length)
+        path = phase(u, v, cosines, power, camera.mla_medium, enlargement)
+        return np.asarray(path / in_millimetres(self.wavelength))
+
+    def transmission(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], kind: Kind, cosines: tuple[float, float], steep: bool
+    ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
+        """Return the transmission of a lens of a kind and its neighbours at positions from its centre.
+
+        Light has some direction cosines. Unless `steep`, each ray lands by its own point of the lens, and phases that
+        displace light within the lens are left out. The mask of the lens's aperture is returned as well.
+        """
+        lattice, camera = self.lattice, self.camera
+        wavelength = in_millimetres(self.wavelength)
+        # Lens types alternate along a row.
+        centre = lattice.centre(float(kind.lens_type), 0.0)
+        i, j = lattice.cell(x + centre[0], y + centre[1])
+        cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
+        # Neighbours are assumed to deviate as the lens itself does.
+        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
+        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
+        waves = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
+            2 * wavelength
+        )
+        if steep:
+            # A quadratic phase shifts the landing point in proportion to the position on the lens.
+            waves += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
+            waves += self._beyond_paraxial(*lattice.to_frame(x - cx, y - cy), kind, cosines)
+        if camera.mla_shape is not None:
+            waves += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
+        inside = lattice.in_aperture(x - cx, y - cy)
+        T = np.where(inside, np.exp(2j * np.pi * waves), 0).astype(np.complex64)
+        # Functions are undefined outside the aperture, where rays have no coefficients.
+        return T, (i == kind.lens_type) & (j == 0) & inside
+
+
+@dataclass(frozen=True)
 class ArrayKernels(LensWaves):
     """Diffraction of one camera's microlenses at one wavelength, as kernels of images."""
 
@@ -84,7 +185,7 @@ class ArrayKernels(LensWaves):
 
     @property
     def by_points(self) -> bool:
-        """Whether each ray lands by its own point of the lens, and not by the lens's centre.
+        """Whether a ray lands by its point of the lens instead of the lens's centre.
 
         Far from the microlenses' focus a few functions do not suffice for the difference. The spread by the pupil is
         then taken as that of the whole pupil for all of its points.
@@ -94,7 +195,7 @@ class ArrayKernels(LensWaves):
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
-        """The functions of a ray's point on a lens; polynomials if each ray lands by its own point, or of degree 0."""
+        """Functions of a ray's point on a lens; polynomials of degree 0 or more where each ray lands by its point."""
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         higher = 0 if self.by_points or self.degree == 0 else _HIGHER
         scale = float(self.lattice.aperture_reach)
@@ -113,13 +214,13 @@ class ArrayKernels(LensWaves):
 
     @property
     def _most_functions(self) -> int:
-        """The largest number of functions over a lens: as many as polynomials of the degree."""
+        """Largest number of functions over a lens, which is the number of polynomials of the degree."""
         return (self.degree + 1) * (self.degree + 2) // 2
 
     @cached_property
     @single_threaded_blas()
     def oblique(self) -> Oblique:
-        """The combinations of kernels' changes by the direction of light."""
+        """Combinations of the kernels' changes with the direction of light."""
         functions, camera = self.functions, self.camera
         if self.by_points or functions.count == 1:
             return Oblique.nothing(functions.count)
@@ -138,17 +239,17 @@ class ArrayKernels(LensWaves):
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance, most)
 
     def _samples_of(self, count: int) -> int:
-        """Return the samples across a pitch of which a count is across an aperture."""
+        """Return the number of samples across a pitch, given the number across an aperture."""
         return math.ceil(count * self.lattice.pitches[0] / self.lattice.aperture_width)
 
     @property
     def values(self) -> int:
-        """Number of kernels of a kind of lenses, and of the values of an image that they are for."""
+        """Number of kernels of one kind of lenses, which is the number of values of each ray."""
         return self.functions.count + self.oblique.count
 
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
-        """The covariance of an image's values in light with random edges from all directions."""
+        """Covariance of an image's values in light with random edges from all directions."""
         functions, oblique = self.functions, self.oblique
         u, v, inside = self.aperture_grid(_LAGS)
         light = functions.light(u[inside], v[inside])
@@ -160,7 +261,7 @@ class ArrayKernels(LensWaves):
         return np.asarray(np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected))
 
     def _cosines(self) -> NDArray[np.float64]:
-        """Return the direction cosines (n, 2) on the array, in its frame, of light from the pupil to the detector."""
+        """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""
         camera = self.camera
         field = np.linspace(-0.5, 0.5, _FIELD) if camera.lens_data.converges else np.zeros(1)
         pupil = np.linspace(-1, 1, _PUPIL) * camera.pupil_radius
@@ -181,7 +282,7 @@ class ArrayKernels(LensWaves):
         cosines: tuple[float, float] = (0.0, 0.0),
         samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.float64]:
-        """Return the spectra (n, values) of a kind's kernels of combinations of polynomials, as pixels record them."""
+        """Return spectra (n, values) of kernels for combinations of polynomials of one kind, as pixels record them."""
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / samples
         farthest = min(2 * samples, int(scale / (2 * self.camera.pixel_size * fine)))
@@ -259,7 +360,7 @@ class ArrayKernels(LensWaves):
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
-        """Return `kernels` with a given sampling, even if another one would suit them better."""
+        """Return `kernels` with a given sampling, also where another sampling would suit better."""
         every, farthest, count = samples
         functions, oblique = self.functions, self.oblique
         transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)

@@ -61,7 +61,7 @@ def _tables(thing: Any) -> dict[str, Table]:
 
 
 def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArray[np.float32]) -> None:
-    """Refuse wavelengths at which a spectrum of the scene has no values, because Mitsuba takes these to be 0.
+    """Refuse wavelengths at which a spectrum of the scene has no values, where Mitsuba takes 0.
 
     A scalar or a colour given as radiance means the spectrum of D65. Mitsuba defines D65 and black bodies from 360 to
     830 nm. The table of an emitter may end anywhere: there is no light beyond it. That of a surface may end with 0.
@@ -100,7 +100,7 @@ def require_upsampled(spectrum: Spectrum) -> None:
 
 
 def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
-    """Return a wavelength outside the bounds if more than 1 % of the channels' responses lie outside them."""
+    """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, None otherwise."""
     outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
     return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 

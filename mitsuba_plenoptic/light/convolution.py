@@ -66,7 +66,7 @@ class Convolution:
     def forward(
         self, images: Iterable[NDArray[np.float32]], box: Box | None = None, pixels: Box | None = None
     ) -> NDArray[np.float32]:
-        """Convolve each image with its kernel, and add the results.
+        """Return the sum of all images, each convolved with its kernel.
 
         The result has the shape (rows, columns).
         """
@@ -92,7 +92,7 @@ class Convolution:
         return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
-        """Apply the adjoint of `forward`: yield an image for each kernel.
+        """Yield an image for each kernel, by the adjoint of `forward`.
 
         Shapes: `pixels` (rows, columns).
         """
@@ -162,7 +162,7 @@ def _grown(box: Box, margin: int) -> Box:
 
 
 def _even(size: int, most: int) -> int:
-    """Divide a size into the fewest equal parts of at most `most`; return their length, rounded up."""
+    """Return the length, rounded up, of the fewest equal parts of a size with at most `most` each."""
     return math.ceil(size / math.ceil(size / most))
 
 
@@ -179,7 +179,7 @@ class Block:
 
     @property
     def samples(self) -> int:
-        """Count of samples in all images."""
+        """Number of samples in all images together."""
         return sum(image.size for image in self.images)
 
     def prepare(self) -> Callable[[], Part]:
@@ -197,7 +197,7 @@ def _convolve(block: Block) -> Part:
 
 
 def blocks_of(box: Box, most: int) -> list[Box]:
-    """Cut a box into nearly square ones of about `most` samples, the largest first."""
+    """Return nearly square parts of a box with about `most` samples each, the largest first."""
     rows = math.ceil(box.rows / math.ceil(box.rows / math.sqrt(max(most, 1))))
     columns = math.ceil(box.columns / math.ceil(box.columns * rows / max(most, rows)))
     return [

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a capture."""
+    """Estimated time and memory of a capture."""
 
     points: int  # number of points whose light reaches the recorded window; 0 if not determined
     patterns: int  # number of point spreads that are computed for them

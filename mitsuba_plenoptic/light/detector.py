@@ -104,7 +104,7 @@ class Detector:
             require_choice("mosaic", self.mosaic, ALL_MOSAICS)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Expose pixels that are hit by a given mean number of photons.
+        """Return the digital numbers of pixels that are hit by a given mean number of photons.
 
         Parameters
         ----------
@@ -228,12 +228,12 @@ def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
 
 
 def mosaic_of(capture: Capture) -> str | None:
-    """Return the mosaic that a capture was recorded through and still has, None if it has none."""
+    """Return the mosaic of colour filters in a capture, None if there is none or it was demosaicked."""
     mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
     return mosaic if mosaic in ALL_MOSAICS else None
 
 
 def require_demosaiced(capture: Capture) -> None:
-    """Refuse a capture that is a mosaic of colours, for work that treats all pixels alike."""
+    """Refuse a capture with a mosaic of colours, for computations that treat all pixels alike."""
     mosaic = mosaic_of(capture)
     refuse_if(mosaic is not None, f"mosaic = {mosaic}: each pixel of the capture has one colour; demosaic it first")

@@ -28,7 +28,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class LensWindow:
-    """The lenses whose cells are sampled: those of the recorded pixels and a margin of a few lenses on each side.
+    """Lenses whose cells are sampled: the lenses of recorded pixels, and a margin of a few lenses on each side.
 
     Here a cell is the parallelogram that the two lattice vectors span around a lens's centre.
     """
@@ -42,7 +42,7 @@ class LensWindow:
 
     @classmethod
     def of(cls, system: OpticalSystem) -> LensWindow:
-        """Find the window of a camera's recorded pixels."""
+        """Return the window of a camera's recorded pixels."""
         camera, lattice = system.camera, system.lattice
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
         recorded = system.lens.chief_point(edges * camera.pixel_size, camera.reduced_distance)
@@ -62,7 +62,7 @@ class LensWindow:
         return i * ax + j * bx + (cx - (ax + bx) / 2), i * ay + j * by + (cy - (ay + by) / 2)
 
     def holds(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return whether points lie in the cells of the window."""
+        """Return a mask of points that lie in the cells of the window."""
         first, last = self.index.min(0), self.index.max(0)
         sampled = np.zeros(last - first + 3, dtype=bool)
         sampled[tuple((self.index - first + 1).T)] = True

@@ -54,12 +54,12 @@ class LensFunctions:
         return cls(scale, exponents, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in exponents])
 
     def values(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the values of the polynomials."""
+        """Return the values of the polynomials at positions."""
         return np.asarray(_monomials(u, v, self.exponents, self.scale) @ self.triangle)
 
     @property
     def count(self) -> int:
-        """The number of functions."""
+        """Number of functions."""
         return self.functions.shape[1]
 
     @cached_property
@@ -113,7 +113,7 @@ class LensFunctions:
         return np.asarray(self.duals.T @ _covariance(self._expected(u, v)) @ self.duals)
 
     def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance of the polynomials' coefficients of light with random edges, without its mean."""
+        """Return the covariance of the polynomials' coefficients in light with random edges, less its mean."""
         values = self.values(u, v)
         values -= values.mean(0)
         apart = np.hypot(u[:, None] - u, v[:, None] - v)

@@ -1,4 +1,4 @@
-r"""Irregular arrays: microlenses with individual displacements and focal lengths, tilted arrays, shifts to chief rays.
+r"""Irregular arrays: displaced lenses of uneven focal lengths, tilted arrays, shifts to chief rays, figure errors.
 
 The lens with the indices (i, j) is displaced along x and y, and its focal length is scaled, by normal deviates. These
 depend only on the indices and a seed, so that a lens is the same in all computations. Deviates are clipped at three
@@ -7,6 +7,7 @@ standard deviations.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -22,9 +23,9 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal
 from ..errors import InputError
-from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array
+from ..runtime.backend import drjit_array, module_of
+from .random_numbers import hashed
 
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
@@ -38,7 +39,7 @@ def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, A
 
 
 def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
-    """Return the displacement of lenses towards the axis, to which `mla_cra` aligns them, from regular positions."""
+    """Return the displacement towards the axis by which `mla_cra` aligns lenses, from their regular positions."""
     if not camera.mla_cra:
         return 0.0, 0.0
     z = camera.detector_distance if detector_distance is None else detector_distance
@@ -61,7 +62,7 @@ _PLACES = 33
 
 
 def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted ones above the recorded pixels.
+    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted lenses above recorded pixels.
 
     What knows regular arrays alone, as point spreads and reconstructions do, takes this one. Its `mla_pitch` and
     `mla_offset` have the smallest mean square of the distance from the lenses.
@@ -99,24 +100,74 @@ def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
 
 def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
     """Return values uniformly distributed between 0 and 1, both excluded."""
-    bits = _mix(_mix(_mix(i ^ _mix_int(seed)) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
+    start = int(hashed(np.array([seed], np.uint32))[0])
+    bits = hashed(hashed(hashed(i ^ start) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
     if dr.is_array_v(bits):
         return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
     return (bits.astype(np.float64) + 0.5) * 2.0**-23
 
 
-def _mix(word: Any) -> Any:
-    """Return a word each bit of which depends on all given bits (Wellons 2018, "Prospecting for hash functions")."""
-    word = word ^ (word >> 16)
-    word = word * type(word)(0x7FEB352D) if dr.is_array_v(word) else word * np.uint32(0x7FEB352D)
-    word = word ^ (word >> 15)
-    word = word * type(word)(0x846CA68B) if dr.is_array_v(word) else word * np.uint32(0x846CA68B)
-    return word ^ (word >> 16)
+_COSINES = 32
+"""Count of cosines."""
 
 
-def _mix_int(word: int) -> int:
-    """Return `_mix` of one integer."""
-    return int(_mix(np.array([word], np.uint32))[0])
+@dataclass(frozen=True, eq=False)
+class FigureError:
+    r"""Figure error of one array: a random optical path of a given size and correlation length all over the array.
+
+    The path is a sum of cosines of random directions, periods and phases,
+
+    .. math:: W(x, y) = \sigma \sqrt{2 / K} \sum_{k=1}^{K} \cos(2 \pi (u_k x + v_k y) + \varphi_k),
+
+    whose frequencies are normally distributed with the standard deviation :math:`1 / 2 \pi l`. Over all seeds the root
+    mean square is :math:`\sigma`, and the correlation of points at a distance d is :math:`\exp(-d^2 / 2 l^2)`. The path
+    has slopes everywhere, and depends on the position and the seed alone.
+    """
+
+    amplitude: float  # of each cosine, in millimetres
+    frequencies: NDArray[np.float64]  # (2, cosines), in 1/mm
+    phases: NDArray[np.float64]  # in periods
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera) -> FigureError | None:
+        """Return the figure error of a camera's array, or None if it has none."""
+        size, length = camera.mla_figure_error
+        return _drawn(size, length, camera.mla_seed) if size else None
+
+    def path(self, x: Any, y: Any) -> Any:
+        """Return the path in millimetres at positions on the array, NumPy or Dr.Jit arrays."""
+        return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
+
+    def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the gradient of the path at positions."""
+        across: Any = 0.0
+        up: Any = 0.0
+        for _, sine, u, v in self._waves(x, y):
+            across, up = across - sine * u, up - sine * v
+        scale = 2 * math.pi * self.amplitude
+        return scale * across, scale * up
+
+    def _waves(self, x: Any, y: Any) -> list[tuple[Any, Any, Any, Any]]:
+        """Return cosine and sine of each wave, and its frequencies along x and y."""
+        module, rows = module_of(x), [*self.frequencies, self.phases]
+        if module is dr:
+            # In tables, other numbers need no other kernel.
+            tables = [drjit_array(type(x), row) for row in rows]
+            rows = [[dr.gather(type(x), table, k) for k in range(len(self.phases))] for table in tables]
+        found = []
+        for u, v, phase in zip(*rows, strict=True):
+            turns = u * x + v * y + phase
+            turns = 2 * math.pi * (turns - module.floor(turns))
+            found.append((module.cos(turns), module.sin(turns), u, v))
+        return found
+
+
+@functools.lru_cache(maxsize=4)
+def _drawn(size: float, length: float, seed: int) -> FigureError:
+    """Return a figure error drawn at random."""
+    random = np.random.default_rng([seed, _COSINES])
+    frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
+    return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))
 
 
 _STEP = 0.4
@@ -133,7 +184,7 @@ _MOST = 32
 
 
 class Kind(NamedTuple):
-    """Microlenses that are treated as equal."""
+    """Microlenses that are treated as equal, with one set of kernels."""
 
     # Index of the design focal length of the lens.
     lens_type: int
@@ -144,7 +195,7 @@ class Kind(NamedTuple):
 
 @dataclass(frozen=True)
 class LensKinds:
-    """The kinds of a camera's microlenses, which are the same for all wavelengths, and the positions of the lenses."""
+    """The kinds of a camera's microlenses, which are the same for all wavelengths."""
 
     camera: PlenopticCamera
 
@@ -160,7 +211,7 @@ class LensKinds:
 
     @cached_property
     def every(self) -> list[Kind]:
-        """All kinds: the combinations of each height, each focal length factor and each lens type."""
+        """All kinds: combinations of heights, focal length factors and lens types."""
         camera = self.camera
         return [
             Kind(kind, f2 * ratio, camera.reduced_distance + height / camera.mla_medium)
@@ -170,7 +221,7 @@ class LensKinds:
         ]
 
     def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
-        r"""Return the mean factor by which a kind's micro-images are larger than those by rays through lens centres.
+        r"""Return the mean enlargement of a kind's micro-images over micro-images by rays through lens centres.
 
         Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
         of a lens of power n/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium of
@@ -191,21 +242,6 @@ class LensKinds:
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())
 
-    def place(self, i: Any, j: Any) -> tuple[Pair, Any]:
-        """Return the centres of lenses, and their distances towards the main lens from the plane of the axial lens."""
-        x, y = self.camera.lattice.centre(i, j)
-        right, up = chief_ray_shift(self.camera, x, y)
-        x, y = x + right, y + up
-        if self.camera.mla_jitter[0]:
-            right, up, _ = irregularities(self.camera, i, j)
-            x, y = x + right, y + up
-        return (x, y), self.height(x, y)
-
-    def height(self, x: Any, y: Any) -> Any:
-        """Return the distance of a tilted array at a position towards the main lens, relative to the axis."""
-        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
-        return x * across + y * up if across or up else 0.0
-
     def number(self, i: Any, j: Any, height: Any) -> Any:
         """Return the indices of the kinds of lenses."""
         camera = self.camera
@@ -223,16 +259,17 @@ class LensKinds:
 
     @cached_property
     def _ratios(self) -> NDArray[np.float64]:
-        """Factors on the focal lengths."""
+        """Factors on the focal lengths, one per step."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
         # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
         return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
 
     @cached_property
     def _heights(self) -> NDArray[np.float64]:
-        """Heights of a tilted array."""
+        """Heights of the lenses of a tilted array, one per step."""
         camera = self.camera
-        most = abs(self.height(camera.detector_width / 2, 0.0)) + abs(self.height(0.0, camera.detector_height / 2))
+        across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
+        most = across * camera.detector_width / 2 + up * camera.detector_height / 2
         n = camera.mla_medium
         return _steps(most, _STEP / self._phase * n * (camera.reduced_distance - most / n) ** 2)
 

@@ -55,9 +55,8 @@ _FLAT = 1e4
 _TABLE_LENGTH = 2**14
 """Smallest number of samples of the table of a factor of one coordinate."""
 
-_PER_ORDER = 64, 40
-"""Samples of a table per period of its highest order, for factors of one and of two coordinates; the table is
-interpolated linearly between them."""
+_PER_ORDER = 64, 16
+"""Samples of a table per period of its highest order, for factors of one and of two coordinates."""
 
 _FINE = 2048
 """Samples across a pitch from which the orders are computed; they limit the accuracy of the edges."""
@@ -82,7 +81,7 @@ class ArrayParameter(NamedTuple):
 
 
 class ArrayFactor(ABC):
-    """A factor of the transmission: a function of one coordinate of the array, or of both, as a sum of orders.
+    """Factor of the transmission in one coordinate of the array, or in both, as a sum of orders.
 
     `axes` lists its coordinates (0: x, 1: y), and `periods` the periods along them.
     """
@@ -125,9 +124,14 @@ class ArrayFactor(ABC):
         return values[0]
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
-        """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end."""
+        """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end.
+
+        Linear interpolation between the samples multiplies order q of n by sinc^2(q / n), by which each is divided.
+        """
+        orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
+        kept = [np.sinc(order / size) ** 2 for order, size in zip(orders, self._shape, strict=True)]
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
-        spectrum[np.ix_(*(np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape))] = amplitudes
+        spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, kept)
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
         padded = empty_packets(tuple(size + 1 for size in table.shape), np.complex64)
         padded[tuple(map(slice, table.shape))] = table
@@ -137,7 +141,7 @@ class ArrayFactor(ABC):
         return drjit_array(array_module().UInt64, as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
-        """Differentiate a sum of orders by the position along an axis, in periods."""
+        """Return the orders of the derivative by the position along an axis, in periods."""
         rows_first = self.axes[::-1].index(axis)
         order = np.indices(orders.shape, sparse=True)[rows_first] - orders.shape[rows_first] // 2
         return np.asarray(2j * math.pi * order * orders)
@@ -293,7 +297,7 @@ class MicrolensArray:
         return self._factors[key]
 
     def open_fraction(self, cosine: float, x: Any, y: Any) -> Any:
-        """Return 1 inside apertures and 0 between them, without steeper directions, at positions in millimetres.
+        """Return 1 inside apertures and 0 between them at positions in mm, without steeper directions.
 
         The integral of its product with a function that is limited to these directions, such as an intensity, is exact.
         """
@@ -309,7 +313,7 @@ class MicrolensArray:
 
 @functools.lru_cache(maxsize=4)
 def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
-    """Return the microlenses of a camera; the last few are remembered.
+    """Return the microlenses of a camera, from a cache of the last few.
 
     The tables of arrays that are not separable take longer than a point spread. Many operators of one camera are made
     one after another, and batches of another process mostly need the array of the previous one.
@@ -319,7 +323,7 @@ def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArra
 
 @dataclass(frozen=True)
 class VaryingArrayFactor:
-    """A factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
+    """Factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
 
     factor: ArrayFactor
     lattice: Lattice
@@ -328,7 +332,7 @@ class VaryingArrayFactor:
 
     @property
     def axes(self) -> tuple[int, ...]:
-        """The axes of its coordinates."""
+        """Axes of the coordinates on which the factor depends."""
         return self.factor.axes
 
     def at(self, *coordinates: Any) -> Any:
@@ -356,7 +360,7 @@ class VaryingArrayFactor:
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
-    """Return the sample below a position, of `count` in a period, and the position's distance from it in samples."""
+    """Return the sample before a position, with `count` samples in a period, and the distance from it in samples."""
     types = array_types(place)
     scaled = place * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)

@@ -20,8 +20,7 @@ from ..camera import PlenopticCamera
 from ..lattice import Lattice, make_lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
 from ..runtime.fft import array_types
-from .figure_error import FigureError
-from .lens_kinds import irregularities
+from .lens_kinds import FigureError, irregularities
 
 _HARD_EDGES = 1.4
 """Directions that are retained for apertures with a dark surround, over those for lenses without gaps."""
@@ -37,7 +36,7 @@ _STEEPEST = 0.7
 
 
 def is_separable(camera: PlenopticCamera) -> bool:
-    """Whether the transmission is a function of x times one of y."""
+    """Return whether the transmission is a product of a function of x and a function of y."""
     return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.mla_shape is None
 
 
@@ -49,7 +48,7 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 
 
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
-    """Return the transmission, with all of its orders, at Dr.Jit float64 positions in millimetres, as Complex2f."""
+    """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
     dx, dy, which = from_centre(camera, x, y)
     types = array_types(x)
     lattice, longer = _opaque_lattice(camera, types), 1.0
@@ -112,7 +111,7 @@ def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def scattering(camera: PlenopticCamera) -> float:
-    """Return the change of direction cosine by a wide microlens beyond which there is little light.
+    """Return the change of direction cosine by a wide microlens beyond which little light is left.
 
     The edges of opaque gaps scatter more than the joints of lenses.
     """

@@ -1,4 +1,4 @@
-"""The noise of a capture's pixels: their standard deviation, estimated from the samples that made them.
+"""The noise of captures: its estimate from the samples, its compensation, and the means of radiance that lessen it.
 
 The estimate uses the spread of at most sixteen passes, so the value of each pixel has a relative error of
 1/sqrt(32) = 18 % or more. Means over many pixels are more accurate.
@@ -6,14 +6,18 @@ The estimate uses the spread of at most sixteen passes, so the value of each pix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from ..runtime.jobs import SumTask
+from ..lenses.main_lens import Pair
+from ..runtime.batches import SumTask
 
 PARTS = 16
 """Count of independent passes from which the noise of a pixel is estimated."""
@@ -68,7 +72,7 @@ def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
 
 
 class Mended:
-    """An image whose negative values, which are due to noise, are compensated by the light around them.
+    """Image in which the light around negative values, which are noise, compensates them.
 
     Clipping them to zero would brighten the image, and the more so the fewer samples there are. Squares of 2 x 2
     pixels, squares of 2 x 2 of these, and so on up to the whole image keep their sums instead. A square whose sum is
@@ -97,7 +101,7 @@ class Mended:
         return (light * self._spread(self._kept) + self._light * self._spread(kept)).astype(change.dtype)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to a gradient."""
         if self._squares is None:
             return np.where(self._positive, gradient, 0)
         squares = self._over_sum(_sums(gradient * self._light))
@@ -106,7 +110,7 @@ class Mended:
         return own.astype(gradient.dtype)
 
     def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Divide values of squares by their light, or return 0 where they have none."""
+        """Return values of squares divided by the light of the squares, 0 for squares without light."""
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
     def _spread(self, values: NDArray[Any]) -> NDArray[Any]:
@@ -116,7 +120,46 @@ class Mended:
 
 
 def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the sums over squares of 2 x 2 pixels; beyond odd edges there is nothing."""
+    """Return the sums over squares of 2 x 2 pixels; squares beyond odd edges count missing pixels as 0."""
     whole = np.pad(image, [(0, size % 2) for size in image.shape])
     rows = whole[::2].astype(np.float64) + whole[1::2]
     return np.asarray(rows[:, ::2] + rows[:, 1::2])
+
+
+def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
+    """Return, for each value of the radiance, its means over rays of even indices and of odd indices.
+
+    Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
+    """
+    (counts, *sums), lit = halves(seen, radiance, count, spp)
+    means = [means_of(pair, counts) for pair in sums]
+    dr.eval(means, lit)
+    return means, lit
+
+
+def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
+    """Return the means over each half of the rays from their sums and counts; 0 where there is no ray."""
+    first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
+    return first, second
+
+
+def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
+    """Return for each cell the sums over rays of even and of odd indices, of `seen` and of each of the values.
+
+    Return also the mask of the cells in which any of the values is not zero.
+    """
+    rays = dr.opaque(mi.UInt32, spp)
+    first = dr.arange(mi.UInt32, count) * rays
+
+    def add(k: Any, totals: list[Pair], some: Any) -> tuple[Any, list[Pair], Any]:
+        own = [dr.gather(mi.Float, each, first + k) for each in (seen, *values)]
+        even = (k & 1) == 0
+        totals = [
+            (a + dr.select(even, value, 0), b + dr.select(even, 0, value))
+            for (a, b), value in zip(totals, own, strict=True)
+        ]
+        return k + 1, totals, some | dr.any([value != 0 for value in own[1:]], axis=0)
+
+    state = mi.UInt32(0), [(mi.Float(0), mi.Float(0)) for _ in range(1 + len(values))], mi.Bool(False)
+    _, totals, some = dr.while_loop(state, lambda k, *_: k < rays, add, label="halves")
+    return totals, some

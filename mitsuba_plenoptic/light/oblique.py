@@ -77,7 +77,7 @@ class Oblique:
 
     @classmethod
     def nothing(cls, functions: int) -> Oblique:
-        """Return no combinations."""
+        """Return an empty set of combinations."""
         empty = np.zeros((0, functions, len(_ODD)))
         return cls(1.0, empty, empty)
 
@@ -151,7 +151,7 @@ def changes() -> NDArray[np.float64]:
 
 
 def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix (1 + terms, 1 + terms) from 1 and the terms of cosines to those a step (2,) aside."""
+    """Return the matrix from 1 and the terms of cosines to 1 and the terms of cosines that differ by a step (2,)."""
     return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
 
 

@@ -141,13 +141,13 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def _least_fill(self) -> float:
-        """The `mla_fill` of the narrowest openings whose kernels hold."""
+        """Smallest `mla_fill` at which the kernels of the narrowest openings hold."""
         camera = self.camera
         return _NARROWEST * in_millimetres(self.wavelength) * camera.mla_fill / float(camera.lattice.aperture_width)
 
     @property
     def _shift(self) -> float:
-        """Displacement of light by the pupil's diffraction, in detector pixels, if rays land by their own points."""
+        """Displacement of light by the pupil's diffraction, in pixels, where rays land by their point of a lens."""
         if not self.by_points:
             return 0.0
         camera = self.camera
@@ -167,12 +167,12 @@ class PhaseSpace(ArrayKernels):
 
     @functools.cached_property
     def system(self) -> OpticalSystem:
-        """The camera, bound to the wavelength."""
+        """Optical system of the camera at the wavelength."""
         return OpticalSystem(self.camera, self.wavelength)
 
     @functools.cached_property
     def nodes(self) -> list[TableNode]:
-        """The table's nodes along the pupil's radius, and the windows and samples that each needs."""
+        """Nodes of the table along the pupil's radius, each with the window and the samples it needs."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
         unit = max(pitch, _UNIT * reach / radius)
@@ -212,7 +212,7 @@ class PhaseSpace(ArrayKernels):
 
     @single_threaded_blas()
     def tabulated(self) -> list[NDArray[np.float32]]:
-        """Compute the table that `table` caches."""
+        """Return the table of coefficients, computed anew; `table` caches it."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
@@ -319,7 +319,7 @@ def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
 
 
 class TableNodes:
-    """The nodes of a plan's table; a ray takes one of those around its pupil point at random."""
+    """Nodes of a plan's table; a ray takes a random node among those around its pupil point."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._radial, self._radius = plan.radial, plan.camera.pupil_radius
@@ -355,7 +355,7 @@ class Table(list[NDArray[np.float32]]):
 
     @classmethod
     def of(cls, arrays: Sequence[NDArray[np.float32]]) -> Table:
-        """Return arrays as a table; of a table itself, which fills much memory, no copy."""
+        """Return arrays as a table; a table is returned without a copy, as it fills much memory."""
         if isinstance(arrays, cls):
             return arrays
         made = cls([array.shape for array in arrays])
@@ -445,7 +445,7 @@ class RayCoefficients:
 
 
 class Polynomials:
-    """The polynomials of a `PhaseSpace`, as coefficients of rays that land by their own points of a lens."""
+    """Polynomials of a `PhaseSpace`, as coefficients of rays that land by their point of a lens."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan

@@ -97,18 +97,18 @@ class PixelKernels:
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Apply the adjoint of `combined` for the coefficients."""
+        """Return coefficients, the adjoint of `combined` applied to images."""
         both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
         return np.asarray((self._factors.T @ both).reshape(*self._shape, -1))
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Apply the adjoint of `turned` for the coefficients."""
+        """Return coefficients, the adjoint of `turned` applied to images."""
         sums = terms[self._term] * (self._of_sums.T @ images)
         return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
 
     def portions(self, pixels: int) -> list[slice]:
-        """Divide a count of pixels into portions whose coefficients the processor's caches hold."""
+        """Return slices of pixels whose coefficients fit into the processor's caches."""
         size = max(1, _TOGETHER // max(self._factors.shape))
         return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
 
@@ -150,7 +150,7 @@ def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
 
 
 def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
-    """Return the sums over pixels (values, places, k, k) of kernels of cells, for each place of a cell in its pixel."""
+    """Return sums over pixels (values, places, k, k) of cells' kernels, for each place of a cell in its pixel."""
     count = kernels.shape[1] // 2
     reach = -(-count // parts)
     own = np.zeros((len(kernels), parts, parts, 2 * reach + 1, 2 * reach + 1))

@@ -18,14 +18,12 @@ from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap
-from ..runtime.jobs import Job
+from ..runtime.batches import BatchMap, Job
 from ..runtime.limits import largest_fitting, require_memory
 from .cost import Cost
-from .noise import require_samples
-from .passes import RAYS_PER_PASS, render_passes
+from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
-from .scene_unit import warn_of_metres
+from .scene_light import warn_of_metres
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
@@ -37,6 +35,12 @@ MOST_SAMPLES = 2**24
 _PIXEL_BYTES = 4 * 4 * 4
 _RAY_BYTES = 16
 
+_RAYS_PER_PASS = 2**24
+"""Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one sample
+each need 0.25 GiB in addition to the film."""
+
+_SAMPLES_PER_PASS = 2**14
+"""Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
 """Parameters that captures hand on to the integrators."""
@@ -57,7 +61,7 @@ def render_capture(
     noise: bool = False,
     **wave: Any,
 ) -> Capture:
-    """Render the capture of a plenoptic camera in a scene.
+    """Return the capture of a plenoptic camera in a scene.
 
     Parameters
     ----------
@@ -132,7 +136,7 @@ def render_capture(
     with guards.watch() as fractions:
         if wavelengths is None:
             guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
-            image, deviation = render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
+            image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
             if checkpoint:
                 checkpoint.run = {**metadata, "camera": camera.to_dict(), **({"noise": True} if noise else {})}
@@ -155,7 +159,7 @@ def render_capture(
 
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
-    """Return a scene's plenoptic sensor by its index, or the given one; refuse a scene of another variant."""
+    """Return a scene's plenoptic sensor by its index, or a given sensor; refuse a scene of another variant."""
     if not isinstance(scene, mi.Scene):
         raise InputError(
             f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
@@ -176,7 +180,7 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
-    """Return whether the model, or that of the scene's integrator if it is None, is the wave model."""
+    """Return whether a capture is by waves: as `model` states, or as the scene's integrator does if it is None."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
 
 
@@ -216,7 +220,7 @@ def require_wave_film(film: Any) -> None:
 
 
 def sample_count(sensor: Any, spp: int | None) -> int:
-    """Return the requested sample count, or that of the sensor's sampler if it is None."""
+    """Return the requested number of samples, or the number of the sensor's sampler if it is None."""
     return require_count("spp", sensor.sampler().sample_count() if spp is None else spp, maximum=MOST_SAMPLES)
 
 
@@ -257,11 +261,11 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
-    """Return the bytes that a ray capture takes, for the camera's film or one of the same aspect with `columns`."""
+    """Return the bytes of a ray capture, for the camera's film or a film of the same aspect with `columns`."""
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
-    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(RAYS_PER_PASS, pixels * spp), pixels)
+    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
 
 def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
@@ -279,7 +283,7 @@ def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
 
 
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split a film's image into its channels and their noise, both in the film's colours."""
+    """Return the channels of a film's image and their noise, both in the film's colours."""
     image, deviation = image[..., :channels], image[..., channels:]
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
@@ -325,7 +329,7 @@ def estimate_capture(
     batch_map: BatchMap | None = None,
     **wave: Any,
 ) -> Cost:
-    """Estimate the time and memory that `render_capture` would take with the same arguments.
+    """Return the estimated time and memory of `render_capture` with the same arguments.
 
     Some of the rays are traced. For method ``points``, all points are found and some of their spreads are computed.
 
@@ -367,7 +371,7 @@ def estimate_capture(
 
 
 def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Time rays of rows of pixels that are evenly spaced on the detector, in the order in which Mitsuba traces them."""
+    """Return rays per second, timed with evenly spaced rows of pixels in the order in which Mitsuba traces them."""
     rows, columns = shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))
@@ -396,3 +400,57 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
         seconds += trace()
         passes += 1
     return passes * count / seconds
+
+
+def _render_passes(
+    scene: Any,
+    sensor: Any,
+    integrator: Any,
+    camera: PlenopticCamera,
+    spp: int,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+    noise: bool,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
+    most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
+    if noise:
+        most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())
+    counts = pass_counts(sensor, spp, most)
+    if noise and len(counts) == 1:
+        counts *= 2
+    # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.
+    seeds = np.random.SeedSequence(seed).generate_state(len(counts))
+    image, spread = np.zeros(()), PassSpread() if noise else None
+    for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
+        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+        part = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
+        if spread:
+            spread.add(part, count)
+        else:
+            part *= count / sum(counts)
+            image = np.add(image, part, out=image) if index else part
+        if progress:
+            progress(min(sum(counts[: index + 1]), spp), spp)
+    return (spread.image, spread.deviation()) if spread else (image, None)
+
+
+def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:
+    """Divide samples per pixel into passes of at most `most`, each a power of two.
+
+    Otherwise two threads may share a pixel, and the order in which they add its samples varies. Samplers other than
+    ``independent`` do not draw every count; the smallest that they draw is their least.
+    """
+    sampler = sensor.sampler().clone()
+
+    def is_drawn(count: int) -> bool:
+        sampler.set_sample_count(count)
+        return bool(sampler.sample_count() == count)
+
+    most = min(most, _SAMPLES_PER_PASS, spp)
+    sizes = [size for size in (2**k for k in reversed(range(_SAMPLES_PER_PASS.bit_length()))) if is_drawn(size)]
+    counts: list[int] = []
+    for size in [size for size in sizes if size <= most] or sizes[-1:]:
+        counts += [size] * ((spp - sum(counts)) // size)
+    # Samplers round up.
+    return counts if sum(counts) == spp else [*counts, sizes[-1]]

@@ -36,7 +36,7 @@ _BISECTIONS = 6
 
 @dataclass(frozen=True)
 class Footprint:
-    """Geometric images of scene points on the MLA, and the directions in which their light arrives there.
+    """Geometric images of scene points on the MLA, with the directions of their light there.
 
     Every array has the shape (n, 2), for x and y.
     """
@@ -48,7 +48,7 @@ class Footprint:
 
 
 def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
-    """Trace rays from each scene point, (n, 3), through the pupil to the MLA."""
+    """Return the footprints of scene points, (n, 3), from rays traced through the pupil to the MLA."""
     angle = 2 * math.pi * np.arange(_RIM_ANGLES) / _RIM_ANGLES
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     P = lens.pupil_radius * np.concatenate([radius * circle for radius in _RIM_RADII])
@@ -67,7 +67,7 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Move the last points (n, m, 2), those of the rim, inwards to the edges of beams; move other blocked points, too.
+    """Return points (n, m, 2) with points of the rim, the last ones, and blocked points moved inwards to open places.
 
     Rim points move towards the mean of the open points, and other blocked points to it.
     """
@@ -103,7 +103,7 @@ def _bounds(place: NDArray[np.float64], cosine: NDArray[np.float64]) -> Footprin
 def check_positions(
     positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
 ) -> NDArray[np.float64]:
-    """Return scene points as a float64 array (n, 3), or refuse them."""
+    """Return scene points as a float64 array (n, 3); refuse anything else."""
     try:
         points = np.asarray(positions, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -126,13 +126,13 @@ def check_positions(
 
 
 def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
-    """Refuse points if any is bad, and name the first."""
+    """Refuse points if any is bad, with the first bad one in the message."""
     if bad.any():
         raise InputError(f"position = {_format(points[bad][0])}: {rule}")
 
 
 def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
-    """Refuse a point far within the focal length, such as one in metres, whose light exceeds any memory."""
+    """Refuse a point far within the focal length, such as a point given in metres, whose light exceeds any memory."""
     g, pitch = float(nearest[2]), min(camera.mla_pitches)
     blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
     if abs(g) < camera.focal_length and blur > _WIDEST * pitch:

@@ -12,15 +12,16 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import mitsuba as mi
+import numpy as np
 
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, did_you_mean, refuse_if, refusing, short_repr, suggest_keywords
+from ..errors import InputError, did_you_mean, refuse_if, refusing, require_choice, short_repr, suggest_keywords
 from ..io.exr import read_parts
-from ..io.files import require_file, require_size
 from ..runtime.backend import one_at_a_time, set_variant
+from ..runtime.files import require_file, require_size
 from ..runtime.limits import require_memory
 from ..scene_files import scene_path
-from .scene_unit import require_unit, scale_nodes, warn_of_metres
+from .scene_light import warn_of_metres
 
 _DEEPEST = 64
 _DEEPEST_INCLUDE = 8
@@ -91,12 +92,12 @@ def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
 
 
 def names_in(element: Element) -> set[str]:
-    """Return the names of the parameters to which an element's own attributes refer."""
+    """Return the names of scene parameters that an element's attributes refer to."""
     return {name for text in element.attrib.values() for name in re.findall(r"\$(\w+)", text)}
 
 
 def _parse(path: Path) -> Element:
-    """Read the root element of an XML file; refuse document types, other encodings, and deep nesting."""
+    """Return the root element of an XML file; refuse document types, other encodings, and deep nesting."""
     # A scene's meshes belong in their own files.
     require_size(path, LARGEST_SCENE)
     try:
@@ -122,7 +123,7 @@ def _parse(path: Path) -> Element:
 
 
 def _filled(text: str, values: Mapping[str, str]) -> str:
-    """Replace ``$names`` by their values, the longest names first, as Mitsuba does."""
+    """Return a text with ``$names`` replaced by their values, the longest names first, as Mitsuba does."""
     for name in sorted(values, key=len, reverse=True) if "$" in text else ():
         text = text.replace(f"${name}", values[name])
     return text
@@ -154,7 +155,7 @@ def _refuse_native_code(path: Path, folder: Path) -> None:
 
 
 def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a file that may never end, or whose header claims more data than it has or memory allows."""
+    """Refuse a file that may never end, or whose header claims more data than exist or fit into memory."""
     status = file.stat()
     refuse_if(
         not stat.S_ISREG(status.st_mode),
@@ -225,7 +226,7 @@ def load_scene(
     parameters: Mapping[str, str] | None = None,
     unit: str = "mm",
 ) -> Any:
-    """Load a scene from a file, by the name of a built-in scene, or from a dictionary as for ``mi.load_dict``.
+    """Return a scene loaded from a file, by the name of a built-in scene, or from a dictionary for ``mi.load_dict``.
 
     Parameters
     ----------
@@ -308,7 +309,7 @@ def _load_file(scene: str | Path, variant: str | None, parameters: Mapping[str, 
 
 
 def _scaled(parse: Callable[[Any], Any], factor: float) -> Any:
-    """Load a scene as Mitsuba does, with all lengths multiplied by a factor; see `scale_nodes`."""
+    """Return a scene loaded as by Mitsuba, with all lengths multiplied by a factor; see `scale_nodes`."""
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = config.merge_equivalent = False
     state = parse(config)
@@ -336,7 +337,7 @@ def _load_dictionary(
 
 
 def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[str, str]:
-    """Add the count of rows that preserves the detector's aspect ratio; Mitsuba's XML cannot compute it."""
+    """Return parameters with the count of rows that preserves the detector's aspect ratio."""
     wanted = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
     if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", each) for each in wanted):
         return parameters
@@ -345,7 +346,7 @@ def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[
 
 
 def _find(scene: str | Path) -> Path:
-    """Return the file of a scene that is given by a path or a built-in name."""
+    """Return the file of a scene, given by a path or a built-in name."""
     text = str(scene)
     if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).is_file():
         return scene_path(text)
@@ -354,7 +355,7 @@ def _find(scene: str | Path) -> Path:
 
 @contextlib.contextmanager
 def loading(what: str = "") -> Iterator[None]:
-    """Raise an `InputError` with the cause, and the line in the file, for what Mitsuba refuses to load."""
+    """Turn Mitsuba's refusal to load a scene into an `InputError` with the cause and the line of the file."""
     try:
         yield
     except InputError:
@@ -367,7 +368,7 @@ def loading(what: str = "") -> Iterator[None]:
 
 
 def mitsuba_sentence(error: Exception) -> str:
-    """Reduce an error message of Mitsuba, which may contain a traceback, to the sentence that states the cause."""
+    """Return the sentence of a Mitsuba error message, without the traceback that may surround it."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     # Mitsuba lists misspelled parameters below the sentence that reports them.
@@ -382,3 +383,145 @@ def mitsuba_sentence(error: Exception) -> str:
     if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):
         return f"{found[1]}: a value of type {found[2]} is none that plugins take; give a number or text"
     return re.sub(r"^(?:[\w.]+\.)?(?:InputError|RuntimeError|ValueError|TypeError|Exception): ", "", last)
+
+
+# -- units ---------------------------------------------------------------------------------------------
+
+UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+"""Millimetres in each unit of lengths of scenes."""
+
+_SHAPES = frozenset(
+    ("sphere", "rectangle", "disk", "cube", "cylinder", "obj", "ply", "serialized", "sdfgrid", "shapegroup", "instance")
+)
+_SENSORS = frozenset(("plenoptic", "perspective", "thinlens", "radiancemeter"))
+_AT_POINTS = frozenset(("point", "spot", "projector"))
+_EMITTERS = _AT_POINTS | {"area", "directionalarea", "directional", "constant", "envmap", "sunsky", "timed_sunsky"}
+_MEDIA = frozenset(("homogeneous", "heterogeneous"))
+_VOLUMES = frozenset(("gridvolume", "constvolume"))
+
+_LENGTHS = {"near_clip": 1e-2, "far_clip": 1e4, "focus_distance": None, "aperture_radius": None}
+"""Lengths of Mitsuba's cameras, with the defaults of those whose default is a length of the scene."""
+
+
+def require_unit(unit: str) -> float:
+    """Return the number of millimetres in a unit."""
+    return UNITS[require_choice("unit", unit, UNITS)]
+
+
+def scale_nodes(nodes: Any, factor: float) -> None:
+    """Multiply the lengths of a parsed scene by a factor; refuse what would change its look, by name.
+
+    Radiance stays, so that surfaces and skies look the same. Lamps at points send `factor` squared as much, and media
+    are as many times thinner as paths through them get longer. A plenoptic camera is moved and keeps its own lengths,
+    which are millimetres in every scene.
+    """
+    for node in nodes:
+        properties, plugin = node.props, node.props.plugin_name()
+        name = f"{plugin}{f' {node.props.id()!r}' if node.props.id() else ''}"
+        for key in properties.keys():  # noqa: SIM118 (properties are no mapping)
+            made = isinstance(properties[key], _made())
+            _require(not made, name, f"{key}: an object that is already made cannot be scaled; give its dictionary")
+        _SCALINGS.get(node.type, _nothing)(properties, plugin, name, factor)
+
+
+def _require(holds: bool, name: str, rule: str) -> None:
+    if not holds:
+        raise InputError(f"unit: {name}: {rule}")
+
+
+def _known(plugin: str, known: frozenset[str], name: str) -> None:
+    rule = f"its lengths cannot be scaled, only those of {', '.join(sorted(known))}; scale the scene itself"
+    _require(plugin in known, name, rule)
+
+
+def _matrix(properties: Any) -> np.ndarray:
+    return np.array(properties["to_world"].matrix, np.float64) if "to_world" in properties else np.eye(4)
+
+
+def _scale(properties: Any, factor: float) -> None:
+    """Scale an object together with its place."""
+    properties["to_world"] = mi.ScalarTransform4f(np.diag([factor, factor, factor, 1]) @ _matrix(properties))
+
+
+def _move(properties: Any, factor: float) -> None:
+    """Scale the place of an object alone."""
+    if "to_world" in properties:
+        matrix = _matrix(properties)
+        matrix[:3, 3] *= factor
+        properties["to_world"] = mi.ScalarTransform4f(matrix)
+
+
+def _nothing(*_: Any) -> None:
+    pass
+
+
+def _shape(properties: Any, plugin: str, name: str, factor: float) -> None:
+    _known(plugin, _SHAPES, name)
+    # The shapes of a group are scaled, so that an instance of them is only moved.
+    if plugin == "instance":
+        _move(properties, factor)
+    elif plugin != "shapegroup":
+        _scale(properties, factor)
+
+
+def _sensor(properties: Any, plugin: str, name: str, factor: float) -> None:
+    _known(plugin, _SENSORS, name)
+    _move(properties, factor)
+    for of_place in ("origin", "position"):
+        if of_place in properties:
+            properties[of_place] = [factor * value for value in properties[of_place]]
+    if plugin in ("perspective", "thinlens"):
+        for length, default in _LENGTHS.items():
+            if length in properties or default is not None:
+                properties[length] = factor * float(properties.get(length, default))
+
+
+def _emitter(properties: Any, plugin: str, name: str, factor: float) -> None:
+    _known(plugin, _EMITTERS, name)
+    if plugin not in _AT_POINTS:
+        return
+    _move(properties, factor)
+    if "position" in properties:
+        properties["position"] = [factor * value for value in properties["position"]]
+    power = "scale" if plugin == "projector" else "intensity"
+    value: Any = properties.get(power, 1.0)
+    if hasattr(value, "is_uniform"):
+        values = [factor**2 * one for one in value.values]
+        scaled = type(value)(values[0]) if value.is_uniform() else type(value)(value.wavelengths, values)
+    else:
+        numbers = isinstance(value, (int, float)) or hasattr(value, "__len__")
+        _require(numbers, name, f"{power}: it must be given as numbers, so that it can be scaled")
+        scaled = value * factor**2
+    properties[power] = scaled
+
+
+def _medium(properties: Any, plugin: str, name: str, factor: float) -> None:
+    _known(plugin, _MEDIA, name)
+    properties["scale"] = float(properties.get("scale", 1.0)) / factor
+
+
+def _volume(properties: Any, plugin: str, name: str, factor: float) -> None:
+    _known(plugin, _VOLUMES, name)
+    if plugin == "gridvolume":
+        _scale(properties, factor)
+
+
+def _bsdf(properties: Any, plugin: str, name: str, factor: float) -> None:
+    # Heights of bumps are lengths.
+    if plugin == "bumpmap":
+        properties["scale"] = float(properties.get("scale", 1.0)) * factor
+
+
+def _made() -> tuple[type, ...]:
+    """Return the classes of objects, in the active variant, that have lengths or may hold some that do."""
+    return (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
+
+
+_SCALINGS = {
+    mi.ObjectType.Shape: _shape,
+    mi.ObjectType.Sensor: _sensor,
+    mi.ObjectType.Emitter: _emitter,
+    mi.ObjectType.Medium: _medium,
+    mi.ObjectType.Volume: _volume,
+    mi.ObjectType.BSDF: _bsdf,
+}

@@ -8,13 +8,16 @@ each ray once for its radiance and once more for the derivative.
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from ..errors import InputError, refuse_if
+from ..design import depth_ranges
+from ..errors import InputError, advice, refuse_if
 from ..lenses.main_lens import Pair
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
@@ -104,13 +107,13 @@ def refuse_negative(lack: float, light: float) -> None:
 
 @dataclass(frozen=True)
 class LightDerivatives(SceneLight):
-    """Derivatives of the radiance along rays; calling it returns the derivatives along the parameters' tangents."""
+    """Derivatives of the radiance along rays; a call returns them along the parameters' tangents."""
 
     is_radiance: ClassVar[bool] = False
 
     @classmethod
     def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:
-        """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate so."""
+        """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate."""
         integrator = _differentiable(light.integrator)
         name = type(integrator).__name__
         if forward and (name == _REVERSE_ONLY or mi.is_spectral):
@@ -158,7 +161,7 @@ class Replay:
     state: Any
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
-        """Replay the light paths; in forward mode, return the change of their radiance."""
+        """Replay the light paths; return the change of their radiance in forward mode."""
         try:
             change, *_ = self.integrator.sample(
                 mode=mode,
@@ -187,7 +190,7 @@ def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
 
 
 def _differentiable(integrator: Any) -> Any:
-    """Return an integrator that differentiates the radiance found by the given one."""
+    """Return an integrator that differentiates the radiance of a given integrator."""
     if mi.is_polarized:
         raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
@@ -222,3 +225,37 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
 def channels(radiance: Any) -> list[Any]:
     """Return the channels of a radiance; in spectral variants all lanes have the same wavelength, so there is one."""
     return [radiance[0]] if mi.is_spectral else list(radiance)
+
+
+_FAR_TOO_NEAR = 0.5
+"""Distance over the nearest sharp one below which a scene is not just out of focus."""
+
+
+def warn_of_metres(scene: Any, sensor: Any) -> None:
+    """Warn if all of a scene is far too near to its plenoptic camera, as scenes in metres are.
+
+    That is within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Of other
+    cameras nothing is known.
+    """
+    camera, box = getattr(sensor, "camera", None), scene.bbox()
+    # An objective sees what is nearer than its focal length.
+    if camera is None or not box.valid() or not camera.lens_data.converges:
+        return
+    to_camera = np.linalg.inv(np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4))
+    corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)])
+    farthest = float((corners @ to_camera[2]).max())
+    if farthest <= 0:
+        return
+    sharp = min((found[0] for found in depth_ranges(camera) if found), default=0.0)
+    if farthest < camera.focal_length:
+        where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"
+    elif farthest < _FAR_TOO_NEAR * sharp:
+        where = f"and refocusing makes nothing sharp that is nearer than {sharp:.4g} mm"
+    else:
+        return
+    instead = advice(python='load_scene(..., unit="m") scales them', shell="--unit m scales them")
+    warnings.warn(
+        f"the whole scene is nearer than {farthest:.4g} mm, {where}: lengths are taken as millimetres; if the scene's "
+        f"are metres, {instead}",
+        stacklevel=3,
+    )

@@ -35,13 +35,14 @@ from ..lenses.main_lens import Pair
 from ..optics import rays
 from ..runtime.backend import drjit_array
 from .array_kernels import REACH, displaced
-from .control_variate import known_means
 from .lens_kinds import LensKinds
+from .noise import known_means
 from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
+from .random_numbers import chances_of
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Drawn, Kept, Lot, chances_of
+from .signed_draws import Drawn, Kept, Lot
 from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -71,7 +72,7 @@ class Held(NamedTuple):
 
 
 def parameters_of(camera: PlenopticCamera) -> Values:
-    """Return the values of all `PARAMETERS`, each as an array of its parts."""
+    """Return the values of all `PARAMETERS`, each as an array of components."""
     return {name: shortest_parts(camera, name) for name in PARAMETERS}
 
 
@@ -104,7 +105,7 @@ class _CameraSum(SignedRaySum):
 
 
 class CameraTangents(_CameraSum):
-    """Directional derivative of a capture along changes of its camera's `PARAMETERS`."""
+    """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
 
     _sets = 4
 
@@ -149,7 +150,7 @@ class CameraTangents(_CameraSum):
         if lanes is not None:
             weights = self._spread(weights)
         assert isinstance(table, RayCoefficients)  # others are refused
-        _, direction = self._groups[0][0].trace(drawn.place, drawn.pupil, drawn.height)
+        _, direction, _ = self._groups[0][0].through_pupil(drawn.pupil, drawn.place, drawn.height)
         with dr.resume_grad():
             varying = varying_parameters(self._camera)
             for name, parts in self._changes.items():
@@ -223,7 +224,7 @@ class CameraAdjoint(_CameraSum):
         return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
-        """Return the gradient for each component of the parameters from that of the sum, by channel (rows, columns)."""
+        """Return the gradient by each component of the parameters, from gradients by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._vjp(lot, felt, total)
@@ -239,8 +240,8 @@ class CameraAdjoint(_CameraSum):
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
-        ((pupil, _),), (lanes,) = self._groups, lot.lanes
-        radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
+        ((walk, _),), (lanes,) = self._groups, lot.lanes
+        radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
         radiance = [light * self._answer(drawn) for light in radiance]
         seen = dr.select(drawn.open, mi.Float(1), 0)
         require_finite(radiance, seen)
@@ -250,7 +251,7 @@ class CameraAdjoint(_CameraSum):
             return
         together = dr.opaque(mi.UInt32, self._together)
         drawn, own = self._drawn_rays(lot.pixels.take(lit), lot.key)
-        _, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
+        _, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * together
         even = (sample & 1) == 0
         points, cell = (drawn.point, drawn.inner, drawn.chance, drawn.open), self._cell_of(own, sample)

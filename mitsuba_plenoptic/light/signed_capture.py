@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.vector import Values
 from ..io.checkpoints import digest
-from ..runtime.jobs import Job, SumTask
-from .control_variate import halves
+from ..runtime.batches import Job, SumTask
 from .cost import Cost
-from .noise import PARTS, Mended, keep_spread, with_spread
+from .noise import PARTS, Mended, halves, keep_spread, with_spread
 from .phase_space import FINE, parts_of
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
@@ -98,7 +97,7 @@ class SignedCapture:
         return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Capture the scene.
+        """Return the capture of the scene.
 
         The result has the shape (rows, columns, channels).
         """

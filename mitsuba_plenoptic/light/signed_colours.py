@@ -28,6 +28,7 @@ from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
 from .optical_system import OpticalSystem
 from .phase_space import FINE, PhaseSpace, plan_of
+from .random_numbers import even_words
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
 """Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
@@ -51,13 +52,9 @@ _SPOTS = (4.0, 4)
 _STRATA, _STEPS = 4096, 2**14
 """Strata of equal probability from which wavelengths are drawn, and integration steps by which they are found."""
 
-_TURNS = tuple(int(part * 2**32) for part in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
-"""Steps of additive sequences, along rows and columns (the inverse of the plastic number, and its square) and from pass
-to pass (of the golden ratio), in units of 2^-32."""
-
 
 class Lanes(NamedTuple):
-    """Wavelengths that are drawn for cells."""
+    """Wavelengths drawn for cells."""
 
     wavelengths: list[Any]
     # Index of the stratum in which each lies, and its position there from 0 to 1.
@@ -98,11 +95,9 @@ class DrawnWavelengths:
 def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
     """Return random numbers for cells of a grid that are evenly spread among neighbouring cells and over passes."""
     row = index // columns
-    turned = [
-        value * dr.opaque(mi.UInt32, turn) for value, turn in zip((index - row * columns, row), _TURNS, strict=False)
-    ]
-    offset = dr.opaque(mi.UInt32, (number * _TURNS[2] + seed) % 2**32)
-    return mi.Float((turned[0] + turned[1] + offset) >> 8) * 2.0**-24
+    along, down = (dr.opaque(mi.UInt32, step) for step in even_words(2))
+    offset = dr.opaque(mi.UInt32, (number * even_words(1)[0] + seed) % 2**32)
+    return mi.Float(((index - row * columns) * along + row * down + offset) >> 8) * 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -137,7 +132,7 @@ class Node:
 
 
 def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
-    """Return the weighted sum of values."""
+    """Return the weighted sum of the values."""
     return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
 
 
@@ -149,7 +144,7 @@ def span(nodes: list[Node]) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SignedColours:
-    """The responses of a capture's channels."""
+    """Responses of a capture's channels to wavelengths."""
 
     # Wavelengths, and the channels' responses.
     spectrum: Spectrum
@@ -225,7 +220,7 @@ def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.f
 
 
 def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalise the weights of each channel to the sum 1."""
+    """Return the weights of each channel, normalised to the sum 1."""
     return np.asarray(weights / weights.sum(1, keepdims=True))
 
 

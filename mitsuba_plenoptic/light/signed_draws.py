@@ -20,18 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lenses.common import chief_points
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box
-from .lens_kinds import MOST_DEVIATIONS, LensKinds, chief_ray_shift
-from .optical_system import RayPupil
+from .lens_kinds import MOST_DEVIATIONS, LensKinds
 from .phase_space import PhaseSpace, TableNodes
+from .random_numbers import chances_of, even_steps
 from .signed_colours import Lanes
-
-_STEPS = 1.1673039782614187 ** -np.arange(1.0, 5.0)
-"""Steps of an additive sequence that fills four dimensions evenly: powers of the reciprocal root of x^5 = x + 1."""
+from .walk import Walk
 
 _AIRY, _AIRY_REACH = 1024, 200.0
 """Steps of the Airy pattern's energy table, and its extent in units of lambda b / 2 pi R; 0.3 % lies beyond."""
@@ -73,12 +70,12 @@ class Drawn(NamedTuple):
 
     @property
     def kept(self) -> Kept:
-        """What the coefficients of the rays depend on."""
+        """Data on which the coefficients of the rays depend."""
         return Kept(self.point, self.inner, self.weight, self.open)
 
 
 class Kept(NamedTuple):
-    """What the coefficients of rays depend on, in addition to random numbers that are drawn again: see `Drawn`."""
+    """Data on which the coefficients of rays depend, besides random numbers that are drawn again: see `Drawn`."""
 
     point: Pair
     inner: Pair
@@ -86,7 +83,7 @@ class Kept(NamedTuple):
     open: Any
 
     def at(self, lane: Any) -> Kept:
-        """Return that of some of the rays, which has been computed."""
+        """Return the data of some of the rays, evaluated."""
         point, inner = (
             tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
         )
@@ -105,7 +102,7 @@ class Pixels:
     steps: NDArray[np.int64]
 
     def take(self, which: Any) -> Pixels:
-        """Return some of the pixels."""
+        """Return a selection of the pixels."""
         return replace(self, index=dr.gather(mi.UInt32, self.index, which))
 
 
@@ -139,7 +136,7 @@ class Aims(NamedTuple):
     kind: Any
 
     def at(self, own: Any) -> Aims:
-        """Return those of some of the cells or pixels, which are computed once for all of their rays."""
+        """Return the aims of some cells or pixels, which are computed once for all of their rays."""
         dr.eval(*self)
         middle, centre = (
             tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
@@ -163,7 +160,7 @@ class Draws:
         parts: int = 1,
     ) -> None:
         self._camera, self._parts = camera, parts
-        self.pupil, self._lens = RayPupil(plans[0].system), plans[0].system.lens
+        self.walk = Walk.of(camera, plans[0].system.lens)
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
@@ -188,14 +185,14 @@ class Draws:
         wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
         pixel = wide * camera.pupil_distance / camera.reduced_distance / math.sqrt(2)
         # Snell's law spreads them most at the corner, along the radius.
-        corner = self._lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        corner = self.walk.lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         pixel *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
-        return self._lens.reach + pixel + lens
+        return self.walk.lens.reach + pixel + lens
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
-        """Return the lenses that can light a pixel, as lattice indices relative to the lens of its chief ray."""
+        """Return the lenses that can light a pixel, as lattice indices from the lens of its chief ray."""
         camera = self._camera
         # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
@@ -214,7 +211,7 @@ class Draws:
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
         camera = self._camera
-        farthest = radius * camera.reduced_distance / self._lens.pupil_distance_from(camera.reduced_distance)
+        farthest = radius * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
         return farthest * max(self.enlargements)
 
     @property
@@ -224,7 +221,7 @@ class Draws:
 
     def aims(self, pixels: Pixels) -> Aims:
         """Return the centres of pixels and of the lenses through which they are lit."""
-        camera, lattice = self._camera, self._camera.lattice
+        camera = self._camera
         # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, pixels.box.columns)
         left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
@@ -233,15 +230,14 @@ class Draws:
             (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
             for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
         )
-        z = camera.detector_distance + self.kinds.height(x, y)
-        chief = chief_points(self._lens, (x, y), z, camera.mla_medium)
-        i, j = lattice.cell(*(m - shift for m, shift in zip(chief, chief_ray_shift(camera, *chief), strict=True)))
-        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip((i, j), pixels.steps, strict=True))
-        centre, height = self.kinds.place(i, j)
+        _, cell = self.walk.chief_cell((x, y))
+        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip(cell, pixels.steps, strict=True))
+        centre, _ = self.walk.lens_at(i, j)
+        height = self.walk.height(*centre)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
     def _cells(self, aims: Aims, place: Any) -> Aims:
-        """Return the aims of the cells at some places of pixels, numbered row by row, from those of the pixels."""
+        """Return the aims of cells at given places in pixels, numbered row by row, from the aims of the pixels."""
         row = quotient(place, self._parts)
         x, y = (
             p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
@@ -252,16 +248,18 @@ class Draws:
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands, in the mean over a lens, on detector points."""
         chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
-        return self.pupil.seen(chief, aims.centre, self._camera.detector_distance, aims.height)
+        slopes, _ = self.walk.through_centre(tuple(c - p for c, p in zip(aims.centre, chief, strict=True)), aims.height)
+        return tuple(
+            self.walk.lens.pupil_point(c, slope, aims.height) for c, slope in zip(aims.centre, slopes, strict=True)
+        )
 
     def evenness(self, drawn: Drawn) -> Any:
         """Return the weights by which rays of all cells are even over the pupil."""
-        return self.pupil.evenness(
-            self._shrunk(drawn.detector, drawn.kind), self._camera.detector_distance + drawn.height
-        )
+        offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
+        return self.walk.through_centre(offset, drawn.height)[1]
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
-        """Return where the light that lands on detector points lands if it passes the centres of lenses, from these."""
+        """Return the landing points of light that lands on detector points, if it passed the centres of its lenses."""
         return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
 
     def _shrunk(self, offset: Pair, kind: Any) -> Pair:
@@ -289,7 +287,7 @@ class Draws:
         return np.column_stack(camera.lattice.to_frame(x, y)) * scale
 
     def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
-        """Return rays of pixels; those of even and of odd numbers are independent.
+        """Return rays drawn for pixels; rays of even and of odd numbers are independent.
 
         For each ray, `own` is the position of its pixel among the pixels, `sample` its number in the pixel, and `place`
         that of its cell.
@@ -299,7 +297,7 @@ class Draws:
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         chance = chances_of(pixel, seed ^ (sample << 4))
-        for axis, step in enumerate(_STEPS):
+        for axis, step in enumerate(even_steps(4)):
             value = index * step + mi.sample_tea_float32(pixel, seed ^ (half * 8 + axis + 1))
             random.append(value - dr.floor(value))
         within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
@@ -310,11 +308,11 @@ class Draws:
             weight = dr.ones(mi.Float, dr.width(sample))
             turn = dr.gather(mi.Float, self._turns, aims.kind)
             pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
-            inner = self.pupil.inner(pupil, aims.centre)
+            inner = self.walk.inner(pupil, aims.centre)
         else:
-            inner, aside = self.pupil.inner(pupil, aims.centre), (0.0, 0.0)
+            inner, aside = self.walk.inner(pupil, aims.centre), (0.0, 0.0)
             point, weight = self._points.draw(inner, chance, random[:2])
-        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self.pupil.system.camera.pupil_radius**2
+        is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
         place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
@@ -326,7 +324,7 @@ class Draws:
         return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
 
     def crossed(self, drawn: Drawn) -> Pair:
-        """Return how far light moves aside in the medium, and its depth; points outside a lens have its nearest's."""
+        """Return the sideways path of light in the medium, and its depth, from the nearest points of lenses."""
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height
@@ -363,14 +361,6 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     pixels = dr.arange(mi.UInt32, side * side)
     lit = [draws.lights(draws.aims(Pixels(box, pixels, steps))) for steps in draws.candidates]
     return float(dr.sum(sum((dr.select(each, mi.Float(1), 0) for each in lit), mi.Float(0)))[0]) / side**2
-
-
-def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
-    """Return four random numbers, of 16 bits each."""
-    words = mi.sample_tea_32(lane, key)
-    low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
-    high = [mi.Float(word >> 16) * 2.0**-16 for word in words]
-    return low[0], low[1], high[0], high[1]
 
 
 def tent(value: Any) -> Any:

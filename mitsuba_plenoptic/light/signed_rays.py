@@ -29,21 +29,21 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
-from ..optics.rays import angular_response, transmittance
+from ..optics.rays import pixel_response
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..runtime.limits import single_threaded_blas
 from .array_kernels import REACH
-from .control_variate import known_means
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
-from .optical_system import RayPupil
+from .noise import known_means
 from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .pixel_kernels import PixelKernels
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels
+from .walk import Walk, walks_of
 
 _BLOCK_BYTES = 2**29
 """Bytes of the images of one block of the detector."""
@@ -68,7 +68,7 @@ _LEAST = 2
 
 
 class Brought(NamedTuple):
-    """What the rays of a lot bring."""
+    """Sums that the rays of a lot contribute."""
 
     # For each node and image the mean values of cells, pixel by pixel.
     values: list[list[list[Any]]]
@@ -77,7 +77,7 @@ class Brought(NamedTuple):
 
 
 class SignedRaySum:
-    """A signed-ray capture, computed by blocks of the detector; a `runtime.jobs.LongSum`."""
+    """A signed-ray capture, computed by blocks of the detector; a `runtime.batches.LongSum`."""
 
     arrays: Any = np
     _sets = 1
@@ -105,11 +105,11 @@ class SignedRaySum:
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
-        self._groups = _groups(nodes)
+        self._groups = walks_of(plan.system for plan in plans)
         self._draws = Draws(camera, plans, parts)
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
         self._known_part = 0.0 if self._draws.by_points else 1.0
-        self._response = angular_response(camera.pixel_response)
+        self._response = pixel_response(camera.pixel_response, camera.mla_absorption)
         least = -(-_LEAST // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
@@ -141,7 +141,7 @@ class SignedRaySum:
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Return the sum of all blocks."""
+        """Return the image, the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     @cached_property
@@ -173,7 +173,7 @@ class SignedRaySum:
         return [[kernel for sets in kinds for each in sets for kernel in each.kernels] for kinds in self._kernels]
 
     def _rows(self, number: int, kind: int) -> list[slice]:
-        """Return which of a node's images are those of each set of values of a kind of lenses."""
+        """Return, for each set of values of a kind of lenses, the slice of a node's images that it fills."""
         counts = [[len(each.kernels) for each in sets] for sets in self._kernels[number]]
         ends = sum(map(sum, counts[:kind])) + np.cumsum([0, *counts[kind]])
         return [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
@@ -341,7 +341,7 @@ class SignedRaySum:
         return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
 
     def _timed(self, pixels: Any, seed: int) -> float:
-        """Time the rays of pixels; return the seconds per pixel."""
+        """Return the seconds per pixel that tracing the rays of pixels takes."""
         with busy_drjit():
             dr.sync_thread()
             start = time.perf_counter()
@@ -362,13 +362,13 @@ class SignedRaySum:
         return lanes
 
     def _collect(self, lot: Lot) -> Brought:
-        """Trace the rays of a lot; return the sums over the rays of its cells, which are about to be computed."""
+        """Trace the rays of a lot; return sums over the rays of its cells, scheduled for evaluation."""
         count = dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
         sums: list[list[list[Any]]] = []
-        for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
-            radiance = self._light(*self._asked(pupil, drawn, own, lanes, lot.seed))
+        for (walk, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
+            radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
             kept = [self._kept(drawn, number) for number in nodes]
             require_finite(radiance, counted, kept)
@@ -383,7 +383,7 @@ class SignedRaySum:
         return Brought(sums, cosines)
 
     def _drawn_rays(self, pixels: Pixels, key: Any) -> tuple[Drawn, Any]:
-        """Return all rays of pixels, one per lane, and for each ray the position of its pixel among these."""
+        """Return all rays of pixels, one per lane, and the index of each ray's pixel."""
         lane = dr.arange(mi.UInt32, dr.width(pixels.index) * self._together)
         own = quotient(lane, self._together)
         sample = lane - own * dr.opaque(mi.UInt32, self._together)
@@ -393,9 +393,9 @@ class SignedRaySum:
         """Return the position of the cell of rays among the cells of pixels."""
         return own * dr.opaque(mi.UInt32, self._parts**2) + quotient(sample, self._spp)
 
-    def _asked(self, pupil: RayPupil, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
+    def _asked(self, walk: Walk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
         """Return the arguments of the light: see `SceneLight`."""
-        start, direction = pupil.trace(drawn.place, drawn.pupil, drawn.height)
+        start, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
         seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
         if lanes is None:
@@ -404,12 +404,8 @@ class SignedRaySum:
 
     def _answer(self, drawn: Drawn) -> Any:
         """Return the pixels' response to rays by their paths behind the lenses, times the rays' weights in a medium."""
-        absorption, even = self._camera.mla_absorption, self._draws.evenness(drawn)
-        if self._response is None and not absorption:
-            return even
-        aside, depth = self._draws.crossed(drawn)
-        response = 1 if self._response is None else self._response(dr.atan(aside / depth))
-        return response * transmittance(absorption, aside, depth) * even
+        even = self._draws.evenness(drawn)
+        return even if self._response is None else self._response(*self._draws.crossed(drawn)) * even
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
         """Return what `_bring` needs to know of rays for a node."""
@@ -506,12 +502,3 @@ def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
 def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int]) -> Convolution:
     """Return the convolution with kernels, whose spectra are cached for further captures of the camera."""
     return Convolution(camera, [kernel for each in sets for kernel in each.kernels], size)
-
-
-def _groups(nodes: Sequence[Node]) -> list[tuple[RayPupil, list[int]]]:
-    """Group the nodes whose rays follow the same paths; return the main lens and the node indices of each group."""
-    found: dict[float, tuple[RayPupil, list[int]]] = {}
-    for number, node in enumerate(nodes):
-        pupil = RayPupil(node.plan.system)
-        found.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
-    return list(found.values())

@@ -61,7 +61,12 @@ class Conic(MicrolensShape):
 
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves; see `MicrolensShape.waves`."""
-        return self._depth(x * x + y * y) * (-self._excess(wavelength) * per_millimetre(wavelength))
+        square = x * x + y * y
+        depth, power = square / (self.curvature_radius * (1 + self._root(square))), square
+        for coefficient in self.coefficients:
+            power = power * square
+            depth = depth + coefficient * power
+        return depth * (-self._excess(wavelength) * per_millimetre(wavelength))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
@@ -75,7 +80,7 @@ class Conic(MicrolensShape):
         return rise * x, rise * y
 
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
         return self._excess(wavelength) / self._excess(LINE_D)
 
     @property
@@ -84,11 +89,11 @@ class Conic(MicrolensShape):
         return self._excess(LINE_D) / self.curvature_radius
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether the surface extends to offsets: a sphere or an ellipsoid ends where it stands upright."""
+        """Return a mask of offsets that the surface covers: a sphere or an ellipsoid ends where it is upright."""
         return (x * x + y * y) * (1 + self.conic) < self.curvature_radius**2
 
     def _excess(self, wavelength: float) -> float:
-        """Return the index of the material over that of air."""
+        """Return the refractive index of the material at a wavelength, less 1 for air."""
         glass: Glass = self.glass
         return glass.at(wavelength) - 1
 
@@ -96,11 +101,3 @@ class Conic(MicrolensShape):
         module = module_of(square)
         # Corners of the cell beyond the aperture may lie beyond the surface.
         return module.sqrt(module.maximum(1 - square * ((1 + self.conic) / self.curvature_radius**2), 1e-6))
-
-    def _depth(self, square: Any) -> Any:
-        depth = square / (self.curvature_radius * (1 + self._root(square)))
-        power = square
-        for coefficient in self.coefficients:
-            power = power * square
-            depth = depth + coefficient * power
-        return depth

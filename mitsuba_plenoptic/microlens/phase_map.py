@@ -15,9 +15,7 @@ from ..errors import put, refuse_if, require_flag, require_number, require_wavel
 from ..prescription.glass import LINE_D
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples
-from .shape import MicrolensShape
-
-_MM_PER_NM = 1e-6
+from .shape import MM_PER_NM, MicrolensShape
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ class PhaseMap(MicrolensShape):
 
     @cached_property
     def _smooth(self) -> NDArray[np.float64]:
-        """Phases without jumps, (wavelengths, rows, columns); at the centre, nor between adjacent wavelengths."""
+        """Phases without jumps at the centre and between adjacent wavelengths, (wavelengths, rows, columns)."""
         rows, columns = self.phase.shape[1:]
         smooth = np.unwrap(self.phase, period=1, axis=2)
         # Along the middle column first, which the rows then join.
@@ -96,7 +94,7 @@ class PhaseMap(MicrolensShape):
 
     @property
     def _given(self) -> tuple[float, ...]:
-        """The wavelengths, which are a tuple."""
+        """Wavelengths of the maps, as a tuple."""
         return tuple(self.wavelengths)  # type: ignore[arg-type]
 
     def _parts(self, wavelength: float) -> list[tuple[int, float]]:
@@ -116,7 +114,7 @@ class PhaseMap(MicrolensShape):
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         parts = [(*self._grids[number].slopes(x, y), weight) for number, weight in self._parts(LINE_D)]
-        along, across = (sum(part[axis] * part[2] for part in parts) * (LINE_D * _MM_PER_NM) for axis in (0, 1))
+        along, across = (sum(part[axis] * part[2] for part in parts) * (LINE_D * MM_PER_NM) for axis in (0, 1))
         return along, across
 
     def strength(self, wavelength: float) -> float:
@@ -130,8 +128,8 @@ class PhaseMap(MicrolensShape):
 
     def _power(self, wavelength: float) -> float:
         phase = sum(self._smooth[number] * weight for number, weight in self._parts(wavelength))
-        return fitted_power(np.asarray(phase) * (wavelength * _MM_PER_NM), self._grids[0])
+        return fitted_power(np.asarray(phase) * (wavelength * MM_PER_NM), self._grids[0])
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether offsets lie within the samples."""
+        """Return a mask of offsets within the samples."""
         return self._grids[0].covers(x, y)

@@ -67,7 +67,7 @@ class Sampled(MicrolensShape):
         return along * self._excess(LINE_D), across * self._excess(LINE_D)
 
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
         return self._excess(wavelength) / self._excess(LINE_D)
 
     @cached_property
@@ -76,11 +76,11 @@ class Sampled(MicrolensShape):
         return fitted_power(self.height * self._excess(LINE_D), self._grid)
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether offsets lie within the samples."""
+        """Return a mask of offsets within the samples."""
         return self._grid.covers(x, y)
 
     def _excess(self, wavelength: float) -> float:
-        """Return the index of the material over that of air."""
+        """Return the refractive index of the material at a wavelength, less 1 for air."""
         return float(self.glass.at(wavelength)) - 1
 
 

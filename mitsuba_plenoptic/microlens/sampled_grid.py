@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, short_repr
-from ..io.files import require_file
 from ..runtime.backend import drjit_array, module_of
+from ..runtime.files import require_file
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
 
 
 def known_samples(name: str, value: Any) -> NDArray[np.float64]:
-    """Return samples (rows, columns) as `read_samples` does, of a limited count and with decimals that are short."""
+    """Return samples (rows, columns) from numbers or a file, of a limited count and rounded to short decimals."""
     # Single precision is enough for a path, and its decimals are short in files.
     samples = read_samples(name, value).astype(np.float32)
     low, high = COUNTS
@@ -80,7 +80,7 @@ class SampledGrid:
         return (columns - 1) * self._step / 2, (rows - 1) * self._step / 2
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether offsets lie within the samples, up to rounding."""
+        """Return a mask of offsets within the samples, up to rounding."""
         across, up = (half * (1 + 1e-6) for half in self.reach)
         return (abs(x) <= across) & (abs(y) <= up)
 
@@ -96,7 +96,7 @@ class SampledGrid:
         return np.stack([spline(rows, columns, dx=by_row, dy=by_column) for by_row, by_column in orders], -1)
 
     def at(self, x: Any, y: Any) -> Any:
-        """Return the value at offsets; beyond the grid that at its border."""
+        """Return the interpolated value at offsets; beyond the grid the value at its border."""
         return self._sum(x, y, (0, 0))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
@@ -104,14 +104,14 @@ class SampledGrid:
         return self._sum(x, y, (1, 0)) / self._step, self._sum(x, y, (0, 1)) / self._step
 
     def nearest(self, values: NDArray[np.float64], x: Any, y: Any) -> Any:
-        """Return other values of the samples, each of the nearest sample."""
+        """Return other values of the samples at offsets, each from the nearest sample."""
         (column, u), (row, v) = self._places(x, y)
         module = module_of(u)
         column, row = column + module.floor(u + 0.5), row + module.floor(v + 0.5)
         return _take(values.ravel(), row * values.shape[1] + column, x)
 
     def _places(self, x: Any, y: Any) -> list[tuple[Any, Any]]:
-        """Return column and row of the sample before each offset, and the distances from it in samples."""
+        """Return column and row of the sample before each offset, and the distances from this sample in samples."""
         found = []
         for place, size in zip((x, y), self._samples.shape[::-1], strict=True):
             module = module_of(place)
@@ -134,7 +134,7 @@ class SampledGrid:
 
 
 def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
-    """Return the weights of Hermite's cubic, or their derivatives, by (end, whether it is that of the slope)."""
+    """Return the weights of Hermite's cubic, or their derivatives, by end and by whether they belong to the slope."""
     if derivative:
         step = 6 * t * (1 - t)
         return {(0, 0): -step, (1, 0): step, (0, 1): 1 + t * (3 * t - 4), (1, 1): t * (3 * t - 2)}

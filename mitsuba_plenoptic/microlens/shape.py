@@ -13,13 +13,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..errors import InputError, did_you_mean, naming, refuse_if, require_choice, require_wavelength, short_repr
-from ..io.files import read_json_value
 from ..lattice import Lattice
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import SINGLE
+from ..runtime.files import read_json_value
 
-_MM_PER_NM = 1e-6
+MM_PER_NM = 1e-6
 
 _RIM = np.linspace(0, 1, 65)
 """Positions across the unit square of an aperture at which a shape must be defined, its edges included."""
@@ -62,7 +62,7 @@ class MicrolensShape(ABC):
 
     @abstractmethod
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes at a wavelength to those at the line d."""
+        """Return the slopes at a wavelength over the slopes at the line d."""
 
     @property
     @abstractmethod
@@ -70,7 +70,7 @@ class MicrolensShape(ABC):
         """Power at the line d: the reciprocal of the focal length in air, in 1/mm."""
 
     def covers(self, x: Any, y: Any) -> Any:
-        """Whether the shape is defined at offsets, which are NumPy arrays."""
+        """Return a mask of offsets, NumPy arrays, at which the shape is defined."""
         return x * x + y * y < float("inf")
 
     @property
@@ -86,7 +86,7 @@ class MicrolensShape(ABC):
 
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> Self:
-        """Take a shape from what `to_plain` gave, with its checks.
+        """Return the shape that `to_plain` described, after its checks.
 
         Parameters
         ----------
@@ -123,14 +123,14 @@ class MicrolensShape(ABC):
 
 
 def _plain(value: Any) -> Any:
-    """Return a field of a shape as JSON can have it."""
+    """Return a field of a shape as a JSON value."""
     if isinstance(value, Glass):
         return value.to_plain()
     return value.tolist() if hasattr(value, "tolist") else value
 
 
 def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensShape | None:
-    """Return a shape from any of its forms: a shape, plain data, a JSON file or its text; None means none is given.
+    """Return a shape, given as a shape, plain data, a JSON file or its text; None means no shape.
 
     `resolve` finds files by their names, for example in the folder of a scene.
     """
@@ -156,7 +156,7 @@ def known_index(name: str, value: Any) -> Glass:
 
 def per_millimetre(wavelength: float) -> float:
     """Return the number of waves in a millimetre, from a wavelength in nanometres."""
-    return 1 / (require_wavelength(wavelength) * _MM_PER_NM)
+    return 1 / (require_wavelength(wavelength) * MM_PER_NM)
 
 
 def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:

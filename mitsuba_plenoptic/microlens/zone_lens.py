@@ -55,7 +55,7 @@ class ZoneLens(MicrolensShape):
         return -x * self.power, -y * self.power
 
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
         return wavelength / LINE_D
 
     @property

@@ -21,16 +21,16 @@ _DIGITS = 3
 
 
 class PhysicsWarning(UserWarning):
-    """A result is less accurate than its sampling promises; the message contains the fraction of power concerned."""
+    """Warning that a result is less accurate than promised, with the fraction of power concerned."""
 
 
 class PhysicsError(InputError):
-    """A result would be false, because its sampling loses or aliases too much of the light."""
+    """Error for a result that would be false, because its sampling loses or aliases too much light."""
 
 
 @dataclass(frozen=True)
 class Guard:
-    """A fraction of the power, and its bounds.
+    """Fraction of the power that a computation loses, and the bounds for warning and error.
 
     Attributes
     ----------
@@ -176,7 +176,7 @@ APERTURE = Guard(
 
 
 class _Findings(dict[Guard, float]):
-    """Largest fraction so far, by guard."""
+    """Largest fraction that each guard has found so far."""
 
 
 _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
@@ -184,7 +184,7 @@ _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
 
 @contextlib.contextmanager
 def watch() -> Iterator[dict[str, float]]:
-    """Collect the findings of guards during a computation, and warn at most once per guard, of its largest fraction.
+    """Collect the largest fraction of each guard during a computation, and warn at most once per guard.
 
     Yields
     ------

@@ -19,7 +19,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
 from ..prescription.lens_data import defocus_factor
 from ..runtime.backend import drjit_array, rsqrt
 
@@ -28,7 +27,7 @@ Pair = tuple[Any, Any]
 
 
 def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
-    """Where the line from a detector point to the main lens's centre crosses the MLA: p b / (b + z).
+    """Position on the MLA of the line from a detector point to the main lens's centre: p b / (b + z).
 
     The lens whose cell contains this point is the one to which the pixel belongs.
     """
@@ -36,7 +35,7 @@ def chief_point(p: Any, mla_distance: Any, detector_distance: Any) -> Any:
 
 
 def chief_detector_point(m: Any, mla_distance: Any, detector_distance: Any) -> Any:
-    """Where the line from the main lens's centre through an MLA point meets the detector: m (b + z) / b."""
+    """Position on the detector of the line from the main lens's centre through an MLA point: m (b + z) / b."""
     return m * ((mla_distance + detector_distance) / mla_distance)
 
 
@@ -46,7 +45,7 @@ def microlens_slope(p: Any, m: Any, c: Any, detector_distance: Any, mla_focal_le
 
 
 def pupil_point(m: Any, t: Any, mla_distance: Any) -> Any:
-    """Where a ray of slope t from the MLA meets the main lens: m + b t."""
+    """Position on the main lens of a ray of slope t from the MLA: m + b t."""
     return m + mla_distance * t
 
 
@@ -56,28 +55,18 @@ def main_lens_slope(t: Any, P: Any, focal_length: Any) -> Any:
 
 
 def object_direction(P: Any, slope: Any, distance: Any) -> Any:
-    """Where a ray of this slope from the pupil point meets the object plane, over its distance: X/g = P/g + t'."""
+    """Position on the object plane of a ray from a pupil point, over the plane's distance: X/g = P/g + t'."""
     return P / distance + slope
 
 
 def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: Any) -> Any:
-    """Where the ray from a scene point through a pupil point meets the MLA: -X b/g + P (1 + b/g - b/f1)."""
+    """Position on the MLA of the ray from a scene point through a pupil point: -X b/g + P (1 + b/g - b/f1)."""
     return conjugate_coordinate(X, distance, mla_distance) + P * defocus_factor(distance, mla_distance, focal_length)
 
 
 def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
     """Project a scene point through the main lens's centre onto the MLA plane: -X b/g."""
     return -X * mla_distance / distance
-
-
-def follow_back(
-    p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera, *, mla_focal_length: float | None = None
-) -> tuple[Any, Any]:
-    """Follow the ray from a detector point through a point of a lens to an object plane, which may be at infinity."""
-    f2 = camera.mla_focal_length if mla_focal_length is None else mla_focal_length
-    t = microlens_slope(p, m, c, camera.reduced_distance, f2 / camera.mla_medium)
-    P = pupil_point(m, t, camera.mla_distance)
-    return P, -camera.mla_distance * object_direction(P, main_lens_slope(t, P, camera.focal_length), distance)
 
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
@@ -166,7 +155,7 @@ def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
 
 
 def _widening(chief: Pair, index: Any) -> Any:
-    """Return c^-2 of `into_medium`."""
+    """Return the factor c^-2 of `into_medium`."""
     return 1 + (1 - 1 / (index * index)) * _dot(chief, chief)
 
 
@@ -175,7 +164,7 @@ def _dot(a: Pair, b: Pair) -> Any:
 
 
 def _is_one(index: Any) -> bool:
-    """Whether there is no medium, so that slopes keep the bits that they have without its formulas."""
+    """Return whether there is no medium, so that slopes keep their bits."""
     return isinstance(index, (int, float)) and index == 1
 
 
@@ -183,25 +172,32 @@ _ANGLES = 1025
 """Angles in the table."""
 
 
-def transmittance(absorption: float, aside: Any, depth: Any) -> Any:
-    """Return the fraction of light that an absorbing medium transmits, by the law of Beer and Lambert."""
-    return dr.exp(-absorption * dr.hypot(aside, depth))
+def pixel_response(pairs: tuple[float, ...], absorption: float) -> Callable[[Any, Any], Any] | None:
+    """Return the response of pixels to light that moves aside by so far in a medium so deep; None if it is always 1.
 
-
-def angular_response(pairs: tuple[float, ...]) -> Callable[[Any], Any] | None:
-    """Return the function from angles of incidence, in radians, to responses; None if all are 1."""
-    if not pairs:
+    Parameters
+    ----------
+    pairs : floats
+        Angles of incidence in degrees and the responses there, in turn, of which the last is the steepest; or none.
+    absorption : float
+        Absorption coefficient of the medium in 1/mm, for the law of Beer and Lambert.
+    """
+    if not pairs and not absorption:
         return None
-    angles, responses = (np.array(values) for values in (pairs[::2], pairs[1::2]))
-    fine = np.linspace(0, angles[-1], _ANGLES)
-    table = drjit_array(mi.Float, np.interp(fine, angles, responses))
-    dr.make_opaque(table)
-    step = math.radians(float(fine[1]))
+    table: Any = None
+    if pairs:
+        fine = np.linspace(0, pairs[-2], _ANGLES)
+        table = drjit_array(mi.Float, np.interp(fine, pairs[::2], pairs[1::2]))
+        dr.make_opaque(table)
+        step = math.radians(float(fine[1]))
 
-    def response(angle: Any) -> Any:
-        position = dr.clip(angle / step, 0, _ANGLES - 1)
+    def response(aside: Any, depth: Any) -> Any:
+        transmitted = dr.exp(-absorption * dr.hypot(aside, depth)) if absorption else 1.0
+        if table is None:
+            return transmitted
+        position = dr.clip(dr.atan(aside / depth) / step, 0, _ANGLES - 1)
         low = mi.UInt32(dr.minimum(dr.floor(position), _ANGLES - 2))
         first, second = dr.gather(mi.Float, table, low), dr.gather(mi.Float, table, low + 1)
-        return first + (position - mi.Float(low)) * (second - first)
+        return (first + (position - mi.Float(low)) * (second - first)) * transmitted
 
     return response

@@ -28,7 +28,7 @@ from ..errors import (
     require_wavelength,
     suggest_keywords,
 )
-from ..io.files import read_table
+from ..runtime.files import read_table
 
 MOST_WAVELENGTHS = 1024
 """Largest number of wavelengths of a spectrum."""
@@ -64,7 +64,7 @@ _WRONG = 4e-3
 @suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
-    """Wavelengths, and the responses of the channels that record them.
+    """Wavelengths with the responses of the channels that record them.
 
     Parameters
     ----------

@@ -113,7 +113,7 @@ def weighted(weight: np.ndarray, field: Field) -> float:
 
 
 def _power_by_row(field: Field) -> NDArray[np.float64]:
-    """Sum of the squared moduli of each row, computed on the field's own device."""
+    """Return the sum of squared moduli of each row, computed on the field's device."""
     parts = field.view(np.float32)
     return backend_of(field).arrays.einsum("ij,ij->i", parts, parts).astype(np.float64)
 
@@ -129,7 +129,7 @@ _UNSEEN = 0.01
 
 
 class StepGuard:
-    """Checks of one propagation step: of the field before it, of its spectrum, and of the field after it.
+    """Checks of one propagation step: of the field before it, its spectrum, and the field after it.
 
     About 32 rows of each large array are checked, which takes about a hundredth of the step's time. If they do not
     contain their fraction of the power, because the power is concentrated in few rows, all rows of the spectrum are
@@ -186,7 +186,7 @@ class StepGuard:
 
 
 def _some_rows(field: Field) -> Field:
-    """Return a view of the rows of a field from which a fraction of its power is estimated."""
+    """Return some rows of a field, as a view, from which a fraction of its power is estimated."""
     return field[:: _row_step(field)]
 
 

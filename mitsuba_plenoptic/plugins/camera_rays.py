@@ -1,18 +1,18 @@
-"""Rays of a plenoptic camera, from the detector through a microlens and the main lens to the scene, in Dr.Jit."""
+"""The draws of the sensor's rays: a lens and its point for each point of the detector, and a wavelength."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..design.micro_images import (
+from ..design.quantities import (
     SECTORS,
     cosine_limits,
     crosstalk_defocus,
@@ -20,12 +20,11 @@ from ..design.micro_images import (
     crosstalk_reach,
     turns_cosines,
 )
-from ..lattice import Lattice, make_lattice
-from ..lenses.common import chief_points, main_lens
-from ..lenses.main_lens import MainLens, Pair, Traced
-from ..light.figure_error import FigureError
-from ..light.lens_kinds import MOST_DEVIATIONS, chief_ray_shift, irregularities
-from ..optics import rays
+from ..lattice import make_lattice
+from ..lenses.common import main_lens
+from ..lenses.main_lens import Pair
+from ..light.lens_kinds import MOST_DEVIATIONS, irregularities
+from ..light.walk import Passage, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
@@ -51,11 +50,12 @@ class RayColours:
     # Refractive indices behind each surface of a real main lens.
     indices: list[Any] | None
 
-    def through(self, lens: Any) -> Any:
-        """Return a main lens as these rays meet it."""
+    def of(self, walk: CameraRays) -> CameraRays:
+        """Return the walk of rays with these focal lengths and indices through the main lens."""
+        lens: Any = walk.lens
         if self.indices is not None:
-            return replace(lens, indices=self.indices)
-        return replace(lens, focal_length=lens.focal_length * self.ratio)
+            return replace(walk, lens=replace(lens, indices=self.indices))
+        return replace(walk, lens=replace(lens, focal_length=lens.focal_length * self.ratio))
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Dispersion:
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
     def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
-        """Choose the wavelength of each ray; return its optics, the rest of the sample, and the channels' weights."""
+        """Return the optics of rays of random wavelengths, the unused part of the sample, and channels' weights."""
         if mi.is_spectral:
             position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
@@ -132,20 +132,9 @@ class Dispersion:
         return RayColours(of(self.ratio), of(self.mla_ratio), indices), sample, share
 
 
-class Passage(NamedTuple):
-    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length.
-
-    The focal length is reduced by the index of the medium behind the array.
-    """
-
-    point: Pair
-    centre: Pair
-    focal_length: Any
-
-
 @dataclass(frozen=True)
 class Candidates:
-    """The lenses around the chief ray's from which those of rays are drawn, evenly."""
+    """Lenses around a chief ray's lens among which the lenses of rays are drawn evenly."""
 
     # Steps in the lattice's indices, as two arrays; the first is the chief ray's own lens.
     steps: list[Any]
@@ -157,7 +146,7 @@ class Candidates:
     defocus: Any = 0.0
 
     def limit(self, chief: Pair, towards: Pair) -> Any:
-        """Return the distance within which centres are tried, by their direction from the chief ray's points."""
+        """Return the distance within which lens centres are tried, by their direction from the chief ray's point."""
         across, along = (
             towards[0] * chief[1] - towards[1] * chief[0],
             towards[0] * chief[0] + towards[1] * chief[1],
@@ -168,23 +157,15 @@ class Candidates:
 
 
 @dataclass(frozen=True)
-class CameraRays:
-    """The geometry of a camera for ray tracing; parameters that may carry gradients are Dr.Jit arrays."""
+class CameraRays(Walk):
+    """The walk of the sensor's rays, which draws the lenses and their points through which rays pass."""
 
-    # The camera with plain values, for the parameters without gradients.
-    camera: PlenopticCamera
-    lens: MainLens
-    lattice: Lattice
-    # Focal lengths of the microlenses, one for each type or one for all.
-    focal_lengths: Any
-    # Distance from the array to the detector.
-    detector_distance: Any
     # Dispersion of the glasses, if the paths of rays depend on colour.
     dispersion: Dispersion | None
 
     @classmethod
-    def of(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays:
-        """Return the geometry of a camera whose exposed parameters are given as Dr.Jit arrays."""
+    def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays:
+        """Return the walk of a camera whose exposed parameters are given as Dr.Jit arrays."""
         # The rotation is applied only if it is not zero, or a gradient for its angle is requested.
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
         pitch, offset = numbers["mla_pitch"], numbers["mla_offset"]
@@ -204,11 +185,12 @@ class CameraRays:
             lattice,
             numbers["mla_focal_length"],
             numbers["detector_distance"],
+            camera.mla_medium,
             Dispersion.of(camera),
         )
 
     def candidates(self, beyond: float = 0.0) -> Candidates:
-        """Return the lenses from which those of rays are drawn, at the wavelength that needs most."""
+        """Return the lenses among which the lenses of rays are drawn, at the wavelength that needs most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
         place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
@@ -235,18 +217,15 @@ class CameraRays:
         """Return whether lenses are near enough to the points of chief rays."""
         if candidates.limits is None:
             return mi.Bool(True)
-        x, y = self._centre(i, j)
-        right, up, longer = 0.0, 0.0, 1.0
-        if any(self.camera.mla_jitter):
-            right, up, longer = irregularities(self.camera, i, j)
-        towards = x + right - chief[0], y + up - chief[1]
+        (x, y), _ = self.lens_at(i, j)
+        towards = x - chief[0], y - chief[1]
         limit = candidates.limit(chief, towards)
         if self.camera.mla_jitter[1]:
-            limit += abs(1 - 1 / longer) * candidates.defocus
+            limit += abs(1 - 1 / irregularities(self.camera, i, j)[2]) * candidates.defocus
         return dr.hypot(*towards) <= limit
 
     def _draw(self, candidates: Candidates, chief: Pair, cell: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
-        """Choose lenses around cells; return also the rest of the sample, the choice, and of how many."""
+        """Return lenses drawn around cells, the unused part of the sample, the choice, and the number of choices."""
         (i, j), count, within = cell, dr.width(candidates.steps[0]), mi.Float(sample)
         if count == 1:
             return cell, within, mi.UInt32(0), mi.Float(1)
@@ -269,42 +248,20 @@ class CameraRays:
             passed += dr.select(each, 1, 0)
         return nth(choice), scaled - whole, choice, tried
 
-    def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
-        """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
-        x, y = chief_points(self.lens, pixel, self.detector_distance, self.camera.mla_medium)
-        if any(self.camera.mla_tilt):
-            nearer = 1 - self._height(x, y) / self.lens.pupil_distance
-            x, y = x * nearer, y * nearer
-        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
-        return (x, y), self.lattice.cell(x - right, y - up)
-
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
-        """Choose the points of the array through which rays from detector points pass.
+        """Return the points of the array through which rays from detector points pass, drawn at random.
 
         `pixel` is the detector point, a pair of Dr.Jit arrays. Return also the number of the candidate, and that of the
         lenses from which it was drawn.
         """
-        lattice = self.lattice
         chief, cell = self.chief_cell(pixel)
         (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
-        cx, cy = self._centre(i, j)
-        dx, dy = lattice.aperture_point(within, lens_sample[1])
-        f2 = self.focal_lengths / self.camera.mla_medium
-        if dr.width(f2) > 1:
-            f2 = dr.gather(mi.Float, f2, mi.UInt32(lattice.lens_type(i, j)))
-        if any(self.camera.mla_jitter):
-            right, up, longer = irregularities(self.camera, i, j)
-            cx, cy, f2 = cx + right, cy + up, f2 * longer
+        (cx, cy), f2 = self.lens_at(i, j)
+        dx, dy = self.lattice.aperture_point(within, lens_sample[1])
         return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
 
-    def _centre(self, i: Any, j: Any) -> Pair:
-        """Return the centres of lenses of a regular array, or of one that is aligned to chief rays."""
-        x, y = self.lattice.centre(i, j)
-        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
-        return x + right, y + up
-
     def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
-        """Choose points of the lenses above detector points, and points of the pupil.
+        """Return random points of the lenses above detector points, and random points of the pupil.
 
         Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. Return these, slopes
         towards the pupil, and the columns and rows of pixels among those of their lenses.
@@ -317,72 +274,9 @@ class CameraRays:
             index.append(dr.floor((whole + 0.5) / 2))
             side.append(whole - 2 * index[axis])
             within.append(position - whole)
-        cx, cy = self._centre(*index)
-        if any(self.camera.mla_jitter):
-            right, up, _ = irregularities(self.camera, *index)
-            cx, cy = cx + right, cy + up
+        (cx, cy), _ = self.lens_at(*index)
         dx, dy = self.lattice.aperture_point(*within)
         point = cx + dx, cy + dy
         x, y = mi.warp.square_to_uniform_disk(pupil_sample)
-        slope = tuple((self.lens.reach * P - m) / self.lens.pupil_distance for P, m in zip((x, y), point, strict=True))
+        slope = tuple(self.lens.slope_to(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
         return point, slope, (side[0], side[1])
-
-    def trace(self, pixel: Pair, passage: Passage, light: RayColours | None = None) -> Traced:
-        """Trace rays from points of the detector through the array and the main lens.
-
-        `pixel` is the detector point, a pair of Dr.Jit arrays.
-        """
-        lens = self.lens if light is None else light.through(self.lens)
-        slope, _, emerges = self._before_array(pixel, passage, light)
-        mx, my = passage.point
-        if any(self.camera.mla_tilt):
-            # The point at which the ray crosses the plane of the lens on the axis.
-            height = self._height(*passage.centre)
-            mx, my = mx - height * slope[0], my - height * slope[1]
-        point, slope, is_open = lens.trace((mx, my), slope)
-        return point, slope, is_open & emerges
-
-    def evenness(self, pixel: Pair, passage: Passage, light: RayColours | None = None) -> Any:
-        """Return the weights by which rays from all points of the detector are even over the pupil."""
-        return self._before_array(pixel, passage, light)[1]
-
-    def _before_array(self, pixel: Pair, passage: Passage, light: RayColours | None) -> tuple[Pair, Any, Any]:
-        """Return the slopes of rays before the array, their weights, and whether they leave the medium."""
-        (mx, my), (cx, cy), f2 = passage
-        z, n = self.detector_distance, self.camera.mla_medium
-        if light is not None:
-            f2 = f2 * light.mla_ratio
-        height = self._height(cx, cy) if any(self.camera.mla_tilt) else 0.0
-        if any(self.camera.mla_tilt):
-            z = z + height
-        turn = self._turn((mx - cx, my - cy), f2)
-        error = FigureError.of(self.camera) if any(self.camera.mla_figure_error) else None
-        if error is not None:
-            right, up = error.slopes(mx, my)
-            turn = turn[0] + right, turn[1] + up
-        chief = None
-        if not turns_cosines(self.camera):
-            chief = self.lens.slope_to(0.0, cx, height), self.lens.slope_to(0.0, cy, height)
-        behind = (mx - pixel[0]) / z, (my - pixel[1]) / z
-        slope, emerges = rays.out_of_medium(behind, turn, chief, n)
-        return slope, rays.evenness(slope, behind, chief, n), mi.Bool(emerges)
-
-    def _turn(self, offset: Pair, f2: Any) -> Pair:
-        """Return the change of the direction cosines of rays at offsets from the centres of lenses."""
-        shape = self.camera.mla_shape
-        if shape is None:
-            return tuple(-value / f2 for value in offset)
-        # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
-        weaker = self.camera.reduced_focal_lengths[0] / f2
-        slopes = shape.slopes(*self.lattice.to_frame(*offset))
-        return tuple(slope * weaker for slope in self.lattice.from_frame(*slopes))
-
-    def from_pupil(self, pupil: Pair, position: Pair) -> Traced:
-        """Trace the rays through points of the array and points of the pupil."""
-        slope = tuple((P - m) / self.lens.pupil_distance for P, m in zip(pupil, position, strict=True))
-        return self.lens.trace(position, slope)
-
-    def _height(self, x: Any, y: Any) -> Any:
-        """Return the distance by which a lens of a tilted array is nearer to the main lens than the one on the axis."""
-        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
-        return x * across + y * up

@@ -29,8 +29,19 @@ from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
 from ..points.scene_points import PointsCapture, require_matte
-from ..runtime.jobs import Job
-from .properties import NAME, SHARED, develop, develop_back, put, read_choice, read_colours, read_plain, require_read
+from ..runtime.batches import Job
+from .properties import (
+    NAME,
+    SHARED,
+    asked_for,
+    develop,
+    develop_back,
+    make_base,
+    put,
+    read_choice,
+    read_colours,
+    read_plain,
+)
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
@@ -60,7 +71,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Accumulate the gradient of a parameter of the camera."""
+    """Add to the gradient of a parameter of the camera."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
@@ -76,9 +87,9 @@ _LIGHT_TRACERS = ("ParticleTracerIntegrator", "AdjointIntegrator")
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
-    class PlenopticWaveIntegrator(mi.SamplingIntegrator):
+    class PlenopticWaveIntegrator(make_base()):  # type: ignore[misc]
         r"""Wave capture: the incoherent, non-paraxial wave-optical image on a plenoptic camera's detector.
 
         .. pluginparameters::
@@ -194,34 +205,14 @@ def make_class() -> type:
                 )
             self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
             self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
-            nested = [value for _, value in props.objects()]
-            refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
-            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
-            require_read(props, NAME)
+            self.read_child(props)
             kind = self.child.class_name() if hasattr(self.child, "class_name") else type(self.child).__name__
             if not isinstance(self.child, mi.SamplingIntegrator) or kind in _LIGHT_TRACERS:
                 raise InputError(f"{NAME}: nested {kind}: it cannot tell the radiance along a ray; use path or direct")
 
-        def render(
-            self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
-        ) -> Any:
-            """Render the capture; `spp` is the count of rays per pixel, or of points per lens by method ``points``."""
-            if isinstance(sensor, int):
-                sensor = scene.sensors()[sensor]
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            spp = spp or sensor.sampler().sample_count()
-            film = self.record(scene, sensor, seed=seed, spp=spp)
-            return film.develop() if develop else None
-
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Return the change of the capture along the parameters' tangents, for `mi.render`."""
-            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
@@ -230,8 +221,8 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Propagate the gradient of the capture to the parameters, for `mi.render`."""
-            sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+            """Add the gradients by parameters from a gradient by the capture, for `mi.render`."""
+            sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
             with guards.watch():
@@ -241,15 +232,13 @@ def make_class() -> type:
                 accumulate(sensor, name, gradient)
 
         def _gradients(
-            self, scene: Any, params: Any, sensor: Any, seed: Any, spp: int, forward: bool
+            self, scene: Any, params: Any, sensor: Any, seed: int, spp: int, forward: bool
         ) -> tuple[tuple[str, ...], SignedGradients]:
             """Return the camera parameters with gradients, and the capture's derivatives; refuse what has none."""
             refuse_if(
                 self.method != SIGNED_RAYS, f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}"
             )
             names, others = numbers_and_others(params, sensor)
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            spp = spp or sensor.sampler().sample_count()
             capture = self._signed(scene, sensor)
             refuse_if(
                 not capture.has_gradients,
@@ -264,7 +253,7 @@ def make_class() -> type:
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it."""
+            """Return the film that holds the computed capture."""
             crosstalk, film = PlenopticCamera.from_sensor(sensor).pixel_crosstalk, sensor.film()
             require_wave_film(film)
             capture = self._capture(scene, sensor)
@@ -278,7 +267,7 @@ def make_class() -> type:
             return film
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Estimate the cost of `record` from a fraction of its work."""
+            """Return the estimated cost of `record`, from a fraction of its work."""
             with guards.watch():
                 return self._capture(scene, sensor).estimate(seed=seed, spp=spp, job=job)
 
@@ -324,16 +313,11 @@ def make_class() -> type:
             return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
-            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 **self.colours.parameters(),
                 "method": self.method,
                 "accuracy": self.accuracy,
             }
-
-        def to_string(self) -> str:
-            """Describe the integrator."""
-            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
-            return "\n".join(["PlenopticWaveIntegrator[", *lines, f"  child = {self.child}", "]"])
 
     return PlenopticWaveIntegrator

@@ -11,7 +11,7 @@ import numpy as np
 from ..camera import PlenopticCamera, require_camera
 from ..errors import InputError
 from ..light.scene import loading
-from ..light.scene_unit import warn_of_metres
+from ..light.scene_light import warn_of_metres
 from ..runtime.backend import one_at_a_time
 
 

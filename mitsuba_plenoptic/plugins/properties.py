@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, film_numbers
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
 from ..camera.phase_screen import known_screen
@@ -53,7 +53,7 @@ from ..runtime.backend import drjit_array
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
-    """Read a value from a plugin's properties without a check; the caller checks it."""
+    """Return a value of a plugin's properties unchecked; the caller checks it."""
     return _plain(props[name]) if name in props else default
 
 
@@ -75,7 +75,7 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
 
 
 def require_read(props: Any, plugin: str) -> None:
-    """Refuse a parameter that a plugin has not read: there is none of its name.
+    """Refuse a parameter that a plugin has not read, as no parameter has its name.
 
     Mitsuba does so itself once a plugin is made, without the name that was meant.
     """
@@ -86,7 +86,7 @@ def require_read(props: Any, plugin: str) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return the entry of an array of one entry, which ``load_dict`` accepts for a scalar, or any other value as is."""
+    """Return the single entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
@@ -107,22 +107,13 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     return camera
 
 
-def film_numbers(film: Any) -> dict[str, Any]:
-    """Return the camera parameters that the film determines."""
-    return {
-        "resolution": tuple(film.size()),
-        "crop_offset": tuple(film.crop_offset()),
-        "crop_size": tuple(film.crop_size()),
-    }
-
-
 def _read_one(props: Any, name: str) -> Any:
     """Read a value that the camera will check."""
     return _plain(props[name])
 
 
 def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
-    """Read one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
+    """Return one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
     value = _plain(props[name])
     if isinstance(value, str):
         with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
@@ -133,13 +124,13 @@ def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
 
 
 def _read_position(props: Any, name: str) -> tuple[float, ...]:
-    """Read the x and y of a position, given as a pair or as a point or vector whose z is 0."""
+    """Return the x and y of a position, given as a pair or as a point or vector whose z is 0."""
     position = _read_numbers(props, name)
     return position[:2] if len(position) == 3 and position[2] == 0 else position
 
 
 def _read_main_lens(props: Any, name: str) -> LensData:
-    """Read a main lens, given as a file, a bundled lens or the text of a JSON file."""
+    """Return the data of a main lens, given as a file, a bundled lens or the text of a JSON file."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a file or a bundled lens")
@@ -147,7 +138,7 @@ def _read_main_lens(props: Any, name: str) -> LensData:
 
 
 def _read_glass(props: Any, name: str) -> Any:
-    """Read a glass, given as a name, a refractive index or the text of a JSON object."""
+    """Return a glass, given as a name, a refractive index or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or not source.lstrip().startswith("{"):
         return source
@@ -156,7 +147,7 @@ def _read_glass(props: Any, name: str) -> Any:
 
 
 def _read_shape(props: Any, name: str) -> Any:
-    """Read the shape of microlenses, given as a JSON file or its text."""
+    """Return the shape of microlenses, given as a JSON file or its text."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
@@ -164,7 +155,7 @@ def _read_shape(props: Any, name: str) -> Any:
 
 
 def _read_screen(props: Any, name: str) -> Any:
-    """Read a phase screen, given as a JSON file or its text."""
+    """Return a phase screen, given as a JSON file or its text."""
     source = _plain(props[name])
     if not isinstance(source, str):
         raise InputError(f"{name} = {source!r}: it must be text: a JSON file, or its content")
@@ -172,7 +163,7 @@ def _read_screen(props: Any, name: str) -> Any:
 
 
 def _read_response(props: Any, name: str) -> Any:
-    """Read a response of photodiodes, given as a file or the text of a JSON object."""
+    """Return a response of photodiodes, given as a file or the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or source.lstrip().startswith("{"):
         return source
@@ -206,7 +197,7 @@ def develop(film: Any, image: NDArray[np.float32]) -> Any:
 
 
 def develop_back(film: Any, gradient: Any, shape: tuple[int, int, int]) -> NDArray[np.float32]:
-    """Apply the transpose of `develop` to a gradient; `shape` is that of the image (rows, columns, channels)."""
+    """Return the transpose of `develop` applied to a gradient; `shape` is the image's (rows, columns, channels)."""
     block = drjit_array(mi.TensorXf, _block(np.zeros(shape, np.float32), shape[2]))
     dr.enable_grad(block)
     film.prepare([])
@@ -388,3 +379,44 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
         there = f"variant {mi.variant()} has {channels} channel{'s' * (channels > 1)}"
         raise InputError(f"{NAME}: wavelength = {short_repr(value)}: {there}")
     return wavelengths
+
+
+def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, int]:
+    """Return the sensor, the seed and the count of samples of `mi.render`, which gives indices, arrays or zeros."""
+    sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+    return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
+
+
+def make_base() -> type:
+    """Define the base of such integrators for the active Mitsuba variant; they offer `record` and `parameters`."""
+
+    class RecordingIntegrator(mi.SamplingIntegrator):
+        plugin: str
+
+        def read_child(self, props: Any) -> None:
+            """Keep the nested integrator, by default ``path``, and refuse parameters that nothing has read."""
+            nested = [value for _, value in props.objects()]
+            refuse_if(len(nested) > 1, f"{self.plugin}: {len(nested)} nested plugins: it takes one integrator")
+            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
+            require_read(props, self.plugin)
+
+        def render(
+            self,
+            scene: Any,
+            sensor: Any = 0,
+            seed: Any = 0,
+            spp: int = 0,
+            develop: bool = True,
+            evaluate: bool = True,
+        ) -> Any:
+            """Render the capture; `spp` is the count of samples that `record` takes."""
+            sensor, seed, spp = asked_for(scene, sensor, seed, spp)
+            film = self.record(scene, sensor, seed=seed, spp=spp)
+            return film.develop() if develop else None
+
+        def to_string(self) -> str:
+            """Describe the integrator."""
+            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
+            return "\n".join([f"{type(self).__name__}[", *lines, f"  child = {self.child}", "]"])
+
+    return RecordingIntegrator

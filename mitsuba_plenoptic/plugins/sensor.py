@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, film_numbers
 from ..camera.documentation import with_sensor_parameters
 from ..camera.entry import Captures, Form, Parameter
 from ..camera.parameters import PARAMETERS
@@ -20,9 +20,9 @@ from ..extension import entries, place
 from ..lenses.common import main_lens
 from ..lenses.main_lens import Pair, Traced
 from ..lenses.real_lens import RealLens
-from ..optics.rays import angular_response, transmittance
+from ..optics.rays import pixel_response
 from .camera_rays import CameraRays, Candidates
-from .properties import film_numbers, read_camera, require_read
+from .properties import read_camera, require_read
 
 NAME = "plenoptic"
 
@@ -32,7 +32,7 @@ _BOX = '<rfilter type="box"/>'
 
 
 def make_class() -> type:
-    """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
+    """Return the plugin's class, defined for the active Mitsuba variant, to which its types are bound."""
 
     class PlenopticSensor(mi.Sensor):
         r"""Plenoptic (light-field) camera: main lens, microlens array, detector.
@@ -159,8 +159,8 @@ def make_class() -> type:
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())
-            self._rays = CameraRays.of(self.camera, numbers)
-            self._response = angular_response(self.pixel_response)
+            self._rays = CameraRays.varying(self.camera, numbers)
+            self._response = pixel_response(self.pixel_response, self.mla_absorption)
             tables = (
                 place(package, text)(getattr(self, name))
                 for package, name, text in entries("responses")
@@ -221,10 +221,10 @@ def make_class() -> type:
 
         def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
             """Return the ray through points of the microlens array and the pupil, and whether it is transmitted."""
-            return self._in_world(self._rays.from_pupil(pupil, position))
+            return self._in_world(self._rays.through_pupil(pupil, position))
 
         def _in_world(self, traced: Traced) -> tuple[Any, Any]:
-            """Transform a traced ray to the world frame, at the time at which the shutter opens."""
+            """Return a traced ray in the world frame, at the time when the shutter opens."""
             point, slope, open_ = traced
             to_world = self.world_transform()
             ray = mi.RayDifferential3f(
@@ -237,28 +237,26 @@ def make_class() -> type:
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
-            light = None
-            if self._rays.dispersion is not None:
-                light, lens_sample, share = self._rays.dispersion.draw(lens_sample, wavelengths)
-                weight = weight * share
+            rays, light = self._rays, None
+            if rays.dispersion is not None:
+                light, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
+                rays, weight = light.of(rays), weight * share
             px, py = self._on_detector(film_sample)
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
             if self._table is not None:
-                traced, response = self._by_table((px, py), lens_sample, wavelengths, light)
+                traced, response = self._by_table(rays, (px, py), lens_sample, wavelengths)
                 ray = self._towards(traced, time, wavelengths)
                 weight = dr.select(traced[2] & active, weight * response, 0)
                 return mi.RayDifferential3f(ray) if differential else ray, weight
-            passage, _, tried = self._rays.pass_array((px, py), lens_sample, self._candidates)
-            point, slope, open_ = self._rays.trace((px, py), passage, light)
+            passage, _, tried = rays.pass_array((px, py), lens_sample, self._candidates)
+            if light is not None:
+                passage = passage._replace(focal_length=passage.focal_length * light.mla_ratio)
+            point, slope, open_ = rays.trace((px, py), passage)
             open_ &= active
-            if self._response is not None or self.mla_absorption:
+            if self._response is not None:
                 mx, my = passage.point
-                aside = dr.hypot(mx - px, my - py)
-                if self._response is not None:
-                    weight = weight * self._response(dr.atan(aside / self.detector_distance))
-                if self.mla_absorption:
-                    weight = weight * transmittance(self.mla_absorption, aside, self.detector_distance)
+                weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
             ray = self._towards((point, slope, open_), time, wavelengths)
             to_world = self.world_transform()
             if differential:
@@ -268,13 +266,13 @@ def make_class() -> type:
                     if self.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
                         z = self.detector_distance / self.camera.mla_medium
-                        beside, turned = cast(RealLens, self._rays.lens).beside(point, slope, (-dx / z, -dy / z))
+                        beside, turned = cast(RealLens, rays.lens).beside(point, slope, (-dx / z, -dy / z))
                     else:
-                        beside, turned, _ = self._rays.trace((px + dx, py + dy), passage, light)
+                        beside, turned, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
-            return ray, dr.select(open_, weight * (tried * self._rays.evenness((px, py), passage, light)), 0)
+            return ray, dr.select(open_, weight * (tried * rays.out_of_array((px, py), passage)[1]), 0)
 
         def _towards(self, traced: Traced, time: Any, wavelengths: Any) -> Any:
             """Return traced rays in the world frame."""
@@ -289,7 +287,7 @@ def make_class() -> type:
             return ray
 
         def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
-            """Choose points of the four neighbours for light that crosses walls; return also the rest of the sample."""
+            """Return points of the four neighbours for light that crosses walls, and the unused part of the sample."""
             fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
             scaled = sample[0] / fraction
             side = dr.floor(scaled)
@@ -301,11 +299,11 @@ def make_class() -> type:
             moved = tuple(p + dr.select(crosses, step * size, 0) for p, step in zip(pixel, (x, y), strict=True))
             return (moved[0], moved[1]), mi.Point2f(within, sample[1])
 
-        def _by_table(self, pixel: Pair, sample: Any, wavelengths: Any, light: Any) -> tuple[Traced, Any]:
+        def _by_table(self, rays: CameraRays, pixel: Pair, sample: Any, wavelengths: Any) -> tuple[Traced, Any]:
             """Return rays from the whole pupil to the lenses of pixels, and their weights by the table of responses."""
             size = self.detector_width / self.film().size()[0]
-            point, slope, side = self._rays.pass_pixel_lens(pixel, size, sample)
-            lens = self._rays.lens if light is None else light.through(self._rays.lens)
+            point, slope, side = rays.pass_pixel_lens(pixel, size, sample)
+            lens = rays.lens
             # A pixel sees this square of the pupil through an ideal lens.
             seen = dr.square(size * lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
             response = self._table(side, slope, wavelengths) * (math.pi * lens.reach**2 / seen)
@@ -314,13 +312,13 @@ def make_class() -> type:
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray and its weight; `sample2` is the position on the crop window, `sample3` that on the lens."""
+            """Return a random ray and its weight, from positions on the crop window (`sample2`) and on the lens."""
             return self._sample(time, sample1, sample2, sample3, active, differential=False)
 
         def sample_ray_differential(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> tuple[Any, Any]:
-            """Draw a ray with differentials: the rays from the next pixels in x and y through the same lens point."""
+            """Return a random ray with differentials: rays from the next pixels through the same lens point."""
             return self._sample(time, sample1, sample2, sample3, active, differential=True)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
@@ -343,7 +341,7 @@ def make_class() -> type:
             return box
 
         def to_string(self) -> str:
-            """Describe the camera."""
+            """Return the description of the camera that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.camera.to_dict().items()]
             return "\n".join(["PlenopticSensor[", *lines, f"  film = {self.film().class_name()}", "]"])
 
@@ -356,7 +354,7 @@ def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
 
 
 def _as_drjit(entry: Parameter, value: Any) -> Any:
-    """Return the value of a parameter, in its shortest form, as a Dr.Jit array that can carry gradients."""
+    """Return the value of a parameter in its shortest form, as a Dr.Jit array that can carry gradients."""
     return (mi.Point2f if entry.form is Form.PLACE else mi.Float)(entry.plain(value))
 
 
@@ -369,7 +367,7 @@ def _flags(entry: Parameter) -> Any:
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
-    """Return single-precision values as they were given, or else as their shortest decimals: 0.512 for 0.5120000243."""
+    """Return single-precision values as given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(given).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}

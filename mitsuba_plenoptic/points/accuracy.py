@@ -66,7 +66,7 @@ _MANY = 1600
 
 
 def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAULT_ACCURACY) -> float:
-    """Return the allowed error of a method, by default its own, and refuse one that the method would ignore."""
+    """Return the allowed error of a method, or the method's default; refuse an error that the method ignores."""
     if accuracy is None:
         return 0.0 if method == "full_field" else default
     checked = require_accuracy(accuracy)
@@ -99,7 +99,7 @@ def derivative_band_for(accuracy: float, count: int) -> Band:
 
 
 def derivatives_share(accuracy: float, count: int) -> bool:
-    """Return whether derivatives of the sum of some points share point spreads, as images do."""
+    """Return whether derivatives of a sum of `count` points share point spreads, as images do."""
     return accuracy >= _EXACT and count > _FEW
 
 
@@ -156,7 +156,7 @@ def find_patterns(
     wavelength: float,
     step: float,
 ) -> Patterns:
-    """Find points that share patterns.
+    """Return the patterns of points: points with the same pattern share one point spread.
 
     Wavefronts count as equal if they differ by less than `step` waves across a microlens; with 0 nothing is shared.
     Camera and positions are in the frame of the lattice. Points with different pupil weights never share a pattern.
@@ -219,7 +219,7 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.floa
 def _depth_steps(
     camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the index of each distance's step, and the number of parts into which a lens is divided along an axis."""
+    """Return an index per point for its step of distance, and the number of parts of a lens along an axis."""
     lam = in_millimetres(wavelength)
     a, b = lens.pupil_radius, lens.pupil_distance
     defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.collimated import CollimatedLens
-from ..lenses.exit_pupil import ExitPupil
 from ..lenses.main_lens import PointLight
+from ..lenses.pupil_fit import ExitPupil
 from ..lenses.telecentric import TelecentricLens
 from ..lenses.thin import ThinLens
 from ..light.microlenses import diffraction, scattering
@@ -54,7 +54,7 @@ BLOCK = 512
 
 @dataclass(frozen=True)
 class FieldGrids:
-    """Sizes and positions of the grids; pairs are along x and y."""
+    """Sizes and positions of a field's grids; pairs are along x and y."""
 
     pitch: float  # behind the MLA: an integer fraction of a pixel
     per_pixel: int
@@ -233,7 +233,7 @@ def at_mla(
 
 
 def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
-    """Transform the spectrum of a field at the MLA to the finer grid there, and crop it to the detector's window."""
+    """Return the field at the MLA on the finer grid, cropped to the detector's window, from the field's spectrum."""
     (left, top), (columns, rows) = grids.offset, grids.count
     samples = backend().empty((rows, columns), np.complex64)
     with resting_drjit():

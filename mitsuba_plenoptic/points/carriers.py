@@ -79,7 +79,7 @@ class Carrier(Protocol):
     def remainder(
         self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
     ) -> NDArray[np.float64]:
-        """Return paths in waves (m, n) at m points of the pupil, of some points, less those of their waves here."""
+        """Return paths of some points in waves at m points of the pupil, less the waves of this carrier, (m, n)."""
 
 
 class Tilts:
@@ -100,7 +100,7 @@ class Tilts:
 
     @staticmethod
     def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-        """Return an upper bound of the memory in bytes that the sums need, besides that of each point."""
+        """Return an upper bound in bytes of the memory of the sums, without the memory of each point."""
         return PlaneWaves.memory(grid.count)
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
@@ -112,7 +112,7 @@ class Tilts:
     def remainder(
         self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
     ) -> NDArray[np.float64]:
-        """Return paths less that of the middle and the tilts."""
+        """Return paths in waves less the path of the middle point and the tilts."""
         of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
         return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[which].T)
 
@@ -121,7 +121,7 @@ class Tilts:
 
 
 class Spheres:
-    """Waves that an ideal lens makes converge to the images of points (n, 3), moved into one plane behind the pupil."""
+    """Spherical waves towards the images of points (n, 3) by an ideal lens, moved into one plane."""
 
     def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, wavelength, grid
@@ -140,7 +140,7 @@ class Spheres:
 
     @classmethod
     def memory(cls, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-        """Return an upper bound of the memory in bytes that the sums need, besides that of each point."""
+        """Return an upper bound in bytes of the memory of the sums, without the memory of each point."""
         count = fast_length(cls.window(lens, points, grid))
         # The points' plane is a part of the window, as wide as the images.
         held = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
@@ -175,13 +175,13 @@ class Spheres:
         return self._waves.adjoint(spectra())
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
-        """Return the aberrations of the lens."""
+        """Return the aberrations of the lens at points of the pupil."""
         return self._lens.aberration(pupil, self._wavelength)
 
     def remainder(
         self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
     ) -> NDArray[np.float64]:
-        """Return paths less those of the spheres and the aberrations."""
+        """Return paths in waves less the spheres and the aberrations."""
         X, Y = self._images[which].T
         away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
         sphere = self._path(X**2 + Y**2) - self._path(away)
@@ -192,7 +192,7 @@ class Spheres:
 
     @property
     def _inner(self) -> slice:
-        """The samples of the pupil among those of the window."""
+        """Slice of the window's samples that lie within the pupil."""
         first = self._count // 2 - self._grid.count // 2
         return slice(first, first + self._grid.count)
 
@@ -204,7 +204,7 @@ class Spheres:
 
 
 def _sphere(square: Any, radius: float, wavelength: float) -> Any:
-    """Return by how many waves a sphere is behind its vertex, at squared distances from the axis through that."""
+    """Return the sag of a sphere in waves at squared distances from the axis through the sphere's vertex."""
     return square / (radius * (np.sqrt(1 + square / radius**2) + 1) * in_millimetres(wavelength))
 
 
@@ -235,7 +235,7 @@ def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray
 
 
 def _finite_inverse(nearness: float) -> float:
-    """Return the distance of a nearness; that of points on opposite sides may be zero."""
+    """Return the reciprocal of a nearness, finite also where points on opposite sides make it zero."""
     return 1 / math.copysign(max(abs(nearness), 1 / _FARTHEST), nearness)
 
 
@@ -250,5 +250,5 @@ def _to_samples(spectrum: Field, axis: int) -> Field:
 
 
 def _to_frequencies(samples: Field, axis: int) -> Field:
-    """Apply the adjoint of `_to_samples`."""
+    """Return the adjoint of `_to_samples`."""
     return np.fft.fftshift(fft(np.fft.ifftshift(samples, axis), axis=axis), axis)

@@ -84,7 +84,7 @@ class CoherentFields:
         return backend().to_host(pixel_integrals(self.system.camera, spectrum, self.grids))
 
     def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
-        """Return for each point the inner product of its field with samples of one of the planes."""
+        """Return the inner product of each point's field with samples of one of the planes."""
         arrays = backend().arrays
         field = arrays.array(samples, np.complex64)
         if plane == "detector":
@@ -176,12 +176,12 @@ def require_plane(plane: Any) -> str:
 
 
 def check_amplitudes(amplitudes: Any, count: int) -> NDArray[np.complex64]:
-    """Return amplitudes as an array (n,), or refuse them."""
+    """Return amplitudes as a complex array (n,); refuse anything else."""
     return _complex("amplitudes", amplitudes, (count,), "one complex number for each point")
 
 
 def check_samples(samples: Any, shape: tuple[int, int], plane: str) -> NDArray[np.complex64]:
-    """Return samples of a field in a plane as an array, or refuse them."""
+    """Return samples of a field in a plane as a complex array; refuse a wrong shape."""
     return _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
 
 

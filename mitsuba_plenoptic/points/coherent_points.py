@@ -22,7 +22,7 @@ class CoherentPoints(ABC):
 
     @abstractmethod
     def _coherent_fields(self) -> CoherentFields:
-        """Plan the fields of the points, or refuse them."""
+        """Return the plan of the points' fields; refuse points whose fields cannot be computed together."""
 
     @cached_property
     def coherent_fields(self) -> CoherentFields:
@@ -78,7 +78,7 @@ class CoherentPoints(ABC):
 
     @one_at_a_time
     def field_adjoint(self, samples: Any, *, plane: str = "detector") -> NDArray[np.complex64]:
-        r"""Apply the adjoint of `field`: the inner product of every point's field with a field's samples.
+        r"""Return the inner product of every point's field with a field's samples, the adjoint of `field`.
 
         Parameters
         ----------

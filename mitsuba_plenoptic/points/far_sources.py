@@ -24,7 +24,7 @@ Points = NDArray[np.float64]
 
 @suggest_keywords
 def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) -> tuple[Points, Points]:
-    """Return a star.
+    """Return the point and the weight of a star.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def binary(
 
 @suggest_keywords
 def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.0, 0.0)) -> tuple[Points, Points]:
-    """Return an extended source from a picture, with a point for each of its pixels that is not dark.
+    """Return points and weights of an extended source, one point for each bright pixel of a picture.
 
     Pixels should be narrower than the telescope resolves, wavelength / 2 diameter. The points together have the power
     1.

@@ -188,7 +188,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 
 def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round sample counts up to one of few fast FFT lengths, so that points share them."""
+    """Return sample counts rounded up to one of few fast FFT lengths, so that points share lengths."""
     counts = [fast_length(16)]
     while counts[-1] < minimum.max(initial=0):
         length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))

@@ -38,9 +38,8 @@ from ..light.sampling import check_memory
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
-from ..runtime.jobs import Job
 from .arrival import (
     FieldGrids,
     SampledField,
@@ -139,7 +138,7 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
-    """Multiply a field just before the array by the transmission of the microlenses, in its own memory."""
+    """Multiply a field just before the array in place by the transmission of the microlenses."""
     if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
         samples *= _irregular(system, grids)
     else:
@@ -233,7 +232,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """A batch of a single point."""
+    """One point, as a batch."""
 
     system: OpticalSystem
     position: NDArray[np.float64]
@@ -246,7 +245,7 @@ class _FullField:
         return math.prod(self.system.camera.shape)
 
     def prepare(self) -> Callable[[], Part]:
-        """Compute the whole batch."""
+        """Return a function that computes the whole batch."""
         psf = full_field(self.system, self.position, pupil_weights=self.pupil_weights)
         part = Part(recorded_pixels(self.system.camera), self.factors[:, None, None] * psf)
         return lambda: part
@@ -258,7 +257,7 @@ def recorded_pixels(camera: PlenopticCamera) -> Box:
 
 
 class FullFieldPlan:
-    """The operator by full fields, with the parameters of `PatchPlan`, of which `accuracy` is not used."""
+    """Operator by full fields, with the parameters of `PatchPlan`; `accuracy` is not used."""
 
     def __init__(
         self,
@@ -270,34 +269,34 @@ class FullFieldPlan:
         self._system, self._camera, self._points, self._pupil_weights = system, system.camera, points, pupil_weights
 
     def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
-        """Return the sum of the point spreads with these weights, (n, channels), yet to be computed."""
+        """Return the uncomputed sum of the point spreads with given weights, (n, channels)."""
         return FullFieldSum(self, weights)
 
     def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
-        """Describe the point spread of one point."""
+        """Return the batch of one point's spread."""
         weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
         return _FullField(self._system, self._points[point], factors, weights)
 
     @property
     def box(self) -> Box:
-        """The recorded pixels."""
+        """Box of the recorded pixels."""
         return recorded_pixels(self._camera)
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return for every point the image weighted by its point spread; see `PatchPlan.gather`."""
+        """Return the inner product of an image with every point's spread; see `PatchPlan.gather`."""
         one, count = np.ones(1, np.float32), len(self._points)
         batches = (self.batch(point, one) for point in range(count))
         spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the memory in bytes of the image, or refuse it; the fields are checked point by point."""
+        """Return the bytes of the image; refuse too many. Fields are checked point by point."""
         memory = 8.0 * channels * math.prod(self._camera.shape)
         check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
         return memory
 
     def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate the cost of a sum from its first point."""
+        """Return the estimated cost of a sum, from its first point."""
         count, memory = len(self._points), self.check_memory(batch_map)
         start = time.perf_counter()
         if count:
@@ -306,7 +305,7 @@ class FullFieldPlan:
 
 
 class FullFieldSum:
-    """A sum of full fields, with the interface of `runtime.jobs.LongSum`."""
+    """A sum of full fields, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: FullFieldPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights.astype(np.float32)
@@ -320,5 +319,5 @@ class FullFieldSum:
         return (self._plan.batch(int(point), self._weights[point]) for point in self._lit[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Move the channels to the last axis; the loss of a full field is checked where it is computed."""
+        """Return the total with its channels in the last axis."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))

@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing
 from ..light.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT, _ROUNDING = 0.1, 1e-6
@@ -22,14 +22,14 @@ _LEFT_OUT, _ROUNDING = 0.1, 1e-6
 
 @dataclass(frozen=True)
 class SpectralSum:
-    """A sum of point spreads at one wavelength, several of which make an image."""
+    """Sum of point spreads at one wavelength; several such sums make an image."""
 
     wavelength: float  # in nanometres
     before: NDArray[np.float64]  # factors on the columns of the weights, (columns, k)
     after: NDArray[np.float32]  # factors from the sum's channels to those of the image, (channels, k)
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
-        """Return it with the fewest columns that determine the weights of some points: one if all have one spectrum.
+        """Return the sum with the fewest columns that determine the weights of points: one if all have one spectrum.
 
         Spectra that change little between nodes give channels with weights that are nearly proportional, and every
         column costs one addition for each copy.
@@ -55,7 +55,7 @@ class WeightChannels:
 
     @property
     def light(self) -> Any:
-        """The wavelength or the spectrum, as plain data."""
+        """Wavelength or spectrum of the light, as plain data."""
         return self._wavelength if self.spectrum is None else asdict(self.spectrum)
 
     @property
@@ -93,7 +93,7 @@ class WeightChannels:
             yield part.reduced(weights, errors) if self.spectrum is not None and self.spectrum.nodes else part
 
     def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
-        """Return an image of shape (rows, columns, ...) as (rows, columns, channels), or refuse it."""
+        """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
         with refusing("image: it must be numbers, (rows, columns) or (rows, columns, channels)", *NO_ARRAY):
             pixels = np.asarray(image, dtype)
         rows, columns = shape
@@ -107,7 +107,7 @@ class WeightChannels:
         return channels
 
     def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
-        """Return the weights of `count` points as (count, columns), or refuse them."""
+        """Return the weights of `count` points as an array (count, columns); refuse anything else."""
         with refusing(f"weights: they must be numbers, ({count},) or ({count}, channels)", *NO_ARRAY):
             factors = np.asarray(weights, np.float64)
         refuse_if(
@@ -140,7 +140,7 @@ class WavelengthPlans:
         self._plans: dict[float, Any] = {}
 
     def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
-        """Return the plans of another kind for the same points."""
+        """Return plans of another kind for the same points."""
         return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
 
     def system_at(self, wavelength: float) -> OpticalSystem:
@@ -150,20 +150,20 @@ class WavelengthPlans:
         return self._systems[wavelength]
 
     def at(self, wavelength: float) -> Any:
-        """Return the plan at a wavelength."""
+        """Return the plan of a wavelength."""
         if wavelength not in self._plans:
             self._plans[wavelength] = self._make(self.system_at(wavelength), *self._planned_for)
         return self._plans[wavelength]
 
     def checked(self, wavelength: float, job: Job, channels: int) -> Any:
-        """Return the plan at a wavelength, or refuse it if it needs too much memory."""
+        """Return the plan at a wavelength; refuse a plan that needs too much memory."""
         plan = self.at(wavelength)
         plan.check_memory(job.workers, channels)
         return plan
 
 
 def mix(image: NDArray[Any], matrix: NDArray[np.float32]) -> NDArray[Any]:
-    """Mix the channels of an image, (..., channels), by a matrix (new channels, channels)."""
+    """Return an image (..., channels) with its channels mixed by a matrix (new channels, channels)."""
     return image if np.array_equal(matrix, np.eye(len(matrix))) else np.asarray(image @ matrix.T)
 
 

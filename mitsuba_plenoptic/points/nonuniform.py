@@ -60,7 +60,7 @@ class PlaneWaves:
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
-        """Return an upper bound of the memory in bytes that the sums need, besides that of each plane wave.
+        """Return an upper bound in bytes of the memory of the sums, without the memory of each plane wave.
 
         `band` is the part of the frequencies from -1/2 to 1/2, along each axis, that occurs.
         """
@@ -68,7 +68,7 @@ class PlaneWaves:
         return 8.0 * held * (2.0 * count + held)
 
     def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
-        """Yield blocks of rows of the sum of plane waves with these amplitudes (n,)."""
+        """Yield blocks of rows of the sum of plane waves with given amplitudes (n,)."""
         parts = self._spread.T @ amplitudes.view(np.float32).reshape(-1, 2)
         spread = np.ascontiguousarray(parts, np.float32).view(np.complex64).reshape(self._shape)
         tall = _to_samples(spread, self._low[1], self._length, self.count, 0) * self._correction[:, None]
@@ -76,7 +76,7 @@ class PlaneWaves:
             yield rows, _to_samples(tall[rows], self._low[0], self._length, self.count, 1) * self._correction
 
     def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
-        """Return for each plane wave its inner product with samples, which come in blocks of rows."""
+        """Return the inner product of each plane wave with samples, which come in blocks of rows."""
         tall = np.empty((self.count, self._shape[1]), np.complex64)
         for rows, block in samples:
             given = block * self._correction
@@ -93,7 +93,7 @@ def length(count: int) -> int:
 
 
 def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
-    """Transform frequencies from index `first` on to `count` samples about the origin, along one axis."""
+    """Return `count` samples about the origin along an axis, from frequencies that begin at index `first`."""
     shape = list(spectrum.shape)
     shape[axis] = size
     padded = np.zeros(shape, np.complex64)

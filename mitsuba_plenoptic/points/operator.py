@@ -21,7 +21,7 @@ from ..light.sampling import check_positions
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
-from ..runtime.jobs import Job, LongSum, SumTask
+from ..runtime.batches import Job, LongSum, SumTask
 from .accuracy import chosen_accuracy
 from .coherent import CoherentFields
 from .coherent_points import CoherentPoints
@@ -42,7 +42,7 @@ METHODS = tuple(PLANS)
 
 
 class CaptureOperator(CoherentPoints):
-    r"""The image that a camera's detector records from incoherent point sources, which is linear in their weights.
+    r"""Image that a camera's detector records from incoherent point sources, as a linear function of their weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
@@ -135,7 +135,7 @@ class CaptureOperator(CoherentPoints):
         self._differentials: Differentials | None = None
 
     def _coherent_fields(self) -> CoherentFields:
-        """Return the fields of the points at the operator's only wavelength, or refuse them."""
+        """Return the plan of the points' fields at the operator's only wavelength; refuse several wavelengths."""
         wavelengths = [part.wavelength for part in self._channels.parts(1)]
         refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
         refuse_if(
@@ -181,7 +181,7 @@ class CaptureOperator(CoherentPoints):
 
     @one_at_a_time
     def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
-        """Apply the transpose of `forward`: weigh an image by the point spread of every point.
+        """Return the inner product of an image with the point spread of every point, the transpose of `forward`.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class CaptureOperator(CoherentPoints):
 
     @one_at_a_time
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
-        """Differentiate `forward` in the direction of changes of the camera's parameters.
+        """Return the derivative of `forward` along changes of the camera's parameters.
 
         Points, weights, the relative power over each pupil and the total power through it are fixed. Behind a real main
         lens, for up to 512 points, or at accuracies below 0.004, each point has a spread of its own; otherwise points
@@ -252,7 +252,7 @@ class CaptureOperator(CoherentPoints):
     def jacobian(
         self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
     ) -> NDArray[np.float32]:
-        """Differentiate `forward` in several directions at once, for which the fields are computed once.
+        """Return the derivatives of `forward` in several directions; the fields are computed once for all of them.
 
         Parameters
         ----------
@@ -283,7 +283,7 @@ class CaptureOperator(CoherentPoints):
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Apply the transpose of `derivative`: propagate the gradient of a scalar back from the image to the camera.
+        """Return the gradient by camera parameters of a scalar with a given gradient by the image.
 
         All parameters together take one reverse pass through all point spreads.
 
@@ -319,7 +319,7 @@ class CaptureOperator(CoherentPoints):
         return self._for_derivatives().vjp(factors, channels, chosen, wavelengths, matrix, job or Job())
 
     def _for_derivatives(self) -> Differentials:
-        """Return the derivatives of the sums, or refuse methods that do not support them."""
+        """Return the derivatives of the sums; refuse methods without derivatives."""
         refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
         require_no_shape(self.camera, "derivatives of wave captures are found")
@@ -333,7 +333,7 @@ class CaptureOperator(CoherentPoints):
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:
-        """Estimate the cost of `forward` from a small part of it at the middle wavelength.
+        """Return the estimated cost of `forward`, from a small part of the sum at the middle wavelength.
 
         Parameters
         ----------
@@ -419,7 +419,7 @@ class CaptureOperator(CoherentPoints):
         }
 
     def _check(self, weights: Any) -> NDArray[np.float64]:
-        """Return weights as (n, columns)."""
+        """Return weights as an array (n, columns); refuse anything else."""
         return self._channels.check_weights(weights, len(self.points))
 
 

@@ -47,7 +47,7 @@ from .patch_factors import Fields, PatchFactors
 
 
 class _Sizes(NamedTuple):
-    """Samples of the fields that are transformed together, enough for calls to cost little, and of a block of them.
+    """Numbers of samples for fields that are transformed together, and for a block of one field.
 
     A block fits into a core's own cache; on CUDA there is nothing to gain from blocks.
     """
@@ -94,21 +94,21 @@ class PatchBatch:
 
     @property
     def is_separable(self) -> bool:
-        """Whether all factors on the array are along one axis."""
+        """Whether every factor on the array depends on one axis alone."""
         return len(self.factors.axes) == 2
 
     @cached_property
     def _transfer(self) -> Field:
-        """The transfer function, (directions along x, along y)."""
+        """Transfer function from array to detector, (directions along x, along y)."""
         return self.libraries.arrays.ascontiguousarray(self.parts[-1].T)
 
     @property
     def together(self) -> int:
-        """Points to transform at a time: small ones in groups, so that the calls cost little."""
+        """Number of points transformed at a time: small fields in groups, so that calls cost little."""
         return min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
     def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[int, slice, Field]]:
-        """Transform the fields of points start ... stop, at most `together`, to the detector.
+        """Yield the fields of points start ... stop on the detector, at most `together` at a time.
 
         Everything is done on blocks that fit into a core's own cache. Yields points, by their index in the batch, with
         parts of their fields, (samples along x, some samples along y), and where these lie along y; the memory of a
@@ -156,14 +156,14 @@ class PatchBatch:
 
 
 def _to_array(spectra: Field, work: Field) -> Field:
-    """Transform lines of spectra, with zeros behind them, to positions on the array, in the memory of `work`."""
+    """Return fields on the array, in the memory of `work`, from lines of spectra that are padded with zeros."""
     count = spectra.shape[2]
     work[..., :count], work[..., count:] = spectra, 0
     return inverse_along(work, axis=2)
 
 
 def _blocks(count: int, length: int, samples: int) -> Iterator[slice]:
-    """Cut `count` rows of some length into blocks of about some samples."""
+    """Yield slices that cut `count` rows of a given length into blocks of about `samples` samples."""
     parts = max(1, round(count * length / samples))
     edges = [count * part // parts for part in range(parts + 1)]
     return (slice(*pair) for pair in itertools.pairwise(edges))
@@ -174,12 +174,12 @@ def _largest(blocks: Iterator[slice]) -> int:
 
 
 def forward_along(field: Field, axis: int) -> Field:
-    """Transform unscaled, on this thread alone."""
+    """Return the unscaled transform of a field along an axis, computed on this thread alone."""
     return fft(field, axis=axis, workers=1)
 
 
 def inverse_along(field: Field, axis: int) -> Field:
-    """Transform back unscaled, on this thread alone."""
+    """Return the unscaled inverse transform along an axis, computed on this thread alone."""
     return fft(field, axis=axis, inverse=True, norm="forward", workers=1)
 
 
@@ -224,7 +224,7 @@ class Memory:
         return self.arrays.multiply(conjugate, field, out=conjugate)
 
     def widened(self, field: Field, length: int, axis: int) -> Field:
-        """Return a field with zeros behind it along an axis."""
+        """Return a field with zeros appended along an axis."""
         shape = list(field.shape)
         shape[axis] = length
         wide = self.take(tuple(shape))
@@ -276,11 +276,11 @@ class FieldChain:
 
     @property
     def intensity(self) -> Any:
-        """The square of the field, float32."""
+        """Squared modulus of the field, float32."""
         return self.field.real**2 + self.field.imag**2
 
     def jvp(self, changes: Parts) -> Any:
-        """Return the change of the intensity with changes of the factors, None where it does not change."""
+        """Return the change of the intensity for changes of the factors; None stands for an unchanged factor."""
         moved, product = self._moved(changes), self._memory.product
         spectrum = _total(
             None if moved is None else product(moved, self._transfer),
@@ -344,7 +344,7 @@ class FieldChain:
         return field
 
     def _cotangent(self, product: Field, factors: list[_Factor], which: int) -> Field:
-        """Return the cotangent of one factor of a stage from that of the product of all."""
+        """Return the cotangent of one factor of a stage from the cotangent of the product of all its factors."""
         for _, factor in factors[:which] + factors[which + 1 :]:
             product = self._memory.product(product, self._arrays.conj(factor))
         # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
@@ -357,18 +357,18 @@ class FieldChain:
         return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
     def _before_space(self, spectrum: Field) -> Field:
-        """Take a cotangent of the spectrum on the detector, whose memory is used, to that behind the array."""
+        """Return the cotangent behind the array from a cotangent of the spectrum on the detector, computed in place."""
         assert self._returning is not None
         return self._arrays.multiply(spectrum, self._returning, out=spectrum)
 
     def _to_detector(self, spectrum: Field) -> Field:
-        """Take a spectrum, whose memory is used, to the detector."""
+        """Return the field on the detector from a spectrum, computed in place."""
         if self._finer == 1:
             return inverse_along(inverse_along(spectrum, 0), 1)
         return self._inverse(spectrum, self._finer * self._samples, (0, 1))
 
     def _from_detector(self, gradient: Any) -> Field:
-        """Apply the adjoint of `_to_detector` to the field times a gradient."""
+        """Return the adjoint of `_to_detector` applied to the field times a gradient."""
         (size, _), n, arrays = self.field.shape, self._samples, self._arrays
         columns, rows = self._memory.take((size, n)), max(1, _BLOCK // size)
         for block in (slice(first, first + rows) for first in range(0, size, rows)):
@@ -376,7 +376,7 @@ class FieldChain:
         return arrays.ascontiguousarray(_forward(columns, n, (0,)))
 
     def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
-        """Return the inverse transform of a field with zeros behind it, of some size along each of some axes."""
+        """Return the inverse transform of a field padded with zeros to given sizes along given axes."""
         for axis in axes:
             field = inverse_along(self._memory.widened(field, size, axis), axis)
         return field
@@ -391,7 +391,7 @@ def _total(one: Field | None, other: Field | None) -> Field | None:
 
 
 def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
-    """Transform unscaled, in the field's memory and on this thread alone, and take the first samples along the axes."""
+    """Return the first samples of the unscaled transform along axes, computed in place on this thread alone."""
     for axis in axes[::-1]:
         field = forward_along(field, axis)
         field = field[:count] if axis == 0 else field[:, :count]

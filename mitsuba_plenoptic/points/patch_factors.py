@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..lenses.lens_changes import VaryingLens, VaryingLight
+from ..lenses.fitted_lens import VaryingLens, VaryingLight
 from ..lenses.main_lens import Light, MainLens
 from ..light.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
@@ -77,7 +77,7 @@ class PatchFactors:
         elements: Callable[[int], Elements] | None = None,
         types: Any = None,
     ) -> None:
-        """Prepare the factors of fields with some amplitudes.
+        """Prepare the factors of fields with given amplitudes.
 
         `elements` is a function from the number of lanes to the elements; the default is those of the grid's camera.
         `types` is the module of Dr.Jit's arrays, by default without gradients.
@@ -105,13 +105,13 @@ class PatchFactors:
 
     @functools.cached_property
     def _own(self) -> Elements:
-        """The elements of the grid's camera."""
+        """Optical elements of the camera whose grid this is."""
         grid = self._grid
         lens = functools.cache(lambda: grid.lens.opaque(self._constant))
         return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
 
     def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
-        """Return one point's part of each factor, or of data of the same layout; None where there is none."""
+        """Return one point's part of each factor, or of data of the same layout; None where a factor is None."""
         *own, transfer = parts
         mine = [None if part is None else part[point] for part in own]
         return [*mine, None if transfer is None else transfer[self.directions_of(point)]]
@@ -133,7 +133,7 @@ class PatchFactors:
         yield self._transfer(self._elements(self.shapes[-1]))
 
     def _elements(self, shape: tuple[int, ...]) -> Elements:
-        """Return the elements for a factor of the given shape."""
+        """Return the optical elements in arrays of the shape that a factor has."""
         return self._elements_of(math.prod(shape))
 
     @property
@@ -146,7 +146,7 @@ class PatchFactors:
         return value if dr.is_array_v(value) else dr.opaque(self._types.Float64, value)
 
     def _each(self, values: Any, patch: Any) -> Any:
-        """Return for each lane the value of its patch's point."""
+        """Return, for each lane, the value that belongs to the point of the lane's patch."""
         if isinstance(values, np.ndarray):
             values = drjit_array(self._types.Float64, values)
         return dr.gather(self._types.Float64, values, patch)
@@ -211,7 +211,7 @@ class PatchFactors:
         return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
-        """Transform a vector from the frame of the lattice to that of the camera."""
+        """Return the components of a vector in the camera's frame, from those in the frame of the lattice."""
         angle = self._grid.rotation + elements.turned
         return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))
 

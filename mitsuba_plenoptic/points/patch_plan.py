@@ -18,9 +18,8 @@ from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_memory
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
 from ..runtime.fft import resting_drjit
-from ..runtime.jobs import Job
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
 from .patch_factors import Fields
@@ -94,7 +93,7 @@ class PatchPlan:
         self._chunks = self._sort()
 
     def _sort(self) -> list[NDArray[np.int64]]:
-        """Divide the patterns into chunks."""
+        """Return the patterns divided into chunks."""
         samples, corner = self._placement.samples, self._placement.corner
         if not len(samples):
             return []
@@ -120,7 +119,7 @@ class PatchPlan:
         return PatchSum(self, weights)
 
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
-        """Describe a chunk: fields are scaled by their largest weights, and copies have weights relative to these.
+        """Return the data of a chunk's fields: scaled by their largest weights, with copies weighted relative to these.
 
         Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
         """
@@ -166,7 +165,7 @@ class PatchPlan:
         return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
     def _fields(self, which: NDArray[np.int64]) -> Fields:
-        """Describe the fields of a selection of patterns."""
+        """Return the data of the fields of a selection of patterns."""
         weights = self._pupil_weights and self._pupil_weights.take(self._order[self._first[which]])
         if weights is not None and self._slant is not None:
             weights = replace(weights, slant=self._slant[which])
@@ -199,12 +198,12 @@ class PatchPlan:
         return 1 - arrived / sent if sent else None
 
     def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
-        """Compute a chunk immediately, in this thread."""
+        """Return the part of a chunk, computed at once in this thread."""
         with resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
     def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
-        """Compute a chunk, and return the part and the seconds that it took."""
+        """Return the part of a chunk, and the seconds that computing it took."""
         backend().synchronize()
         start = time.perf_counter()
         part = self._sum_of(chunk, weights)
@@ -225,7 +224,7 @@ class PatchPlan:
     # -- adjoint ---------------------------------------------------------------------------------------
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return for every point the image weighted by its point spread.
+        """Return the inner product of an image with every point's spread.
 
         `done` of the `total` points of a job are already complete.
         """
@@ -248,7 +247,7 @@ class PatchPlan:
         return result
 
     def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
-        """Describe a chunk with the samples of its tile; samples outside the recorded ones are zero."""
+        """Return a chunk with the samples of its tile; samples outside the recorded area are zero."""
         fields = self._fields(chunk)
         placement = fields.placement
         copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
@@ -256,7 +255,7 @@ class PatchPlan:
         return Gather(fields, copies, self._tile(samples, box))
 
     def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
-        """Extract a rectangle of the grid from recorded samples (channels, rows, columns), padded with zeros."""
+        """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros."""
         own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
         top, left = box.top - own.top, box.left - own.left
         rows = slice(max(top, 0), min(top + box.rows, own.rows))
@@ -282,7 +281,7 @@ class PatchPlan:
         return channels * self._recorder.memory + tiles * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the memory in bytes that a sum takes, or refuse it."""
+        """Return the bytes of a sum; refuse too many."""
         memory = self.memory(batch_map, channels)
         largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
         what = f"{self._count} points by patches of {largest} x {largest} samples"
@@ -323,12 +322,12 @@ def _areas(samples: Any) -> Any:
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of `count` patterns at regular intervals, each in its own array."""
+    """Return a few of `count` patterns at regular intervals, each as an array of one index."""
     return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 
 class PatchSum:
-    """A sum of point spreads, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+    """A sum of point spreads, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights

@@ -49,7 +49,7 @@ class PixelAxis:
         return self._integrals_of_means() if self.means else self._integrals(moment=False)
 
     def _integrals_of_means(self) -> scipy.sparse.csr_array:
-        """Return the weights of the integrals, those up to an edge interpolated from those up to the samples' borders.
+        """Return the weights of integrals up to edges, interpolated from integrals up to the borders of samples.
 
         Between six borders a polynomial is taken.
         """
@@ -89,7 +89,7 @@ class PixelAxis:
         return _interpolation(position, node_weights, self.samples)
 
     def at_edges(self, speed: NDArray[np.float64]) -> scipy.sparse.csr_array:
-        """Return the weights of the intensity at each pixel's last edge less that at its first, times edge speeds."""
+        """Return the weights of the intensity at each pixel's last edge minus its first edge, times edge speeds."""
         position = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
         both = np.stack([position[:-1], position[1:]], -1)
         return _interpolation(both, np.stack([-speed[:-1], speed[1:]], -1), self.samples)
@@ -113,7 +113,7 @@ def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], 
 def _matrix(
     values: NDArray[np.float64], rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
 ) -> scipy.sparse.csr_array:
-    """Return the sparse matrix of some values; of those in one place it has the sum."""
+    """Return the sparse matrix of values; values at one place are added."""
     held = (columns >= 0) & (columns < shape[1])
     matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=shape)
     return matrix.tocsr().astype(np.float32)
@@ -177,7 +177,7 @@ class PixelIntegrals:
         return PixelIntegrals(*self._axes, [*self.widened(middle, -scale)._terms, growth])
 
     def turned(self, middle: tuple[float, float]) -> PixelIntegrals:
-        """Return the derivatives by a clockwise rotation of the detector in degrees, against that of the lattice."""
+        """Return the derivatives of the integrals by a clockwise rotation of the detector against the lattice."""
         moment_x, moment_y = (axis.moments(centre) for axis, centre in zip(self._axes, middle, strict=True))
         edges_x, edges_y = (axis.at_edges(np.full(axis.count + 1, math.pi / 180)) for axis in self._axes)
         return PixelIntegrals(*self._axes, [(moment_y, edges_x), (edges_y, -moment_x)])
@@ -189,11 +189,11 @@ class PixelIntegrals:
         return PixelIntegrals(*self._axes, terms)
 
     def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Integrate samples (rows, columns) per square millimetre over the pixels, on the device of the samples."""
+        """Return the integrals over the pixels of samples (rows, columns) per mm², on the samples' device."""
         return _sum_of_products(self._terms, intensity)
 
     def adjoint(self, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return for each sample the sum of the pixels, weighted by its contribution to each of them."""
+        """Return the adjoint of the integrals: for each sample, the pixels weighted by the sample's contributions."""
         return _sum_of_products([(along_y.T.tocsr(), along_x.T.tocsr()) for along_y, along_x in self._terms], pixels)
 
 
@@ -216,7 +216,7 @@ _BLOCK = 2**22
 
 
 class TurnedSamples:
-    """Samples of an intensity on a new grid, relative to which its own is rotated counter-clockwise about the axis.
+    """Samples of an intensity on a new grid, relative to which the intensity's grid is rotated counter-clockwise.
 
     `samples` and `shape` are the rows and columns of the intensity's own samples and of the new ones; `pitch` and
     `origin` (x, y) are those of its own samples in their own frame. Outside its own samples the intensity is zero.
@@ -239,7 +239,7 @@ class TurnedSamples:
         self._weights = windowed_sinc(parts[:, None] - np.arange(1 - HALF_WIDTH, 1 + HALF_WIDTH)).astype(np.float32)
 
     def forward(self, intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Interpolate the intensity (rows, columns) at the new samples."""
+        """Return the intensity (rows, columns) interpolated at the new samples."""
         libraries = backend_of(intensity)
         types, arrays = libraries.types, libraries.arrays
         values = drjit_array(types.Float, arrays.pad(intensity, HALF_WIDTH))
@@ -258,7 +258,7 @@ class TurnedSamples:
         return result
 
     def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return for each of the intensity's own samples the new ones, weighted by its contribution to each of them.
+        """Return the adjoint: for each sample of the intensity, the new samples weighted by its contributions.
 
         The rounding of the result depends on the order in which threads add.
         """
@@ -283,7 +283,7 @@ class TurnedSamples:
     def _visited(
         self, libraries: Backend
     ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
-        """Yield lines of the new grid, a mask of their samples, weights across, and a loop over the rows around."""
+        """Yield lines of the new grid with a mask of samples, weights across, and a loop over the rows around."""
         types = libraries.types
         table = drjit_array(types.Float, self._weights)
         rows, columns = self._samples

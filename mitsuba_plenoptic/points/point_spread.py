@@ -14,8 +14,7 @@ from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import Threads
-from ..runtime.jobs import Job
+from ..runtime.batches import Job, Threads
 from . import full_field
 from .full_field import PointFields
 from .operator import CaptureOperator
@@ -26,7 +25,7 @@ from .operator import CaptureOperator
 def point_spread_function(
     camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"
 ) -> NDArray[np.float32]:
-    """Integrate the light of one scene point over the recorded pixels.
+    """Return the light of one scene point in each recorded pixel.
 
     Parameters
     ----------
@@ -67,7 +66,7 @@ def point_spread_function(
 
 @one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
-    """Propagate the light of one scene point and return its complex field at the pupil, the MLA and the detector."""
+    """Return the complex field of one scene point at the pupil, the MLA and the detector."""
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)

@@ -90,7 +90,7 @@ class Layer:
         self._of_points = (np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)
 
     def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
-        """Add the field of points with these amplitudes (n,) to samples of the grid."""
+        """Add the field of points with given amplitudes (n,) to samples of the grid."""
         common = self._common()
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
             for rows, waves in self._carrier.forward(amplitudes * of_points):
@@ -99,7 +99,7 @@ class Layer:
                 field[rows] += waves
 
     def adjoint(self, field: Field) -> NDArray[np.complex64]:
-        """Return for each point the inner product of its field with samples of the grid."""
+        """Return the inner product of each point's field with samples of the grid."""
         given = self._common().conj() * field
         total = np.zeros(self._of_points.shape[1], np.complex64)
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
@@ -117,7 +117,7 @@ class Layer:
         return self._grid.pitch * (self._grid.count // 2 + 1)
 
     def _common(self) -> Field:
-        """Return what the fields of all points have in common on the samples, with modulus 1 in the pupil."""
+        """Return the common factor of all points' fields on the samples, of modulus 1 in the pupil."""
         types, grid = array_module(), self._grid
         row, column = rows_and_columns(types, grid.count, grid.count)
         x, y = (
@@ -130,7 +130,7 @@ class Layer:
         return as_field(pack(light), (grid.count, grid.count))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
-        """Return a function of P, given at the nodes, at rows of the samples."""
+        """Return a function of P at rows of the samples, interpolated from values at the nodes."""
         along_x, along_y = self._interpolation
         return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
 
@@ -170,7 +170,7 @@ class Layer:
 
 
 def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
-    """Return the waves from which the fields of points differ least: spheres behind an ideal lens, else tilts."""
+    """Return the kind of waves from which the points' fields differ least: spheres behind an ideal lens, else tilts."""
     spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
     return Spheres if spheres else Tilts
 
@@ -186,7 +186,7 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
 
 
 def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-    """Return an upper bound of the memory in bytes of the field of a layer's points (n, 3), besides that of each."""
+    """Return an upper bound in bytes of the memory of the field of points (n, 3), without the memory of each point."""
     return carrier_type(lens, points, grid).memory(lens, points, grid)
 
 
@@ -211,7 +211,7 @@ def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def _completed(
     basis: NDArray[np.complex128], factors: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return a basis with the functions added that single ones of some factors (m, n) need, and their coefficients.
+    """Return a basis extended by functions that factors (m, n) need, and the factors' coefficients.
 
     Points that are far from most others have such factors.
     """
@@ -236,7 +236,7 @@ def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the indices of some points, with those on the edges of the layer along all of its diagonals."""
+    """Return the indices of points on the edges of the layer along all of its diagonals."""
     tilt = points[:, :2] / points[:, 2:]
     directions = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
     values = np.column_stack([tilt, 1 / points[:, 2]])

@@ -41,7 +41,7 @@ class PupilWeights:
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
-        """Collect the weights of `count` points.
+        """Return the pupil weights of `count` points, None if all points see the whole pupil alike.
 
         The weights have the shape (points, m, m): relative power, or booleans for the visible part. None means uniform
         power.
@@ -138,7 +138,7 @@ def _border(position: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
 
 
 def _splines(position: Any) -> list[tuple[Any, Any]]:
-    """Return the four cells around a position, and the cubic B-splines centred on them, evaluated there."""
+    """Return the four cells around a position, and the values of the cubic B-splines centred on these cells."""
     before = np.floor(position - 0.5) if isinstance(position, np.ndarray) else dr.floor(position - 0.5)
     parts = spline_parts(position - 0.5 - before)
     return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]

@@ -53,7 +53,7 @@ class Recorder:
     def _turned(
         self, low: NDArray[np.float64], high: NDArray[np.float64], degrees: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Bound a rectangle, given from the detector's corner, after a turn about the axis."""
+        """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
         if degrees == 0:
             return low, high
         x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self._grid.origin[axis] for axis in (0, 1))
@@ -62,17 +62,17 @@ class Recorder:
 
     @property
     def count(self) -> int:
-        """Number of the pixels."""
+        """Number of recorded pixels."""
         return self._pixels.rows * self._pixels.columns
 
     @property
     def memory(self) -> float:
-        """Bytes that a channel takes while it is recorded."""
+        """Number of bytes that a channel takes while it is recorded."""
         image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
         return image + (12.0 * self.box.rows * self.box.columns if self._grid.rotation != 0 else 0)
 
     def record(self, sums: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Integrate samples of the box over the pixels, or return how the integrals change where the pixels move.
+        """Return integrals of the box's samples over pixels, or the change of the integrals as the pixels move.
 
         `sums` (channels, rows, columns) are per square millimetre, the result (rows, columns, channels) is of all
         recorded pixels. `move` is what changes by 1 while the samples are fixed: "detector_width", "mla_rotation" (the
@@ -86,12 +86,12 @@ class Recorder:
         return image
 
     def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Integrate one channel as `record` does, but return the pixels in the `window` only, (rows, columns)."""
+        """Return the integrals of one channel, as `record` has them, over the pixels in `window` alone."""
         upright = samples if self._upright is None else self._upright.forward(samples)
         return backend().to_host(self._pixels_of(move).forward(upright))
 
     def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Apply the adjoint of `record`."""
+        """Return the adjoint of `record`: samples from an image."""
         arrays = backend().arrays
         channels = []
         for channel in np.moveaxis(image[self.window], -1, 0):
@@ -108,19 +108,19 @@ class Recorder:
 
     @property
     def _edge(self) -> tuple[float, float]:
-        """X and y of the first pixel's corner, from the detector's."""
+        """X and y of the first pixel's corner, relative to the detector's corner."""
         p = self._camera.pixel_size
         return self._pixels.left * p, self._pixels.top * p
 
     @property
     def _origin(self) -> tuple[float, float]:
-        """X and y of the first sample, in the frame of the lattice, from the detector's corner."""
+        """X and y of the first sample in the lattice's frame, relative to the detector's corner."""
         pitch, size = self._grid.pitch, (self._camera.detector_width, self._camera.detector_height)
         x, y = np.array([self.box.left, self.box.top]) * pitch + (self._grid.origin + np.array(size) / 2)
         return float(x), float(y)
 
     def _pixels_of(self, move: str | None) -> PixelIntegrals:
-        """Return the integrals over the pixels, or their changes where these move."""
+        """Return the integrals over the pixels, or their changes as the pixels move."""
         if move is None:
             return self._integrals
         if move in STEPS:
@@ -148,7 +148,7 @@ class Recorder:
 
     @cached_property
     def _upright(self) -> TurnedSamples | None:
-        """From the lattice's frame to samples in the camera's; None if the two are one."""
+        """Samples in the camera's frame of an intensity in the lattice's frame; None if both frames are equal."""
         grid = self._grid
         if grid.rotation == 0:
             return None

@@ -33,7 +33,7 @@ from ..light.optical_system import OpticalSystem
 from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import drjit_array
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from ..runtime.limits import largest_fitting, require_memory
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
@@ -114,7 +114,7 @@ def require_matte_surfaces(scene: Any, what: str) -> None:
 def find_points(
     lights: Sequence[SceneLight], camera: PlenopticCamera, count: int, *, seed: int, paths: int = PATHS
 ) -> ScenePoints:
-    """Find the points where the rays of all lenses first hit a surface, and the weights of their light."""
+    """Return the points where the rays of all lenses first hit a surface, with the weights of their light."""
     camera.require_resolved()
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
@@ -165,7 +165,7 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Trace the rays of the given indices.
+        """Return the points at which traced rays of the given indices meet the scene.
 
         Return the positions, radiance, slants, visible pupil cells as bits, and lenses of the lit points that rays
         hit, and the lenses of all rays that pass the main lens.
@@ -219,7 +219,7 @@ class _Finder:
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
-        """Return as bits (n, bytes) which pupil cells see points; the cell of its own ray always does."""
+        """Return, as bits (n, bytes), the pupil cells that see points; the cell of a point's ray always does."""
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
@@ -238,7 +238,7 @@ class _Finder:
 def _landing(
     system: OpticalSystem, positions: NDArray[np.float64], weights: PupilWeights | None, window: LensWindow
 ) -> NDArray[np.float64]:
-    """Return for each point the fraction f of its light to the visible pupil that lands in a window's lenses."""
+    """Return the fraction of each point's light through the visible pupil that lands in the lenses of a window."""
     fraction = np.ones(len(positions))
     if not len(positions):
         return fraction
@@ -280,7 +280,7 @@ class PointsCapture:
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Capture the scene.
+        """Return the capture of the scene.
 
         The result has the shape (rows, columns, channels).
         """
@@ -301,7 +301,7 @@ class PointsCapture:
         return image
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate the cost of `compute` without ray tracing, from all points and some of their spreads."""
+        """Return the estimated cost of `compute` without ray tracing, from all points and some of their spreads."""
         points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
         return replace(self._operator(points).estimate(job), points=len(points.positions))
 

@@ -25,7 +25,7 @@ def with_enough_nodes(
     error: float,
     pupil_weights: Any = None,
 ) -> Spectrum:
-    """Return a spectrum with as few nodes as its point spreads need.
+    """Return a spectrum with as few nodes as accurate point spreads need.
 
     The number of nodes is raised in steps until images of each point, by every channel, change by no more than half
     of the error; the other half allows for the error that remains.
@@ -65,7 +65,7 @@ def with_enough_nodes(
 
 
 def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
-    """Return the rows and columns that contain all light of some images, or all rows and columns without light."""
+    """Return the ranges of rows and columns that hold all light of images; the full ranges if there is no light."""
     lit = np.any([image.any(2) for image in images], axis=0)
     found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
     rows, columns = (slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(None) for some in found)
@@ -73,7 +73,7 @@ def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
 
 
 def _cropped(camera: PlenopticCamera, rows: slice, columns: slice) -> PlenopticCamera:
-    """Return the camera that records those rows and columns of its image alone."""
+    """Return the camera that records only the given rows and columns of its image."""
     (left, right, _), (top, bottom, _) = (
         some.indices(count) for some, count in zip((columns, rows), camera.crop_size, strict=True)
     )

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import Part, add
-from ..runtime.jobs import Job
+from ..runtime.batches import Job, Part, add
 from .full_field import FullFieldPlan
 from .patch_plan import PatchPlan
 from .recorder import Recorder
@@ -33,7 +32,7 @@ class Spread:
 
 
 class PatchSpreads(PatchPlan):
-    """The spreads of `PatchPlan`, not added."""
+    """Point spreads of a `PatchPlan`, kept separate."""
 
     @property
     def pixels(self) -> int:
@@ -64,14 +63,14 @@ class PatchSpreads(PatchPlan):
             guards.check(guards.PATCH, loss)
 
     def _few(self, chunk: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Divide a chunk into parts whose patterns fit into memory next to each other."""
+        """Return parts of a chunk whose patterns fit into memory together."""
         corner, samples = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
         tile = 4.0 * float((np.ptp(corner, axis=0) + samples).prod())
         size = max(1, int(_TOGETHER_BYTES // tile))
         return [chunk[first : first + size] for first in range(0, len(chunk), size)]
 
     def _apart(self, patterns: NDArray[np.int64]) -> Scatter:
-        """Describe patterns with a channel each."""
+        """Return the data of patterns with one channel for each."""
         channels = np.eye(len(patterns), dtype=np.float32)
         copies = [Copies(np.zeros((1, 2), np.int64), channel[None]) for channel in channels]
         return Scatter(self._fields(patterns), np.full(len(patterns), self.gain**0.5), copies)
@@ -89,11 +88,11 @@ class PatchSpreads(PatchPlan):
 
 
 class FullFieldSpreads(FullFieldPlan):
-    """The spreads of `FullFieldPlan`, not added."""
+    """Point spreads of a `FullFieldPlan`, kept separate."""
 
     @property
     def pixels(self) -> int:
-        """Number of pixels of all spreads."""
+        """Number of pixels of all spreads together."""
         return math.prod(self._camera.shape) * len(self._points)
 
     def spreads(self, job: Job, done: int, total: int) -> Iterator[Spread]:

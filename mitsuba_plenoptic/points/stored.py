@@ -14,7 +14,7 @@ from ..errors import refuse_if, require_number
 from ..light.sampling import check_memory
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .mixing import mix
 from .operator import CaptureOperator
 from .spreads import FullFieldSpreads, PatchSpreads
@@ -23,7 +23,7 @@ _SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSprea
 
 
 class StoredOperator(CaptureOperator):
-    """A `CaptureOperator` that computes its point spreads once and stores them, one set for each wavelength.
+    """`CaptureOperator` that computes its point spreads once and stores them, one set per wavelength.
 
     `forward` and `adjoint` are then products with a sparse matrix, for any number of columns of weights or channels of
     an image. Spreads are computed at the first product. The derivatives by the camera's parameters compute their fields
@@ -96,7 +96,7 @@ class StoredOperator(CaptureOperator):
 
     @one_at_a_time
     def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
-        """Apply the transpose of `forward`: weigh an image by the point spread of every point.
+        """Return the inner product of an image with the point spread of every point, the transpose of `forward`.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class StoredOperator(CaptureOperator):
         return self.to_sparse(job=job).toarray()
 
     def _computed(self, job: Job | None) -> dict[float, Any]:
-        """Return the matrix (pixels, n) of each wavelength, computed on first use if all of them fit the budget."""
+        """Return the matrix (pixels, n) of each wavelength, computed on first use if all matrices fit the budget."""
         if self._matrices:
             return self._matrices
         job, wavelengths = job or Job(), list(dict.fromkeys(part.wavelength for part in self._channels.parts(1)))

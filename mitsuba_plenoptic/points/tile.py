@@ -45,7 +45,7 @@ class CopyCells:
 
     @classmethod
     def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> CopyCells | None:
-        """Choose cells for patterns of `samples` x `samples` and the shifts of their copies; None if they are slower.
+        """Return cells for patterns of `samples` x `samples` and the shifts of their copies; None if cells are slower.
 
         `shifts` has an array (copies, 2) for each pattern, along x and y.
         """
@@ -62,13 +62,13 @@ class CopyCells:
         return CellSum(self, size, channels, patterns)
 
     def cut(self, planes: Any) -> Any:
-        """Divide planes (n, x, y) of whole cells into (cells of all planes, samples)."""
+        """Return planes (n, x, y) of whole cells as (cells of all planes, samples)."""
         shape = np.array(planes.shape[1:]) // self.width
         cut = planes.reshape(len(planes), shape[0], self.width[0], shape[1], self.width[1])
         return cut.transpose(0, 1, 3, 2, 4).reshape(-1, int(self.width.prod()))
 
     def join(self, cells: Any, planes: int, shape: NDArray[np.int64]) -> Any:
-        """Invert `cut` for planes of `shape` cells each."""
+        """Return planes of `shape` cells each, the inverse of `cut`."""
         cells = cells.reshape(planes, *shape.tolist(), *self.width.tolist()).transpose(0, 1, 3, 2, 4)
         return cells.reshape(planes, *(shape * self.width).tolist())
 
@@ -146,7 +146,7 @@ class Copies:
 
 
 class CopySum:
-    """A weighted sum of copies of patterns of one size, by cells where these are faster, else copy by copy.
+    """Weighted sum of copies of patterns of one size, by cells where these are faster, else copy by copy.
 
     `places` are the first samples of each pattern's copies along both axes of the sum. Parts of `together` patterns may
     be added alternately.
@@ -245,7 +245,7 @@ class PatchTile:
 
 
 def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
-    """Return the rectangle of a grid, `finer` than the patches by a factor, that patches and their copies cover."""
+    """Return the box, on a grid `finer` than the patches by a factor, that patches and their copies cover."""
     corners = np.concatenate([position + copy.shifts for position, copy in zip(corner, copies, strict=True)])
     return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
@@ -270,20 +270,20 @@ class Scatter(FieldBatch):
     copies: list[Copies]
 
     def prepare(self) -> Callable[[], Part]:
-        """Compute the factors of the fields, and return the function that adds the intensities."""
+        """Return the function that adds the intensities, after computing the factors of the fields."""
         batch = PatchBatch(self.fields, self.amplitudes)
         return lambda: PatchTile(batch, self.copies).sum()
 
 
 @dataclass(frozen=True)
 class Gather(FieldBatch):
-    """Point spreads to be multiplied with the samples of the tile that they cover."""
+    """Point spreads to be multiplied with samples of the tile that they cover."""
 
     copies: list[Copies]
     tile: NDArray[np.float32]
 
     def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
-        """Compute the factors of the fields, and return the function that multiplies the intensities with the tile."""
+        """Return the function that multiplies intensities with the tile, after computing the factors of the fields."""
         batch = PatchBatch(self.fields, np.ones(len(self.copies)))
         return lambda: PatchTile(batch, self.copies).products(self.tile)
 

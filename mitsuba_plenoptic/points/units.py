@@ -23,7 +23,7 @@ def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_siz
 
 
 def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
-    """Return `brightness` for a camera with its main lens."""
+    """Return the `brightness` of a camera with its main lens."""
     return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 

@@ -13,7 +13,7 @@ from ..errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
 
 @suggest_keywords
 def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the voxels of a volume of emitters as points and their weights.
+    """Return the voxels of a volume of emitters as points with weights.
 
     Parameters
     ----------

@@ -4,7 +4,6 @@ A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.lenses.lens_
 """
 
 from .glass import Glass
-from .paraxial import Paraxial, paraxial
-from .surfaces import BUNDLED, Prescription, Surface, bundled_prescription
+from .surfaces import BUNDLED, Paraxial, Prescription, Surface, bundled_prescription, paraxial
 
 __all__ = ["BUNDLED", "Glass", "Paraxial", "Prescription", "Surface", "bundled_prescription", "paraxial"]

@@ -35,7 +35,7 @@ _TEMPERATURES, _PRESSURE = (20.0, 25.0), 760.0
 
 
 def read_codev(path: str | Path) -> Prescription:
-    """Read a CODE V file.
+    """Return the prescription in a CODE V file.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def read_codev(path: str | Path) -> Prescription:
 
 
 def _commands(path: Path, text: str) -> list[Line]:
-    """Return the commands: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
+    """Return the commands of a file: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
     found: list[Line] = []
     words: list[str] = []
     continued = False
@@ -84,7 +84,7 @@ _ONCE = {"DIM", "RDM", "WL", "REF"}
 
 
 class _CodevReader:
-    """The lens of a file, as far as its commands have been read."""
+    """Reader of a CODE V file, which collects the lens command by command."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -103,23 +103,70 @@ class _CodevReader:
         self.solved: dict[int, Line] = {}
 
     def take(self, line: Line) -> None:
-        """Take a command."""
+        """Read one command."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return
         if keyword in _ONCE:
             line.refuse_if(keyword in self.given, f"{keyword} is given twice")
             self.given.add(keyword)
-        if keyword in _DECENTRES:
-            line.require_zero("decentred and tilted surfaces are not read")
-        elif keyword in ("CUF", "DAR"):
-            line.require_zero("only surfaces around one axis are read")
-        elif keyword in _TERMS and len(keyword) == 1:
-            self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
-        elif (method := getattr(self, f"_take_{keyword.lower()}", None)) is not None:
-            method(line)
-        else:
-            raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
+        match keyword:
+            case "TIT" | "TITLE":
+                self.name = " ".join(line.words[1:]).strip("'\"")
+            case "DIM":
+                unit = line.word(1).upper()
+                line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
+                self.unit = _UNITS[unit]
+            case "RDM":
+                self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
+            case "WL":
+                self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
+            case "REF":
+                self.primary = int(line.value(1))
+            case "TEM":
+                low, high = _TEMPERATURES
+                line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
+            case "PRE":
+                line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
+            case "SO":
+                line.refuse_if(self.surfaces, "SO must be the first surface")
+                self._add(line)
+            case "S" | "SI":
+                line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
+                self._add(line)
+                self.ended = keyword == "SI"
+                line.refuse_if(self.ended and self.surfaces[-1].curvature, "the image is curved: the array is a plane")
+            case "STO" | "STOP":
+                if len(line.words) == 1:
+                    self._surface(line).stop = True
+                elif re.fullmatch(r"[Ss]\d+", line.words[1]):
+                    self.stop = line
+                else:
+                    raise line.refused("it must be STO, or STO S3 for the third surface")
+            case "K":
+                self._surface(line).conic = self._only_value(line)
+            case "CIR":
+                kind = line.word(1).upper()
+                if kind != "EDG":  # where the glass ends, beyond what light passes
+                    rule = "apertures must be CIR and their radius: obscurations and holes are not read"
+                    line.refuse_if(kind != "CLR" and len(line.words) != 2, rule)
+                    self._surface(line).semi_aperture = self._only_value(line, 1 + (kind == "CLR"))
+            case "IC":
+                rule = "rays must meet the surface's first intersection"
+                line.refuse_if(not line.word(1).upper().startswith("Y"), rule)
+            case "PIM" | "THI":
+                rule = "a thickness must be written in its surface's line"
+                line.refuse_if(keyword == "THI" and line.word(1).upper() not in ("HMY", "HCY"), rule)
+                self._surface(line)
+                self.solved[len(self.surfaces) - 1] = line
+            case "CUF" | "DAR":
+                line.require_zero("only surfaces around one axis are read")
+            case _ if keyword in _DECENTRES:
+                line.require_zero("decentred and tilted surfaces are not read")
+            case _ if keyword in _TERMS and len(keyword) == 1:
+                self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
+            case _:
+                raise line.refused(f"{keyword} is not understood, and leaving it out could change the lens")
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
@@ -146,7 +193,7 @@ class _CodevReader:
         return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
 
     def _only_value(self, line: Line, index: int = 1) -> float:
-        """Return the number that ends a surface's command, which must be given once."""
+        """Return the number that ends a surface's command, which must stand there only once."""
         keyword = line.words[0].upper()
         line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
         self.taken.add(keyword)
@@ -156,45 +203,6 @@ class _CodevReader:
     def _surface(self, line: Line) -> DesignSurface:
         line.refuse_if(not self.surfaces, "it belongs to a surface: SO, S or SI must precede it")
         return self.surfaces[-1]
-
-    def _take_tit(self, line: Line) -> None:
-        self.name = " ".join(line.words[1:]).strip("'\"")
-
-    _take_title = _take_tit
-
-    def _take_dim(self, line: Line) -> None:
-        unit = line.word(1).upper()
-        line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
-        self.unit = _UNITS[unit]
-
-    def _take_rdm(self, line: Line) -> None:
-        self.radii = len(line.words) == 1 or line.words[1].upper()[0] == "Y"
-
-    def _take_wl(self, line: Line) -> None:
-        self.wavelengths = [line.value(index) for index in range(1, len(line.words))]
-
-    def _take_ref(self, line: Line) -> None:
-        self.primary = int(line.value(1))
-
-    def _take_tem(self, line: Line) -> None:
-        low, high = _TEMPERATURES
-        line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
-
-    def _take_pre(self, line: Line) -> None:
-        line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
-
-    def _take_so(self, line: Line) -> None:
-        line.refuse_if(self.surfaces, "SO must be the first surface")
-        self._add(line)
-
-    def _take_s(self, line: Line) -> None:
-        line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
-        self._add(line)
-
-    def _take_si(self, line: Line) -> None:
-        self._take_s(line)
-        line.refuse_if(self.surfaces[-1].curvature, "the image is curved: the array is a plane")
-        self.ended = True
 
     def _add(self, line: Line) -> None:
         """Add a surface of radius or curvature, thickness and glass."""
@@ -211,42 +219,9 @@ class _CodevReader:
         self.surfaces.append(surface)
         self.taken.clear()
 
-    def _take_sto(self, line: Line) -> None:
-        if len(line.words) == 1:
-            self._surface(line).stop = True
-        elif re.fullmatch(r"[Ss]\d+", line.words[1]):
-            self.stop = line
-        else:
-            raise line.refused("it must be STO, or STO S3 for the third surface")
-
-    _take_stop = _take_sto
-
-    def _take_k(self, line: Line) -> None:
-        self._surface(line).conic = self._only_value(line)
-
-    def _take_cir(self, line: Line) -> None:
-        kind = line.word(1).upper()
-        if kind == "EDG":
-            return  # Where the glass ends, beyond what light passes.
-        if kind == "CLR" or len(line.words) == 2:
-            self._surface(line).semi_aperture = self._only_value(line, 1 + (kind == "CLR"))
-        else:
-            raise line.refused("apertures must be CIR and their radius: obscurations and holes are not read")
-
-    def _take_ic(self, line: Line) -> None:
-        line.refuse_if(not line.word(1).upper().startswith("Y"), "rays must meet the surface's first intersection")
-
-    def _take_pim(self, line: Line) -> None:
-        self._surface(line)
-        self.solved[len(self.surfaces) - 1] = line
-
-    def _take_thi(self, line: Line) -> None:
-        line.refuse_if(line.word(1).upper() not in ("HMY", "HCY"), "a thickness must be written in its surface's line")
-        self._take_pim(line)
-
 
 def _glass(line: Line, written: str) -> Glass | None:
-    """Return the glass of a surface's line: a name, also with its maker, or a code of index and Abbe number."""
+    """Return the glass of a surface's line: a name, optionally with its maker, or a code of index and Abbe number."""
     if written.upper() == "AIR":
         return None
     line.refuse_if(written.upper() in ("REFL", "REF"), "mirrors are not read")

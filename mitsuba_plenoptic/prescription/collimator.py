@@ -47,11 +47,11 @@ class Collimator(LensData):
 
     @property
     def images_stop(self) -> bool:
-        """Always True: the array stands in the image of the pupil."""
+        """True: the array stands in the image of the pupil."""
         return True
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return those of a thin objective."""
+        """Return focal length and radius of a thin objective."""
         return THIN.own_numbers(focal_length)
 
     def magnification(self, focal_length: float) -> float:
@@ -65,7 +65,7 @@ class Collimator(LensData):
         return self.collimator_focal_length / focal_length
 
     def array_distance(self) -> float:
-        """Return NaN: it follows from both focal lengths, see `settled`."""
+        """Return NaN: the distance follows from both focal lengths, see `settled`."""
         return math.nan
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
@@ -77,7 +77,7 @@ class Collimator(LensData):
         return given | {"mla_distance": own}
 
     def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse every plane: it is infinity."""
+        """Refuse a plane in focus, which is always infinity."""
         refuse_if(
             True,
             f"focus_distance = {focus_distance:g}: a telescope with a collimator is focused at infinity; leave it out",
@@ -109,7 +109,7 @@ class Collimator(LensData):
 
     @classmethod
     def from_plain(cls, value: dict[str, Any]) -> Collimator:
-        """Build one from what `to_plain` gave.
+        """Return the collimator that `to_plain` described.
 
         Parameters
         ----------

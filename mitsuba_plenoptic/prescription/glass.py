@@ -27,7 +27,7 @@ _CATALOGUE = np.arange(380.0, 1001.0, 10.0)
 
 @dataclass(frozen=True)
 class Glass:
-    r"""A glass between two surfaces.
+    r"""A glass between two surfaces, with its refractive index by wavelength.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Glass:
         return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
 
     def at(self, wavelength: float) -> float:
-        """Return the index at a wavelength.
+        """Return the refractive index at a wavelength.
 
         Parameters
         ----------
@@ -105,7 +105,17 @@ class Glass:
             slope = (numbers[0] - 1) / (numbers[1] * (f - c))
             return float(numbers[0] + slope * (1 / wavelength**2 - d))
         if self.form == "table":
-            return self._interpolated(wavelength)
+            # SciPy takes a while to import, and few glasses are tables.
+            from scipy.interpolate import make_interp_spline
+
+            table = numbers.reshape(-1, 2)
+            if not table[0, 0] <= wavelength <= table[-1, 0]:
+                raise InputError(
+                    f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from "
+                    f"{table[0, 0]:g} to {table[-1, 0]:g} nm"
+                )
+            abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
+            return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
         if self.form == "sellmeier":
             below = square - numbers[3:]
             value = np.nan if np.any(below == 0) else 1 + np.sum(numbers[:3] * square / below)
@@ -113,21 +123,8 @@ class Glass:
             value = np.sum(numbers * square ** np.array([0, 1, -1, -2, -3, -4.0]))
         return float(np.sqrt(value)) if value > 0 else float("nan")
 
-    def _interpolated(self, wavelength: float) -> float:
-        # SciPy takes a while to import, and few glasses are tables.
-        from scipy.interpolate import make_interp_spline
-
-        table = np.reshape(self.numbers, (-1, 2))
-        if not table[0, 0] <= wavelength <= table[-1, 0]:
-            raise InputError(
-                f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from {table[0, 0]:g} to "
-                f"{table[-1, 0]:g} nm"
-            )
-        abscissa, index = 1 / table[::-1, 0] ** 2, table[::-1, 1]
-        return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))
-
     def focal_ratio(self, wavelength: float) -> float:
-        r"""Return by how much the focal length of a thin lens of this glass is longer than at the line d.
+        r"""Return the focal length of a thin lens of this glass over its focal length at the line d.
 
         :math:`f(\lambda) / f_d = (n_d - 1) / (n(\lambda) - 1)`, the lensmaker's equation (Born and Wolf, "Principles of
         Optics", section 4.7).
@@ -148,7 +145,7 @@ class Glass:
         return bends[0] / bends[1]
 
     def to_plain(self) -> Any:
-        """Return what `from_plain` takes: a number, or a dictionary."""
+        """Return the glass as a number or a dictionary, for `from_plain`."""
         if self.form == "index" and not self.name:
             return self.numbers[0]
         named = {"name": self.name} if self.name else {}
@@ -160,7 +157,7 @@ class Glass:
 
     @classmethod
     def from_plain(cls, value: Any, where: str = "glass") -> Glass:
-        """Take a glass from plain data.
+        """Return the glass that plain data describe.
 
         Parameters
         ----------
@@ -212,7 +209,7 @@ class Glass:
 def catalogue_glass(
     name: str, where: str = "glass", makers: Sequence[str] | None = None, *, with_hyphens: bool = True
 ) -> Glass:
-    """Return a glass by its name in a maker's catalogue, as a table that needs the catalogue no more.
+    """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
     The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``. Only a glass of just
     that name is taken, in capitals or not.
@@ -250,7 +247,7 @@ def catalogue_glass(
 
 
 class _Entry(NamedTuple):
-    """A material of a catalogue: its maker, name and file, and where in nanometres its data begin and end."""
+    """Material of a catalogue: its maker, name and file, and the wavelengths in nm between which it has data."""
 
     maker: str
     name: str
@@ -259,7 +256,7 @@ class _Entry(NamedTuple):
     high: float
 
     def tabulated(self, name: str) -> Glass:
-        """Return it as a table, from 380 to 1000 nm as far as its own data reach."""
+        """Return the material as a table of indices, from 380 to 1000 nm as far as its data reach."""
         path = resources.files("optiland.database") / "data-nk" / self.file
         material = importlib.import_module("optiland.materials").MaterialFile(str(path))
         # A wavelength at the end of the data stays within them, whatever its digits.

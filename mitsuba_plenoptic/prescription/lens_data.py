@@ -14,7 +14,7 @@ def vergence(focal_length: Any, distance: Any) -> Any:
 
 
 def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
-    r"""Return the part of a pupil coordinate by which a ray misses the image of its object point on the MLA.
+    r"""Return the fraction of a pupil coordinate by which a ray misses its object point's image on the MLA.
 
     :math:`1 + b/g - b/f_1`, so written that it is exactly zero in focus.
     """
@@ -58,7 +58,7 @@ _MLA_DISTANCE = 120.0
 
 
 class LensData:
-    """The plain data of a main lens. This class is a thin lens's; others derive from it and answer differently.
+    """Plain data of a main lens, here a thin one; real lenses derive their data from this class.
 
     Attributes
     ----------
@@ -82,12 +82,12 @@ class LensData:
 
     @property
     def name(self) -> str:
-        """Its name, if it has one."""
+        """Name of the lens, empty if it has none."""
         return ""
 
     @property
     def traced_surfaces(self) -> tuple[Any, ...]:
-        """Surfaces through which its rays are traced, if there are any."""
+        """Surfaces through which rays of the lens are traced, empty if there are none."""
         return ()
 
     @property
@@ -102,12 +102,12 @@ class LensData:
 
     @property
     def disperses(self) -> bool:
-        """Whether its own glasses bend light of different wavelengths differently."""
+        """Whether the lens's glasses refract light of different wavelengths differently."""
         return False
 
     @property
     def label(self) -> str:
-        """Its name in messages."""
+        """Name of the lens in messages."""
         return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
@@ -115,11 +115,11 @@ class LensData:
         return _THIN_LENS
 
     def array_distance(self) -> float:
-        """Return the distance to the array where neither that nor a plane in focus is given."""
+        """Return the distance to the array for a lens without a given distance or plane in focus."""
         return _MLA_DISTANCE
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
-        """Return the camera's parameters of the main lens from those that are given, or refuse some."""
+        """Return the camera's parameters of the main lens, completed from given ones; refuse contradictions."""
         return given
 
     def require_focusable(self, focus_distance: Any) -> None:
@@ -133,7 +133,7 @@ class LensData:
         image_distance(camera.focal_length, distance)
 
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
-        """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's.
+        """Return the exit pupil's distance before the rear principal plane, and its radius over the entrance pupil's.
 
         A thin lens is its own pupil. That of an objective is infinitely far, and the values are those of a thin lens.
 
@@ -167,7 +167,7 @@ class LensData:
 
     @classmethod
     def from_plain(cls, value: Any) -> Self:
-        """Take a lens from what `to_plain` gave, with its checks."""
+        """Return the lens that `to_plain` described, after its checks."""
         raise NotImplementedError
 
 
@@ -176,7 +176,7 @@ THIN = LensData()
 
 
 def even_count(width: float, step: float) -> int:
-    """Return how many steps fit a width, as the nearest even number."""
+    """Return the number of steps that fit a width, as the nearest even number."""
     return 2 * max(1, round(width / (2 * step)))
 
 
@@ -190,7 +190,7 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
 
 
 def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: float) -> dict[str, float]:
-    """Return a lens's own parameters; refuse others.
+    """Return the parameters of a lens; refuse given ones that differ.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
 
 
 def require_alone(camera: Any) -> None:
-    """Refuse what a real main lens brings itself."""
+    """Refuse parameters of a camera that a real main lens replaces."""
     for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
         refuse_if(any(values), f"{name} = {values}: a main_lens brings its own; leave it out")
     refuse_if(

@@ -11,8 +11,10 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import InputError, naming, refuse_if, short_repr
-from ..io.files import require_size
+from ..runtime.files import require_size
 from . import Glass, Prescription
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
@@ -34,17 +36,17 @@ class Line:
         return InputError(f"{self.path}, line {self.number}: {short_repr(' '.join(self.words))}: {rule}")
 
     def refuse_if(self, broken: object, rule: str) -> None:
-        """Refuse the command where it breaks a rule."""
+        """Refuse the command if it breaks a rule."""
         if broken:
             raise self.refused(rule)
 
     def word(self, index: int) -> str:
-        """Return one of its words; the first is the keyword, number 0."""
+        """Return a word of the command by its number; the keyword has the number 0."""
         self.refuse_if(index >= len(self.words), f"value {index} is missing")
         return self.words[index]
 
     def value(self, index: int, default: float | None = None) -> float:
-        """Return one of its words as a finite number."""
+        """Return a word of the command as a finite number."""
         if index >= len(self.words) and default is not None:
             return default
         word, value = self.word(index), math.nan
@@ -60,7 +62,7 @@ class Line:
 
 @dataclass
 class DesignSurface:
-    """A surface as a lens file has it, in the file's own unit of length."""
+    """A surface as a lens file states it, in the file's unit of length."""
 
     curvature: float = 0.0
     thickness: float = 0.0
@@ -96,11 +98,13 @@ def to_prescription(
             not surface.semi_aperture > 0,
             f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
         )
+        terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
         entry = {
             "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
             "semi_aperture": surface.semi_aperture * unit,
             "conic": surface.conic,
-            "asphere": [term * unit ** -(2 * order + 3) for order, term in enumerate(_trimmed(surface.asphere))],
+            # Without the zeros at their end.
+            "asphere": [float(term) for term in np.trim_zeros(terms, "b")],
             "stop": surface.stop,
         }
         if surface.curvature:
@@ -111,9 +115,3 @@ def to_prescription(
     facts = {"name": name or path.stem, "source": f"read from {path.name}", "wavelength": wavelength}
     with naming(path):
         return Prescription.from_plain({**facts, "surfaces": plain})
-
-
-def _trimmed(terms: list[float]) -> list[float]:
-    """Return coefficients without the zeros at their end."""
-    count = max((number for number, term in enumerate(terms, start=1) if term), default=0)
-    return terms[:count]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import yaml
 
 from ..errors import NO_RECORD, InputError, refusing
-from ..io.files import read_yaml, require_file, write_text
+from ..runtime.files import read_yaml, require_file, write_text
 from . import BUNDLED, Prescription, bundled_prescription
 from .codev_file import read_codev
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
@@ -23,7 +24,7 @@ DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
 
 
 def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:
-    """Read a main lens: what `read_prescription` reads, or an objective as a file or as the text of a JSON file.
+    """Return a main lens: a prescription, or an objective from a file or the text of a JSON file.
 
     Parameters
     ----------
@@ -39,8 +40,13 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
     """
     text = str(source)
     if text.lstrip().startswith("{"):
-        return lens_from_plain(_parsed(text))
-    if text in BUNDLED or not _is_there(path := Path(resolve(text))):
+        with refusing("main_lens: it must be a JSON object:", *NO_RECORD):
+            return lens_from_plain(json.loads(text))
+    path, there = Path(resolve(text)), False
+    # Not all text can be the name of a file.
+    with contextlib.suppress(OSError, ValueError):
+        there = path.exists()
+    if text in BUNDLED or not there:
         return bundled_prescription(text)
     if (read := DESIGNS.get(path.suffix.lower())) is not None:
         return read(path)
@@ -51,7 +57,7 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
 
 
 def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -> Prescription:
-    """Read a main lens of surfaces.
+    """Return the prescription in a file, or of a bundled lens.
 
     Parameters
     ----------
@@ -72,22 +78,9 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
     return lens
 
 
-def _is_there(path: Path) -> bool:
-    """Whether a file of that name exists; False for text that cannot be the name of a file."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False
-
-
 def lens_from_plain(value: Any) -> LensData:
     """Return the main lens of plain data: a prescription, unless an entry marks another kind."""
     return known_kind(value, Prescription).from_plain(value)
-
-
-def _parsed(text: str) -> Any:
-    with refusing("main_lens: it must be a JSON object:", *NO_RECORD):
-        return json.loads(text)
 
 
 def write_prescription(path: str | Path, lens: Prescription) -> None:

@@ -104,7 +104,7 @@ class Objective(LensData):
 
     @property
     def name(self) -> str:
-        """Its name in messages: ``20x/0.5 objective``."""
+        """Name of the objective in messages: ``20x/0.5 objective``."""
         return f"{self.magnification:g}x/{self.numerical_aperture:g} objective"
 
     @property
@@ -129,7 +129,7 @@ class Objective(LensData):
 
     @property
     def last_focal_length(self) -> float:
-        """Focal length of the lens before the array, which is also its distance from it."""
+        """Focal length of the lens before the array, which stands at this distance behind it."""
         return self.tube_focal_length if self.fourier_focal_length is None else self.fourier_focal_length
 
     @property
@@ -158,7 +158,7 @@ class Objective(LensData):
         return -self.immersion * self.focal_length
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the stop, whatever is given."""
+        """Return the focal length and the radius of the stop; a given focal length changes neither."""
         return self.focal_length, self.stop_radius
 
     def array_distance(self) -> float:
@@ -166,7 +166,7 @@ class Objective(LensData):
         return self.last_focal_length
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
-        """Return the objective's own parameters; refuse others."""
+        """Return the parameters of the objective; refuse given ones that differ."""
         own = {
             "focal_length": self.focal_length,
             "aperture_radius": self.stop_radius,
@@ -175,13 +175,13 @@ class Objective(LensData):
         return require_unscaled(given, own, SINGLE)
 
     def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse any other plane than the native one."""
+        """Refuse a plane in focus other than the native object plane."""
         raise InputError(
             f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; leave it out"
         )
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse aberrations besides the objective's own, and a tilted array."""
+        """Refuse further aberrations and a tilted array."""
         require_alone(camera)
         refuse_if(any(camera.mla_tilt), f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
 
@@ -194,24 +194,24 @@ class Objective(LensData):
         )
 
     def focus_distance(self, focal_length: float, mla_distance: float) -> float:
-        """Return 0: the native object plane is in focus."""
+        """Return 0, the distance of the native object plane, which is in focus."""
         return 0.0
 
     def bin_count(self, camera: Any) -> tuple[int, int]:
-        """Return as many bins as there are pixels along a pitch in the Fourier arrangement, else those of the array."""
+        """Return the number of bins: that of the array or, in the Fourier arrangement, of pixels along a pitch."""
         if not self.is_fourier:
             return super().bin_count(camera)
         across, down = camera.mla_pitches
         return even_count(across, camera.pixel_size), even_count(down, camera.pixel_size)
 
     def bin_size(self, camera: Any, distance: float) -> float:
-        """Return the width of a lens in the object, or in the Fourier arrangement that of a pixel, at all depths."""
+        """Return the width of a lens, or in the Fourier arrangement of a pixel, in the object; equal at all depths."""
         if self.is_fourier:
             return float(camera.pixel_size / self.view_scale(camera.reduced_distance))
         return float(camera.mla_pitch / self.magnification)
 
     def image_blur(self, camera: Any, distance: float) -> float:
-        """Return `blur_diameter`."""
+        """Return the diameter of the blur on the array, as `blur_diameter`."""
         return self.blur_diameter(distance)
 
     def blur_diameter(self, distance: float) -> float:
@@ -229,13 +229,13 @@ class Objective(LensData):
         return 2 * self.magnification * abs(distance) * math.tan(self.half_angle)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return it as plain values by name, for `from_plain`, files and headers."""
+        """Return the objective as plain values by name, for `from_plain`, files and headers."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: value for name, value in values.items() if value is not None}
 
     @classmethod
     def from_plain(cls, value: dict[str, Any]) -> Objective:
-        """Build one from what `to_plain` gave.
+        """Return the objective that `to_plain` described.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The surfaces of a lens, from the scene's side to the array's, as plain data with checks."""
+"""The surfaces of a lens, from the scene's side to the array's, as plain data with checks, and paraxial quantities."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 import warnings
 from dataclasses import dataclass, replace
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -29,9 +29,6 @@ from ..runtime.backend import safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 from .lens_data import SINGLE, LensData, require_alone, vergence
-
-if TYPE_CHECKING:
-    from .paraxial import Paraxial
 
 MOST_SURFACES = 100
 MOST_COEFFICIENTS = 8
@@ -85,7 +82,7 @@ class Surface:
         return 1 / self.radius
 
     def to_plain(self) -> dict[str, Any]:
-        """Return what `from_plain` takes; what is left out has its default."""
+        """Return the surface as plain data for `from_plain`, without entries that have their default."""
         plain: dict[str, Any] = {} if math.isinf(self.radius) else {"radius": self.radius}
         if self.thickness:
             plain["thickness"] = self.thickness
@@ -100,7 +97,7 @@ class Surface:
 
     @classmethod
     def from_plain(cls, value: Any, where: str) -> Surface:
-        """Take a surface from plain data.
+        """Return the surface that plain data describe.
 
         Parameters
         ----------
@@ -148,8 +145,39 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class Paraxial:
+    """Numbers of paraxial optics, in millimetres; positions are counted along the axis towards the array.
+
+    Parameters
+    ----------
+    focal_length : float
+        Effective focal length.
+    front_principal, entrance_pupil : float
+        Places of the front principal plane and of the entrance pupil behind the first vertex.
+    rear_principal, exit_pupil : float
+        Places of the rear principal plane and of the exit pupil behind the last vertex.
+    back_focal : float
+        Place of the rear focal point behind the last vertex.
+    length : float
+        Distance of the last vertex from the first.
+    entrance_radius, exit_radius : float
+        Radii of the pupils with the stop fully open.
+    """
+
+    focal_length: float
+    front_principal: float
+    rear_principal: float
+    back_focal: float
+    length: float
+    entrance_pupil: float
+    exit_pupil: float
+    entrance_radius: float
+    exit_radius: float
+
+
+@dataclass(frozen=True)
 class Prescription(LensData):
-    """A lens as its designer writes it down. Lengths are millimetres.
+    """Main lens as its designer states it: surfaces and glasses, lengths in millimetres.
 
     Parameters
     ----------
@@ -176,35 +204,33 @@ class Prescription(LensData):
 
     @property
     def traced_surfaces(self) -> tuple[Surface, ...]:
-        """All of them."""
+        """All surfaces of the prescription."""
         return self.surfaces
 
     @property
     def disperses(self) -> bool:
-        """Whether one of its glasses does."""
+        """Whether one of the glasses has a refractive index that depends on the wavelength."""
         return any(surface.glass is not None and surface.glass.form != "index" for surface in self.surfaces)
 
     @property
     def paraxial(self) -> Paraxial:
         """Its paraxial numbers at its own wavelength."""
-        from .paraxial import paraxial
-
         return paraxial(self)
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of the open entrance pupil, scaled to what focal length is given."""
+        """Return focal length and radius of the open entrance pupil, scaled to a given focal length."""
         numbers = self.paraxial
         given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
         return given, numbers.entrance_radius * given / numbers.focal_length
 
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
-        """Return how far the exit pupil lies before the rear principal plane, and its radius over the entrance's."""
+        """Return the exit pupil's distance before the rear principal plane, and the pupils' ratio of radii."""
         numbers = self.paraxial
         scale = focal_length / numbers.focal_length
         return scale * (numbers.rear_principal - numbers.exit_pupil), numbers.exit_radius / numbers.entrance_radius
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse other aberrations than its own, a stop wider than it opens, and an array within it."""
+        """Refuse further aberrations, a stop wider than the lens opens, and an array within the lens."""
         require_alone(camera)
         numbers, widest = self.paraxial, self.own_numbers(camera.focal_length)[1]
         refuse_if(
@@ -227,7 +253,7 @@ class Prescription(LensData):
         return float(2 * camera.pupil_radius * (1.0 if math.isinf(gap) else abs(gap / (camera.pupil_distance - gap))))
 
     def to_plain(self) -> dict[str, Any]:
-        """Return what `from_plain` takes: numbers, strings, lists and dictionaries."""
+        """Return the prescription as numbers, strings, lists and dictionaries, for `from_plain`."""
         surfaces = [surface.to_plain() for surface in self.surfaces]
         surfaces[self.stop]["stop"] = True
         facts = {name: text for name in ("name", "source") if (text := getattr(self, name))}
@@ -235,7 +261,7 @@ class Prescription(LensData):
 
     @classmethod
     def from_plain(cls, value: Any) -> Prescription:
-        """Take a prescription from plain data, for example from a file.
+        """Return the prescription that plain data describe, for example from a file.
 
         Parameters
         ----------
@@ -289,11 +315,11 @@ class Prescription(LensData):
         return made.clipped()
 
     def indices(self, wavelength: float) -> list[float]:
-        """Return the index behind each surface at a wavelength in nanometres, that of air being 1."""
+        """Return the index behind each surface at a wavelength in nanometres; air has 1."""
         return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
 
     def clipped(self) -> Prescription:
-        """Return the lens with refracting surfaces that cross their neighbours ending where they do, with a warning.
+        """Return the lens with surfaces ending where they cross their neighbours, with a warning.
 
         Published prescriptions list semi-apertures for drawings, which may reach beyond the edge where surfaces meet.
         """
@@ -314,7 +340,7 @@ class Prescription(LensData):
         return lens
 
     def require_apart(self) -> None:
-        """Refuse a lens of which two refracting surfaces that follow each other cross where light may pass both."""
+        """Refuse a lens in which neighbouring refracting surfaces cross where light may pass both."""
         if crossing := self._crossing():
             first, second, _, text = crossing
             edge = min(self.surfaces[first].semi_aperture, self.surfaces[second].semi_aperture)
@@ -322,7 +348,8 @@ class Prescription(LensData):
 
     def _crossing(self) -> tuple[int, int, float, str] | None:
         """Return the first refracting surfaces that cross where light may pass both: indices, distance, and words."""
-        indices = [index for index, surface in enumerate(self.surfaces) if surface.glass != self._before(index)]
+        glasses = [None, *(surface.glass for surface in self.surfaces)]
+        indices = [index for index, (before, after) in enumerate(itertools.pairwise(glasses)) if before != after]
         for first, second in itertools.pairwise(indices):
             front, back = self.surfaces[first], self.surfaces[second]
             thickness = sum(surface.thickness for surface in self.surfaces[first:second])
@@ -332,13 +359,65 @@ class Prescription(LensData):
                 return first, second, position, text
         return None
 
-    def _before(self, index: int) -> Glass | None:
-        """Return the glass before a surface."""
-        return self.surfaces[index - 1].glass if index else None
+
+# Checks, pupils and distances of cameras of one prescription ask for it again and again; a result is a few floats.
+@functools.lru_cache(maxsize=256)
+def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
+    """Return focal length, principal planes and pupils of a lens, by matrices of rays near the axis.
+
+    Heights and reduced angles n u pass a surface of power P by (y, n u - P y), and a thickness t of index n by
+    (y + t/n n u, n u) (Born and Wolf, "Principles of Optics", section 4.4; Kingslake and Johnson, "Lens Design
+    Fundamentals", chapter 3).
+
+    Parameters
+    ----------
+    prescription : Prescription
+        The lens.
+    wavelength : float, optional
+        Wavelength in nanometres. Default: the prescription's own.
+
+    Raises
+    ------
+    InputError
+        If the lens does not converge, or a pupil is at infinity.
+    """
+    indices = [1.0, *prescription.indices(prescription.wavelength if wavelength is None else wavelength)]
+    whole, before, after = np.eye(2), np.eye(2), np.eye(2)
+    length = 0.0
+    for index, surface in enumerate(prescription.surfaces):
+        if index == prescription.stop:
+            before, after = whole, np.eye(2)
+        power = (indices[index + 1] - indices[index]) * surface.curvature
+        gap = surface.thickness / indices[index + 1] if index < len(prescription.surfaces) - 1 else 0.0
+        length += surface.thickness if gap else 0.0
+        step = np.array([[1, gap], [0, 1]]) @ np.array([[1, 0], [-power, 1]])
+        whole, after = step @ whole, step @ after
+    (A, _), (C, D) = whole
+    if not -C > 1e-12:
+        text = "infinite" if abs(C) <= 1e-12 else f"{-1 / C:.4g} mm"
+        raise InputError(f"main_lens: its focal length is {text}: it must be positive, so that it forms an image")
+    refuse_if(
+        min(abs(before[0, 0]), abs(after[1, 1])) < 1e-9,
+        "main_lens: one of its pupils is at infinity: object- or image-side telecentric lenses are not supported",
+    )
+    radius = prescription.surfaces[prescription.stop].semi_aperture
+    values = (
+        -1 / C,
+        (D - 1) / C,
+        (1 - A) / C,
+        -A / C,
+        length,
+        before[0, 1] / before[0, 0],
+        -after[0, 1] / after[1, 1],
+        radius / abs(before[0, 0]),
+        radius / abs(after[1, 1]),
+    )
+    refuse_if(not all(map(math.isfinite, values)), "main_lens: its numbers leave what a float holds")
+    return Paraxial(*map(float, values))
 
 
 def height(surface: Any, square: Any) -> Any:
-    """Return a surface's height over the plane of its vertex."""
+    """Return the height of a surface over the plane of its vertex."""
     c = surface.curvature
     height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST))
     power = square * square
@@ -349,7 +428,7 @@ def height(surface: Any, square: Any) -> Any:
 
 
 def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
-    """Return the distance from the axis at which two surfaces cross; None if they stay apart in both of their areas."""
+    """Return the distance from the axis at which two surfaces cross within their areas, None if they do not."""
     edge = min(front.semi_aperture, back.semi_aperture)
 
     def gap(square: Any) -> Any:
@@ -375,7 +454,7 @@ BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
 # The bundled files do not change, and prescriptions are immutable.
 @functools.cache
 def bundled_prescription(name: str) -> Prescription:
-    """Return a bundled lens.
+    """Return a bundled lens by its name.
 
     Parameters
     ----------

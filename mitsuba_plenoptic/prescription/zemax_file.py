@@ -24,6 +24,11 @@ _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZU
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
+_HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF"])
+"""Keywords of the whole file, and the one that begins a surface."""
+
+_OF_SURFACES = frozenset(["TYPE", "CURV", "DISZ", "CONI", "PARM", "GLAS", "STOP", "DIAM", "CLAP", "FLAP", "OBDC"])
+
 _SURFACES = ("STANDARD", "EVENASPH")
 
 _FIXED, _MODEL, _PICKED_UP, _SUBSTITUTE = range(4)
@@ -31,7 +36,7 @@ _FIXED, _MODEL, _PICKED_UP, _SUBSTITUTE = range(4)
 
 
 def read_zemax(path: str | Path) -> Prescription:
-    """Read a Zemax file.
+    """Return the prescription in a Zemax file.
 
     Parameters
     ----------
@@ -56,7 +61,7 @@ def read_zemax(path: str | Path) -> Prescription:
 
 
 class _ZemaxReader:
-    """The lens of a file, as far as its lines have been read."""
+    """Reader of a Zemax file, which collects the lens line by line."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -74,22 +79,84 @@ class _ZemaxReader:
         self.taken: set[tuple[str, ...]] = set()
 
     def take(self, line: Line, *, closing: bool) -> None:
-        """Take a line; behind the last surface, `closing`, there are merit functions and tolerances, too."""
+        """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return
-        header = getattr(self, f"_header_{keyword.lower()}", None)
-        of_surface = getattr(self, f"_surface_{keyword.lower()}", None)
-        if header is None and (of_surface is None or not self.surfaces):
+        if keyword not in _HEADERS and (keyword not in _OF_SURFACES or not self.surfaces):
             line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
             return
         own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
         line.refuse_if(own in self.taken, f"{' '.join(own)} is given twice")
         self.taken.add(own)
-        if header is not None:
-            header(line)
-        elif of_surface is not None:
-            of_surface(line, self.surfaces[-1])
+        if keyword in _HEADERS:
+            self._take_header(keyword, line)
+        else:
+            self._take_of_surface(keyword, line, self.surfaces[-1])
+
+    def _take_header(self, keyword: str, line: Line) -> None:
+        """Take a line of the whole file, or one that begins a surface."""
+        match keyword:
+            case "MODE":
+                line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
+            case "NAME":
+                self.name = " ".join(line.words[1:])
+            case "UNIT":
+                line.refuse_if(line.word(1) not in UNITS, f"the unit must be one of {', '.join(UNITS)}")
+                self.unit = UNITS[line.word(1)]
+            case "GCAT":
+                self.makers = list(line.words[1:])
+            case "ENVD":
+                line.refuse_if(
+                    line.value(3, 0.0) and (line.value(1), line.value(2)) != (20.0, 1.0),
+                    "indices are those at 20 degrees and 1 atmosphere",
+                )
+            case "WAVM":
+                self.wavelengths[int(line.value(1))] = line.value(2)
+            case "WAVL" | "WAVN":
+                self.wavelengths = {index: line.value(index) for index in range(1, len(line.words))}
+            case "PWAV":
+                self.primary = int(line.value(1))
+            case "MNUM":
+                line.refuse_if(line.value(1) != 1, "only files of one configuration are read")
+            case "SURF":
+                line.refuse_if(
+                    line.value(1) != len(self.surfaces),
+                    f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
+                )
+                self.surfaces.append(DesignSurface())
+                self.kinds.append("STANDARD")
+                self.parameters.append([])
+                self.taken.clear()
+
+    def _take_of_surface(self, keyword: str, line: Line, surface: DesignSurface) -> None:
+        """Take a line of the last surface."""
+        match keyword:
+            case "TYPE":
+                rule = f"only surfaces of the types {' and '.join(_SURFACES)} are read"
+                line.refuse_if(line.word(1) not in _SURFACES, rule)
+                self.kinds[-1] = line.word(1)
+            case "CURV":
+                surface.curvature = line.value(1)
+            case "DISZ":
+                if line.word(1) != "INFINITY" or len(self.surfaces) > 1:
+                    surface.thickness = line.value(1)
+            case "CONI":
+                surface.conic = line.value(1)
+            case "PARM":
+                self.parameters[-1].append(line)
+            case "GLAS":
+                self.glasses[len(self.surfaces) - 1] = line
+            case "STOP":
+                surface.stop = True
+            case "DIAM":
+                # An aperture, which cuts rays off, outranks the semi-diameter, whichever is written first.
+                surface.semi_aperture = surface.semi_aperture or line.value(1)
+            case "CLAP" | "FLAP":
+                line.refuse_if(line.value(1), "obscurations are not read: the inner radius of the aperture must be 0")
+                surface.semi_aperture = line.value(2)
+            case "OBDC":
+                line.require_zero("decentred apertures are not read")
 
     def prescription(self) -> Prescription:
         """Return the lens between object and image."""
@@ -107,24 +174,19 @@ class _ZemaxReader:
             self.surfaces[number].glass = self._glass(line)
         for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):
             # Other types leave values behind that the type STANDARD does not use.
-            surface.asphere = self._asphere(lines) if kind == "EVENASPH" else []
+            surface.asphere = [0.0] * 7 if kind == "EVENASPH" else []
+            for line in lines if surface.asphere else ():
+                order, term = int(line.value(1)), line.value(2)
+                if term:
+                    rule = "there must be no term of the second power: put it into the curvature"
+                    line.refuse_if(order == 1, rule)
+                    line.refuse_if(not 2 <= order <= 8, "an even asphere has the parameters 1 to 8")
+                    surface.asphere[order - 2] = term
         first, *lens, image = self.surfaces
         if first.glass is not None:
             raise self.glasses[0].refused("air must precede the first surface")
         refuse_if(image.curvature, f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
         return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens)
-
-    def _asphere(self, lines: list[Line]) -> list[float]:
-        """Return the coefficients of an even asphere."""
-        terms = [0.0] * 7
-        for line in lines:
-            order, term = int(line.value(1)), line.value(2)
-            if not term:
-                continue
-            line.refuse_if(order == 1, "there must be no term of the second power: put it into the curvature")
-            line.refuse_if(not 2 <= order <= 8, "an even asphere has the parameters 1 to 8")
-            terms[order - 2] = term
-        return terms
 
     def _glass(self, line: Line) -> Glass:
         name, kind = line.word(1), int(line.value(2, _FIXED))
@@ -141,83 +203,3 @@ class _ZemaxReader:
             "only fixed, substitute, picked up and model glasses are read",
         )
         return catalogue_glass(name, f"{self.path}, line {line.number}: glass", self.makers or None)
-
-    def _header_mode(self, line: Line) -> None:
-        line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
-
-    def _header_name(self, line: Line) -> None:
-        self.name = " ".join(line.words[1:])
-
-    def _header_unit(self, line: Line) -> None:
-        line.refuse_if(line.word(1) not in UNITS, f"the unit must be one of {', '.join(UNITS)}")
-        self.unit = UNITS[line.word(1)]
-
-    def _header_gcat(self, line: Line) -> None:
-        self.makers = list(line.words[1:])
-
-    def _header_envd(self, line: Line) -> None:
-        line.refuse_if(
-            line.value(3, 0.0) and (line.value(1), line.value(2)) != (20.0, 1.0),
-            "indices are those at 20 degrees and 1 atmosphere",
-        )
-
-    def _header_wavm(self, line: Line) -> None:
-        self.wavelengths[int(line.value(1))] = line.value(2)
-
-    def _header_wavl(self, line: Line) -> None:
-        self.wavelengths = {index: line.value(index) for index in range(1, len(line.words))}
-
-    _header_wavn = _header_wavl
-
-    def _header_pwav(self, line: Line) -> None:
-        self.primary = int(line.value(1))
-
-    def _header_mnum(self, line: Line) -> None:
-        line.refuse_if(line.value(1) != 1, "only files of one configuration are read")
-
-    def _header_surf(self, line: Line) -> None:
-        line.refuse_if(
-            line.value(1) != len(self.surfaces),
-            f"surfaces must be numbered from 0; this is number {len(self.surfaces)}",
-        )
-        self.surfaces.append(DesignSurface())
-        self.kinds.append("STANDARD")
-        self.parameters.append([])
-        self.taken.clear()
-
-    def _surface_type(self, line: Line, surface: DesignSurface) -> None:
-        line.refuse_if(line.word(1) not in _SURFACES, f"only surfaces of the types {' and '.join(_SURFACES)} are read")
-        self.kinds[-1] = line.word(1)
-
-    def _surface_curv(self, line: Line, surface: DesignSurface) -> None:
-        surface.curvature = line.value(1)
-
-    def _surface_disz(self, line: Line, surface: DesignSurface) -> None:
-        if line.word(1) == "INFINITY" and len(self.surfaces) == 1:
-            return
-        surface.thickness = line.value(1)
-
-    def _surface_coni(self, line: Line, surface: DesignSurface) -> None:
-        surface.conic = line.value(1)
-
-    def _surface_parm(self, line: Line, surface: DesignSurface) -> None:
-        self.parameters[-1].append(line)
-
-    def _surface_glas(self, line: Line, surface: DesignSurface) -> None:
-        self.glasses[len(self.surfaces) - 1] = line
-
-    def _surface_stop(self, line: Line, surface: DesignSurface) -> None:
-        surface.stop = True
-
-    def _surface_diam(self, line: Line, surface: DesignSurface) -> None:
-        # An aperture, which cuts rays off, outranks the semi-diameter, whichever is written first.
-        surface.semi_aperture = surface.semi_aperture or line.value(1)
-
-    def _surface_clap(self, line: Line, surface: DesignSurface) -> None:
-        line.refuse_if(line.value(1), "obscurations are not read: the inner radius of the aperture must be 0")
-        surface.semi_aperture = line.value(2)
-
-    _surface_flap = _surface_clap
-
-    def _surface_obdc(self, line: Line, surface: DesignSurface) -> None:
-        line.require_zero("decentred apertures are not read")

@@ -8,10 +8,8 @@ from . import ray, wave_methods, incoherent, deconvolved  # noqa: F401, I001
 from ..extension import register
 from .api import reconstruct
 from .estimates import estimate_reconstruction
-from .methods import FOOTPRINTS, RESPONSES
-from .differentiable import RayRefocus
-from .differentiable import CoherentRefocus
-from .differentiable_steps import DeconvolvedRefocus
+from ..refocus_options import FOOTPRINTS, RESPONSES
+from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 from .methods import METHODS
 from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
 

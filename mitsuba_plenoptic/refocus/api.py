@@ -7,7 +7,7 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, overload
+from typing import Any, Unpack, overload
 
 import numpy as np
 
@@ -16,27 +16,21 @@ from ..camera.plenoptic_camera import require_ideal, require_no_shape
 from ..errors import (
     InputError,
     argument,
-    refuse_if,
     require_choice,
     require_count,
-    require_flag,
-    require_number,
-    short_repr,
     suggest_keywords,
 )
-from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
+from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
 from ..optics import guards
+from ..refocus_options import OPTIONS, MethodOptions, with_options
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.limits import GIB, memory_asked
 from ..runtime.progress import Forecast, in_words
-from ..views.white_image import scaled_white
-from .deconvolution.variation import MOST as _MOST
+from .displacement import is_known
 from .methods import (
-    FOOTPRINTS,
     METHODS,
     Found,
     Task,
@@ -44,49 +38,15 @@ from .methods import (
     portion,
     require_distances,
     require_image_memory,
-    require_interleave,
+    require_option,
     require_response,
     require_upright,
     require_wavelengths,
     used_by,
     work_of,
 )
-from .radiance import is_known
-from .ray import white_pixels
+from .radiance import as_reference
 from .results import Reconstruction
-
-
-def reference_white(white: Any, capture: Capture, recorded: Any) -> np.ndarray:
-    """Return a white capture as an array with the channels of the capture that it is to divide."""
-    pixels = white.image if isinstance(white, Capture) else as_array("white", white)
-    require_pixels("white", pixels)
-    image = np.atleast_3d(capture.image)
-    if pixels.shape not in {image.shape[:2], (*image.shape[:2], 1), image.shape}:
-        raise InputError(f"white of shape {pixels.shape}: it must have the pixels of the capture, {image.shape[:2]}")
-    if isinstance(white, Capture):
-        require_demosaiced(white)
-        own = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
-        require_suitable_white(white, own)
-        _require_same_light(white, capture, image.shape[2])
-    scaled = scaled_white(np.atleast_3d(pixels), white_pixels(capture.camera), capture.camera)
-    return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
-
-
-def _require_same_light(white: Capture, capture: Capture, channels: int) -> None:
-    """Refuse a white wave capture that lost a different part of the light at the edges of its micro-images."""
-    refuse_if(
-        white.model == "wave" and capture.model != "wave",
-        "white: it was captured by waves, and the capture by rays, which lose no light at edges",
-    )
-    if white.wavelength is None or capture.wavelength is None:
-        return
-    theirs, own = (np.broadcast_to(light, channels) for light in (white.wavelength, capture.wavelength))
-    refuse_if(
-        not np.array_equal(theirs, own),
-        f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
-        "it must be of the same wavelengths",
-    )
-
 
 _log = logging.getLogger(__name__)
 
@@ -96,54 +56,30 @@ _LONG = 30.0
 """Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
 
 
+class ReconstructOptions(MethodOptions, total=False):
+    """Arguments of `reconstruct` beside capture and distance."""
+
+    method: str
+    camera: PlenopticCamera | None
+    wavelength: float | Sequence[float] | None
+    oversample: int
+    white: Capture | np.ndarray | None
+    progress: Callable[[int, int], None] | None
+    checkpoint: Checkpoint | None
+    batch_map: BatchMap | None
+
+
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: float,
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    interleave: int | str | None = ...,
-    footprint: str | None = ...,
-    relay: bool | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    response: str | None = ...,
-    iterations: int | None = ...,
-    accelerate: bool | None = ...,
-    photons: float | None = ...,
-    volume: bool | None = ...,
-    variation: float | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
+    capture: Capture | np.ndarray, distance: float, **options: Unpack[ReconstructOptions]
 ) -> Reconstruction: ...
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray,
-    distance: Sequence[float],
-    *,
-    method: str = ...,
-    camera: PlenopticCamera | None = ...,
-    wavelength: float | Sequence[float] | None = ...,
-    interleave: int | str | None = ...,
-    footprint: str | None = ...,
-    relay: bool | None = ...,
-    oversample: int = ...,
-    white: Capture | np.ndarray | None = ...,
-    response: str | None = ...,
-    iterations: int | None = ...,
-    accelerate: bool | None = ...,
-    photons: float | None = ...,
-    volume: bool | None = ...,
-    variation: float | None = ...,
-    progress: Callable[[int, int], None] | None = ...,
-    checkpoint: Checkpoint | None = ...,
-    batch_map: BatchMap | None = ...,
+    capture: Capture | np.ndarray, distance: Sequence[float], **options: Unpack[ReconstructOptions]
 ) -> list[Reconstruction]: ...
 @functools.partial(suggest_keywords, gone={"partition": "interleave, which takes every K-th lens along both axes"})
 @one_at_a_time
+@with_options
 def reconstruct(
     capture: Capture | np.ndarray,
     distance: float | Sequence[float],
@@ -151,20 +87,12 @@ def reconstruct(
     method: str = "ray",
     camera: PlenopticCamera | None = None,
     wavelength: float | Sequence[float] | None = None,
-    interleave: int | str | None = None,
-    footprint: str | None = None,
-    relay: bool | None = None,
     oversample: int = 1,
     white: Capture | np.ndarray | None = None,
-    response: str | None = None,
-    iterations: int | None = None,
-    accelerate: bool | None = None,
-    photons: float | None = None,
-    volume: bool | None = None,
-    variation: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
+    **options: Unpack[MethodOptions],
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
@@ -191,49 +119,20 @@ def reconstruct(
     wavelength : float or three floats, optional
         For the wave model: wavelength in nanometres, or one for each of three channels. Default: the capture's own. Ray
         methods take none.
-    interleave : int or "auto", optional
-        For ``partial``: a subset is every `interleave`-th lens along both axes. 2, the default, makes four waves; 1 is
-        ``coherent``;
-        ``"auto"`` is the limit of large periods, where no two lenses interfere; its last bits depend on the thread
-        count of the BLAS.
-    footprint : {"lens", "point"}, optional
-        For ``ray``: whether a pixel is spread over the area that its whole lens sees (default), or added to one bin.
-    relay : bool, optional
-        For ``coherent`` and ``partial``: whether the microlenses act a second time, in the MLA plane (default). Without
-        it, which is the literal reading of the paper, planes out of focus stay blurred: see
-        `mitsuba_plenoptic.refocus.wave_methods`.
     oversample : int
         Bins per lens along each axis. A focused camera resolves more than one:
         `mitsuba_plenoptic.design.suitable_oversample` and ``mitsuba-plenoptic info`` say how many.
     white : Capture or array, optional
         A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
-        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.white_radiance`). It is refocused by the
+        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.scaled_white`). It is refocused by the
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
-        `mitsuba_plenoptic.refocus.radiance`). This takes the time of one refocusing for the white and of two
+        `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two
         more for each distance. Default: the white image of the ray model. Wave captures, whose micro-images lose light
         at their edges, then read less than the radiance (0.85 for the paper's camera), except with
         ``incoherent``, whose computed white has lost the same light.
         ``deconvolved``, which knows the light of every bin, has no use for it.
-    response : {"wave", "ray"}, optional
-        For ``deconvolved``: model of the light in the camera. Default: the wave model if a `wavelength` is given, or
-        else the capture's own.
-    iterations : int, optional
-        For ``deconvolved``: count of steps. By default, if the noise is known from `photons` or from metadata of
-        `expose`, the iteration stops when the residual is as large as the noise, after at most 100 steps; otherwise
-        it makes 30 steps.
-    accelerate : bool, optional
-        For ``deconvolved``: whether steps start from points extrapolated along the last ones, which makes one step do
-        the work of several. Default: True.
-    photons : float, optional
-        For ``deconvolved``: photons counted in a pixel of value 1, if photon noise is the only noise.
-    volume : bool, optional
-        For ``deconvolved``: whether all distances together explain the capture, instead of each alone (default).
-    variation : float, optional
-        For ``deconvolved``: weight of the planes' total variation, at most 0.25, which makes them even between sharp
-        borders; 0.002 to 0.02 suit, the more the noisier the capture. It flattens what is fainter than the noise, and
-        makes steps of slopes. Default: 0.
     progress : callable, optional
         Called with the finished and the total count of steps.
     checkpoint : Checkpoint, optional
@@ -241,6 +140,8 @@ def reconstruct(
     batch_map : callable, optional
         For ``deconvolved``: computes the point spreads, for example `Cluster`. Default: threads of this
         process.
+    **options
+        Of single methods: see `MethodOptions`.
 
     Returns
     -------
@@ -291,40 +192,18 @@ def reconstruct(
         chosen,
         white=white,
         wavelength=wavelength,
-        interleave=interleave,
-        footprint=footprint,
-        relay=relay,
-        response=response,
-        iterations=iterations,
-        accelerate=accelerate,
-        photons=photons,
-        volume=volume,
-        variation=variation,
+        **{name: options.get(name) for name in OPTIONS},
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
-    white, wavelength, footprint, relay = (used[name] for name in ("white", "wavelength", "footprint", "relay"))
-    interleave, response = used["interleave"], used["response"]
-    given = {
-        "footprint": "lens" if footprint is None else require_choice("footprint", footprint, FOOTPRINTS),
-        "interleave": require_interleave(interleave, camera),
-        "relay": relay is None or require_flag("relay", relay),
-        "response": require_response(response, capture, wavelength),
-        "iterations": None if iterations is None else require_count("iterations", iterations),
-        "accelerate": accelerate is None or require_flag("accelerate", accelerate),
-        "photons": None if photons is None else require_number("photons", photons, positive=True),
-        "volume": volume is not None and require_flag("volume", volume),
-        "variation": require_number("variation", 0 if variation is None else variation, minimum=0, maximum=_MOST),
-    }
-    refuse_if(
-        not camera.lens_data.is_thin and method == "deconvolved" and given["response"] == "ray",
-        f"response = ray: behind main_lens = {camera.lens_data.label} it must be wave",
-    )
-    options: dict[str, Any] = {name: given[name] for name in chosen.options}
+    white, wavelength = used["white"], used["wavelength"]
+    settings = {name: require_option(name, used[name], camera) for name in chosen.options}
+    if "response" in settings:
+        settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)
     distances = require_distances(distance, camera)
     image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
-    waves = chosen.waves and options.get("response") != "ray"
+    waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
         require_ideal(camera)
         require_no_shape(camera, "captures are reconstructed by waves")
@@ -333,7 +212,7 @@ def reconstruct(
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else reference_white(white, capture, recorded)
+    reference = None if white is None else as_reference(white, capture, recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -367,17 +246,17 @@ def reconstruct(
         )
         # Methods that compare with computed captures ask for each wavelength's camera themselves.
         parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
-        images = _side_by_side([chosen.refocus(part, **options) for part in parts])
-    options |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
-    options |= {"white": "capture"} if reference is not None else {}
+        images = _side_by_side([chosen.refocus(part, **settings) for part in parts])
+    settings |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
+    settings |= {"white": "capture"} if reference is not None else {}
     results = [
         Reconstruction(
             image=made.image.reshape(*made.image.shape[:2], *capture.image.shape[2:]),
             distance=value,
-            bin_size=_bin_size(camera, value) / oversample,
+            bin_size=camera.bin_size(1.0 if math.isinf(value) else value) / oversample,
             method=method,
             camera=camera,
-            options=options,
+            options=settings,
             guards=found,
             facts=made.facts,
         )
@@ -387,7 +266,7 @@ def reconstruct(
 
 
 def _by_wavelength(task: Task) -> list[Task]:
-    """Return the work on each channel with the camera of its wavelength; all at once where that is the same."""
+    """Return one task per channel with the camera of its wavelength, or one for all channels if these are equal."""
     if task.camera.glass is None and task.camera.mla_glass is None:
         return [task]
     works = work_of(task.wavelengths)
@@ -413,7 +292,7 @@ def _recorded(capture: Capture, channels: int) -> list[float] | None:
 
 
 def _side_by_side(parts: list[Any]) -> list[Found]:
-    """Return what was found at each distance, with the channels of all parts."""
+    """Return the results at each distance with the channels of all parts side by side."""
     found = [[made if isinstance(made, Found) else Found(made) for made in part] for part in parts]
     if len(found) == 1:
         return found[0]
@@ -423,7 +302,3 @@ def _side_by_side(parts: list[Any]) -> list[Found]:
         )
         for of_distance in zip(*found, strict=True)
     ]
-
-
-def _bin_size(camera: PlenopticCamera, distance: float) -> float:
-    return camera.bin_size(1.0 if math.isinf(distance) else distance)

@@ -65,7 +65,7 @@ class Conjugate:
 
 @dataclass(frozen=True)
 class FieldZone:
-    """A part of the field whose light is taken to pass the pupil as that of its middle does, less the tilt.
+    """Part of the field whose light passes the pupil like the light of its middle, less the tilt.
 
     `bounds` are the fractions of the width and of the height of the bins between which it lies; None is the whole
     field. Where `is_cut`, light is ended by the conjugate's own edge, besides that of the circle around the pupil.
@@ -86,12 +86,12 @@ class FieldZone:
 
 @dataclass(frozen=True)
 class ParaxialLight:
-    """The phase of an ideal thin main lens for all points at the distance of any of them, without tilts."""
+    """Phase of an ideal thin main lens for all points at one distance, without tilts."""
 
     lens: ThinLens
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path in waves."""
+        """Return the path in waves from pupil points to a point."""
         return self.lens.paraxial_path(pupil, point[2], wavelength)
 
     def inside(self, pupil: Pair) -> Any:
@@ -120,7 +120,7 @@ class ThinConjugates:
         return self._light((-x * g / b, -y * g / b, g))
 
     def zones(self, distance: float) -> Iterator[FieldZone]:
-        """Yield the whole field: of a parabolic lens, what changes over it is neglected, see `planning`."""
+        """Yield the whole field as one zone; changes over it behind a parabolic lens are neglected."""
         yield FieldZone(self._light((0.0, 0.0, distance)))
 
     def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
@@ -180,7 +180,7 @@ class RealConjugates:
         return Conjugate(self._bound(positions, distance, lens), _NO_POINT, self.wavelength)
 
     def zones(self, distance: float) -> Iterator[FieldZone]:
-        """Yield zones so small that the path of the middle of each serves all of it."""
+        """Yield zones so small that the path of a zone's middle serves the whole zone."""
         bins = np.array(self.camera.bin_count) * self.camera.mla_pitch
         for count in range(1, _MOST_ZONES + 1):
             if self._blur(bins / count, count, distance) <= self.blur:
@@ -199,7 +199,7 @@ class RealConjugates:
             yield FieldZone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
 
     def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
-        """Return how far, on the MLA, rays of the corners of zones go astray by the path of the zone's middle."""
+        """Return the displacement on the MLA of rays from the corners of zones by the path of the zone's middle."""
         number = (np.arange(count) + 0.5) / count - 0.5
         x, y = (values.ravel() * count for values in np.meshgrid(number * width[0], number * width[1]))
         middles = np.stack([x, y], axis=-1)

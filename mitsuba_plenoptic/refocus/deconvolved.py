@@ -12,10 +12,10 @@ from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError, argument, refuse_if
 from ..io.checkpoints import digest
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
-from .deconvolution.solver import Solved, SolverCheckpoint, richardson_lucy
+from .deconvolution.solver import Solved, State, Work, richardson_lucy
 from .deconvolution.variation import Noise
 from .methods import Found, Progress, Task, method, portion, work_of
 
@@ -25,10 +25,8 @@ DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
 
-_OPTIONS = ("response", "iterations", "accelerate", "photons", "volume", "variation")
 
-
-@method("deconvolved", options=_OPTIONS, waves=True, as_it_is=True, long=True, white=False)
+@method("deconvolved", waves=True, as_it_is=True, long=True, white=False)
 def refocus(task: Task, **options: Any) -> list[Found]:
     """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
 
@@ -46,15 +44,15 @@ def refocus(task: Task, **options: Any) -> list[Found]:
         _require_different(task.distances)
     groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
     channels, planes = task.image.shape[2], len(task.distances)
-    checkpoint = SolverCheckpoint(task.checkpoint, _inputs(task, options) if task.checkpoint else {})
-    work, done = channels * planes, len(checkpoint.solved)
-    refuse_if(done > work or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {work}")
+    work = Work.of((task.checkpoint and task.checkpoint.begin_arrays(**_inputs(task, options))) or {})
+    count, done = channels * planes, len(work.solved)
+    refuse_if(done > count or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {count}")
     works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
     for index in range(done // len(groups[0]), channels * len(groups)):
         channel, group = divmod(index, len(groups))
         report = portion(task.progress, index, works)
-        checkpoint.solved += list(_solve(task, groups[group], channel, options, noise, checkpoint, report))
-    found = [[checkpoint.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
+        work.solved += list(_solve(task, groups[group], channel, options, noise, work, report))
+    found = [[work.solved[channel * planes + plane] for channel in range(channels)] for plane in range(planes)]
     return [
         Found(np.stack([one.image for one in of_plane], axis=-1), _facts(task, distance, of_plane))
         for distance, of_plane in zip(task.distances, found, strict=True)
@@ -67,13 +65,18 @@ def _solve(
     channel: int,
     options: dict[str, Any],
     noise: Noise | None,
-    checkpoint: SolverCheckpoint,
+    work: Work,
     report: Progress,
 ) -> Iterator[Solved]:
     """Yield the result of each plane for one channel."""
     image = np.ascontiguousarray(task.image[..., channel])
     iterations, variation = options["iterations"], options["variation"]
     most = iterations or (MOST_ITERATIONS if noise else DEFAULT_ITERATIONS)
+
+    def keep(state: State) -> None:
+        if task.checkpoint:
+            task.checkpoint.save_arrays(Work(work.solved, state).arrays)
+
     with response_of(task.camera)(
         task.camera,
         distances,
@@ -90,8 +93,8 @@ def _solve(
             misfit=noise.misfit if noise and iterations is None else None,
             shift=noise.shift if noise else 0.0,
             penalty=(made.variation(), variation) if variation else None,
-            state=checkpoint.state(made.shapes),
-            keep=checkpoint.keep,
+            state=work.take_state(made.shapes),
+            keep=keep,
             progress=lambda done: report(made.prepared + (1 - made.prepared) * done),
         )
     for plane, parts in enumerate(zip(solution.values, solution.seen, strict=True)):
@@ -119,7 +122,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 
 
 def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return all inputs on which the result depends, by which a checkpoint recognises the same run."""
+    """Return all inputs that determine the result, by which a checkpoint recognises the same run."""
     return {
         "capture": digest(task.image),
         "camera": task.camera.to_dict(),

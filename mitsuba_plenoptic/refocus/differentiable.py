@@ -1,8 +1,22 @@
-"""Refocusing as a function of the capture that Dr.Jit, and through it PyTorch, can differentiate."""
+r"""Refocusing as a function of the capture that Dr.Jit, and through it PyTorch, can differentiate.
+
+Deconvolution is a given count of Richardson's and Lucy's steps. A step :math:`x' = x \, w \, A^T r` with
+:math:`r = (y + \beta) / (A x + \beta)` has the transposed derivative
+
+.. math::
+    \bar r = A (x w \bar x'), \quad \bar y \mathrel{+}= \bar r / (A x + \beta), \quad
+    \bar x = w \, A^T r \, \bar x' - A^T \frac{\bar r \, r}{A x + \beta} ,
+
+so that the reverse pass of a step takes one product with A and one with its transpose, like the step itself.
+:math:`\beta` and the radiance of the first bins are proportional to the light of the capture.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import drjit as dr
 import numpy as np
@@ -14,19 +28,21 @@ from ..errors import InputError, refuse_if, require_choice, require_count, requi
 from ..io.captures import as_array, require_pixels
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
+from ..light.sampling import check_memory
 from ..optics import guards
 from ..prescription.lens_data import image_distance
+from ..refocus_options import FOOTPRINTS
 from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from .conjugates import ThinConjugates
-from .full_fields import BackwardFields
-from .lens_tiles import fine_bins
-from .methods import FOOTPRINTS
+from .deconvolution.solver import RichardsonLucyStep, Values
+from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
+from .lens_by_lens import fine_bins
 from .passages import BinSums
 from .planning import plan, require_feasible
-from .radiance import LensSpread, divisors, is_reached, lens_scale
-from .ray import pupil_radius, ray_sums, ray_sums_vjp, white_sums
-from .wave_methods import signed_parts, white_light
+from .radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
+from .ray_sums import pupil_radius, ray_sums, ray_sums_vjp
+from .wave_methods import BackwardFields, signed_parts
 
 
 class RayRefocus:
@@ -73,7 +89,7 @@ class RayRefocus:
         return self._factor.shape
 
     def forward(self, capture: Any) -> np.ndarray:
-        """Refocus a capture.
+        """Return the refocused capture.
 
         Parameters
         ----------
@@ -85,13 +101,13 @@ class RayRefocus:
         float32 array (rows, columns) or (rows, columns, channels)
             Radiance of the bins, as by `reconstruct`, but 0 where that has NaN.
         """
-        pixels = as_channels(as_array("capture", capture), self.camera.shape, "capture")
+        pixels = as_channels(capture, self.camera.shape, "capture")
         sums = ray_sums(np.ascontiguousarray(pixels, np.float32), self.camera, *self._numbers)
         made = (sums * self._factor[..., None]).astype(np.float32)
         return made[..., 0] if np.ndim(capture) == 2 else made
 
     def adjoint(self, bins: Any) -> np.ndarray:
-        """Apply the transpose of `forward`.
+        """Return the transpose of `forward`, applied to bins.
 
         Parameters
         ----------
@@ -103,7 +119,7 @@ class RayRefocus:
         float32 array (rows, columns) or (rows, columns, channels)
             One value for each pixel.
         """
-        given = as_channels(as_array("bins", bins), self._factor.shape, "bins") * self._factor[..., None]
+        given = as_channels(bins, self._factor.shape, "bins") * self._factor[..., None]
         pixels = ray_sums_vjp(given, self.camera, *self._numbers).astype(np.float32)
         return pixels[..., 0] if np.ndim(bins) == 2 else pixels
 
@@ -116,16 +132,16 @@ class RayRefocus:
 
 
 class _RefocusOp(dr.CustomOp):
-    """One use of a refocus by Dr.Jit."""
+    """One use of a refocus as an operation of Dr.Jit."""
 
     def eval(self, capture: Any, refocus: RayRefocus | CoherentRefocus) -> Any:
-        """Refocus."""
+        """Return the refocused capture."""
         image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
         self._kind = type(capture)
         return drjit_array(self._kind, image)
 
     def forward(self) -> None:
-        """Refocus the change of the capture."""
+        """Set the change of the image from the change of the capture."""
         self.set_grad_out(drjit_array(self._kind, self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
@@ -133,15 +149,61 @@ class _RefocusOp(dr.CustomOp):
         self.set_grad_in("capture", drjit_array(self._kind, self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
-        """Return what Dr.Jit calls it."""
+        """Return the name of the operation for Dr.Jit."""
         return "refocusing"
 
 
-def as_channels(values: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
-    """Return (rows, columns, channels), or refuse another shape."""
-    if values.ndim not in (2, 3) or values.shape[:2] != shape:
-        raise InputError(f"{name} of shape {values.shape}: it must have {shape[0]} rows and {shape[1]} columns")
-    return values if values.ndim == 3 else values[..., None]
+def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+    """Return an array as (rows, columns, channels), or refuse another shape."""
+    given = as_array(name, values)
+    if given.ndim not in (2, 3) or given.shape[:2] != shape:
+        raise InputError(f"{name} of shape {given.shape}: it must have {shape[0]} rows and {shape[1]} columns")
+    return given if given.ndim == 3 else given[..., None]
+
+
+class Channel(Protocol):
+    """One refocused channel of a capture: its bins (rows, columns), and their derivatives by the pixels."""
+
+    bins: NDArray[Any]
+
+    def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
+        """Return the change of the bins with that of the pixels."""
+
+    def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
+        """Return the gradient by the pixels of one by the bins."""
+
+
+class RefocusedImage:
+    """A refocused capture, `image`, and the derivatives there; see `CoherentRefocus` and `DeconvolvedRefocus`."""
+
+    def __init__(
+        self, refocus: CoherentRefocus | DeconvolvedRefocus, capture: Any, channel: Callable[[NDArray[Any]], Channel]
+    ) -> None:
+        pixels = as_channels(capture, refocus.camera.shape, "capture")
+        require_pixels("capture", pixels)
+        self._pixels, self._bins, self._flat = refocus.camera.shape, refocus.shape, np.ndim(capture) == 2
+        self._channels = [channel(np.ascontiguousarray(each, np.float32)) for each in np.moveaxis(pixels, -1, 0)]
+        self.image = self._stacked([each.bins for each in self._channels])
+
+    def jvp(self, change: Any) -> NDArray[np.float32]:
+        """Return the change of the image with that of the capture, in whose shape it is given."""
+        given = self._of_channels(change, self._pixels, "change")
+        return self._stacked([channel.jvp(part) for channel, part in zip(self._channels, given, strict=True)])
+
+    def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
+        """Return the gradient by the capture of one by the image."""
+        given = self._of_channels(image_gradient, self._bins, "image_gradient")
+        return self._stacked([channel.vjp(part) for channel, part in zip(self._channels, given, strict=True)])
+
+    def _of_channels(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+        given = as_channels(values, shape, name)
+        if given.shape[2] != len(self._channels):
+            raise InputError(f"{name} of {given.shape[2]} channels: the capture has {len(self._channels)}")
+        return np.moveaxis(given, -1, 0)
+
+    def _stacked(self, parts: list[NDArray[Any]]) -> NDArray[np.float32]:
+        stack = np.stack(parts, -1).astype(np.float32)
+        return stack[..., 0] if self._flat else stack
 
 
 class CoherentRefocus:
@@ -197,7 +259,7 @@ class CoherentRefocus:
         (self._step,) = grids.to_objects
         (self._zone,) = ThinConjugates(system).zones(distance)
         rays = white_sums(camera, distance, camera.lit_radius, "lens", oversample)
-        white = white_light(camera, wavelength, distance, oversample, True)
+        white = white_sums(camera, distance, camera.lit_radius, "lens", oversample, wavelength)
         divisor, reached = divisors(white, rays, distance, computed=True)
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)[..., 0]
 
@@ -208,7 +270,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def forward(self, capture: Any) -> NDArray[np.float32]:
-        """Refocus a capture.
+        """Return the refocused capture.
 
         Parameters
         ----------
@@ -224,7 +286,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def derivative(self, capture: Any, change: Any) -> NDArray[np.float32]:
-        """Differentiate `forward` at a capture, in the direction of a change of it.
+        """Return the derivative of `forward` at a capture, in the direction of a change of the capture.
 
         Parameters
         ----------
@@ -240,7 +302,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Apply the transpose of `derivative`: propagate a gradient from the image to the capture.
+        """Return the gradient by the capture from a gradient by the image, the transpose of `derivative`.
 
         Parameters
         ----------
@@ -256,9 +318,9 @@ class CoherentRefocus:
         """
         return self.at(capture).vjp(image_gradient)
 
-    def at(self, capture: Any) -> CoherentImage:
-        """Refocus a capture, and keep what its derivatives need."""
-        return CoherentImage(self, capture)
+    def at(self, capture: Any) -> RefocusedImage:
+        """Return the refocused capture with the data for its derivatives."""
+        return RefocusedImage(self, capture, lambda image: _CoherentChannel(self, image))
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
@@ -269,8 +331,26 @@ class CoherentRefocus:
         return at.image, at.jvp, at.vjp
 
 
+class _CoherentChannel:
+    """The bins of one channel: those of its pixels above zero less those of the others, over the light of white."""
+
+    def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32]) -> None:
+        self._factor = refocus._factor
+        self._parts = [(sign, _BinnedPower(refocus, part, checked=sign > 0)) for sign, part in signed_parts(image)]
+        self.bins = self._factor * sum(sign * part.bins for sign, part in self._parts)
+
+    def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
+        """Return the change of the bins with that of the pixels."""
+        # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
+        return np.asarray(self._factor * sum(part.jvp(change) for _, part in self._parts))
+
+    def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
+        """Take the gradient by the bins back to the pixels."""
+        return np.asarray(sum(part.vjp(self._factor * bins) for _, part in self._parts))
+
+
 class _BinnedPower:
-    """The power in bins that a capture of no negative pixels gives, and its derivatives there.
+    """Power in bins from a capture without negative pixels, with its derivatives at this capture.
 
     With the field u at the directions of the object plane, and its change du, a bin changes by the sum of 2 Re(u* du)
     over it. Where a pixel is zero the square root has no derivative, and 0 is taken.
@@ -302,7 +382,7 @@ class _BinnedPower:
         return found, passed
 
     def jvp(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the bins with that of the capture."""
+        """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
         power: Any = sum(2 * (field.conj() * other).real for field, other in zip(self._at, moved, strict=True))
         bins = backend().to_host(self._sums.jvp(power))
@@ -317,40 +397,149 @@ class _BinnedPower:
             return self._slope * refocus._fields.vjp(gradients, refocus._zone, refocus._step)
 
 
-class CoherentImage:
-    """A refocused capture, and its derivatives there; see `CoherentRefocus`."""
+class DeconvolvedRefocus:
+    """Deconvolution of captures of one camera and distance by a fixed number of steps, with derivatives by pixels.
 
-    def __init__(self, refocus: CoherentRefocus, capture: Any) -> None:
-        pixels = as_channels(as_array("capture", capture), refocus.camera.shape, "capture")
-        require_pixels("capture", pixels)
-        self._refocus, self._flat, self._shape = refocus, np.ndim(capture) == 2, pixels.shape
-        self._channels = [
-            [(sign, _BinnedPower(refocus, part, checked=sign > 0)) for sign, part in signed_parts(channel)]
-            for channel in np.moveaxis(np.asarray(pixels, np.float32), -1, 0)
-        ]
-        self.image = self._stacked([sum(sign * part.bins for sign, part in parts) for parts in self._channels])
+    The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The response of the
+    camera is computed once. The image is no linear function of the capture.
 
-    def jvp(self, change: Any) -> NDArray[np.float32]:
-        """Return the change of the image; see `CoherentRefocus.derivative`."""
-        given = zip(self._as_channels(change, self._shape[:2], "change"), self._channels, strict=True)
-        # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
-        return self._stacked([sum(part.jvp(channel) for _, part in parts) for channel, parts in given])
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Object distance in scene units, beyond the focal length; may be infinite.
+    wavelength : float, optional
+        In nanometres, of all channels. Default: the response of the ray model.
+    iterations : int
+        Steps.
+    oversample : int
+        Bins per lens along each axis.
 
-    def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
-        """Return the gradient by the capture; see `CoherentRefocus.gradient`."""
-        shape, factor = self._refocus._factor.shape, self._refocus._factor
-        given = zip(self._as_channels(image_gradient, shape, "image_gradient"), self._channels, strict=True)
-        return self._returned([sum(part.vjp(factor * channel) for _, part in parts) for channel, parts in given])
+    Raises
+    ------
+    InputError
+        If a parameter is out of range, or the response takes too much memory.
+    """
 
-    def _as_channels(self, values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
-        given = as_channels(as_array(name, values), shape, name)
-        if given.shape[2] != self._shape[2]:
-            raise InputError(f"{name} of {given.shape[2]} channels: the capture has {self._shape[2]}")
-        return np.moveaxis(given, -1, 0)
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        distance: float,
+        wavelength: float | None = None,
+        *,
+        iterations: int = DEFAULT_ITERATIONS,
+        oversample: int = 1,
+    ) -> None:
+        camera = regular_array(camera)
+        self.camera, self.iterations = camera, require_count("iterations", iterations)
+        distance, oversample = (
+            require_number("distance", distance, finite=False),
+            require_count("oversample", oversample),
+        )
+        wavelength = None if wavelength is None else require_wavelength(wavelength)
+        self.response = response_of(camera)(camera, [distance], wavelength=wavelength, oversample=oversample)
+        (light,) = self.response.adjoint(np.ones(camera.shape, np.float32))
+        seen = self.response.to_image(light / light.max(), 0)
+        # Bins that `reconstruct` leaves unknown are 0.
+        self.visible = seen >= LEAST_SEEN
 
-    def _stacked(self, bins: list[Any]) -> NDArray[np.float32]:
-        return self._returned([self._refocus._factor * channel for channel in bins])
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Rows and columns of the bins."""
+        return self.visible.shape
 
-    def _returned(self, channels: list[Any]) -> NDArray[np.float32]:
-        single = np.stack(channels, -1).astype(np.float32)
-        return single[..., 0] if self._flat else single
+    @one_at_a_time
+    def forward(self, capture: Any) -> NDArray[np.float32]:
+        """Return the deconvolved capture.
+
+        Parameters
+        ----------
+        capture : array (rows, columns) or (rows, columns, channels)
+            The recorded pixels.
+
+        Returns
+        -------
+        float32 array (rows, columns) or (rows, columns, channels)
+            Radiance of the bins, as by `reconstruct`, but 0 where that has NaN.
+
+        Raises
+        ------
+        InputError
+            If a channel of the capture has no light.
+        """
+        return self.at(capture).image
+
+    def at(self, capture: Any) -> RefocusedImage:
+        """Return the deconvolved capture with the data for its derivatives."""
+        pixels = as_channels(capture, self.camera.shape, "capture")
+        numbers = 4.0 * (pixels.size + 2 * pixels.shape[2] * math.prod(self.response.shapes[0]))
+        what = f"derivatives of {self.iterations} steps in {pixels.shape[2]} channels"
+        check_memory(numbers * self.iterations, what)
+        return RefocusedImage(self, capture, lambda image: _DeconvolvedChannel(self, image))
+
+
+@dataclass(frozen=True, eq=False)
+class _Made:
+    """A finished step: its bins, the image of these bins, and the adjoint of the ratio."""
+
+    point: NDArray[np.float32]
+    model: NDArray[np.float32]
+    back: NDArray[np.float32]
+
+
+class _DeconvolvedChannel:
+    """The steps of one channel, and their derivatives."""
+
+    def __init__(self, refocus: DeconvolvedRefocus, image: NDArray[np.float32]) -> None:
+        response = self._response = refocus.response
+        self._visible = refocus.visible
+        self._step, self._image = RichardsonLucyStep(response, image), image
+        refuse_if(not self._step.total, "capture: none of its pixels is lit: there is nothing to deconvolve")
+        values: Values = self._step.start()
+        self._made: list[_Made] = []
+        for _ in range(refocus.iterations):
+            model = response.forward(values)
+            back = response.adjoint(self._step.ratio(model))
+            self._made.append(_Made(values[0], model, back[0]))
+            values = self._step.scaled(values, back)
+        self.bins = self._to_image(values[0])
+
+    def _to_image(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(self._response.to_image(values, 0) * self._visible)
+
+    def jvp(self, change: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the change of the bins with that of the pixels."""
+        change = np.asarray(change, np.float32)
+        step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
+        lit, known = self._image > 0, self._image + self._step.shift > 0
+        light = float(change[lit].sum(dtype=np.float64))
+        moved, shift = np.where(inside, np.float32(light / step.sent), 0), np.float32(light * step.shift_slope)
+        for made in self._made:
+            below, ratio = self._of(made)
+            of_model = np.where(made.model > 0, self._response.forward([moved]), 0)
+            of_ratio = (np.where(known, change + shift, 0) - ratio * (of_model + shift)) / below
+            (of_back,) = self._response.adjoint(of_ratio.astype(np.float32))
+            of_back = np.where(made.back > 0, of_back, 0)
+            moved = weight * (moved * np.maximum(made.back, 0) + made.point * of_back)
+        return self._to_image(moved)
+
+    def vjp(self, bins: NDArray[Any]) -> NDArray[np.float64]:
+        """Take the gradient by the bins back to the pixels."""
+        felt = self._response.from_image(bins * self._visible, 0)
+        step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
+        lit, known = self._image > 0, self._image + self._step.shift > 0
+        total, by_shift = np.zeros(self._image.shape), 0.0
+        for made in reversed(self._made):
+            below, ratio = self._of(made)
+            of_back = np.where(made.back > 0, felt * made.point * weight, 0)
+            of_ratio = self._response.forward([of_back]) / below
+            total += np.where(known, of_ratio, 0)
+            by_shift += float((of_ratio * (known - ratio)).sum(dtype=np.float64))
+            (of_model,) = self._response.adjoint(np.where(made.model > 0, of_ratio * ratio, np.float32(0)))
+            felt = felt * np.maximum(made.back, 0) * weight - of_model
+        return total + lit * (float(felt[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope)
+
+    def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the denominator of the ratio, and the ratio."""
+        return np.maximum(made.model, 0) + self._step.shift, self._step.ratio(made.model)

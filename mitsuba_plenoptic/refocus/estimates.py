@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..io.captures import Capture
 from ..light.cost import Cost
 from ..runtime.limits import memory_asked
 from ..runtime.progress import Forecast
-from .api import reconstruct
+from .api import ReconstructOptions, reconstruct
 
 _REFUSED = ("progress", "checkpoint")
 
@@ -25,7 +25,9 @@ class _KnownError(Exception):
         self.seconds = seconds
 
 
-def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Any) -> Cost:
+def estimate_reconstruction(
+    capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Unpack[ReconstructOptions]
+) -> Cost:
     """Estimate the time and memory that `reconstruct` would take with the same arguments.
 
     The reconstruction is begun, and left as soon as its speed is known: after some five seconds from the first results

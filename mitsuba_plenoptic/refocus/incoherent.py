@@ -22,17 +22,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..runtime.jobs import Job
+from ..runtime.batches import Job
 from .deconvolution.fourier import FourierResponse
 from .deconvolution.response import Response
 from .methods import Progress, Task, method, portion, work_of
-from .radiance import captures, to_radiance
-from .ray import white_pixels, white_sums
+from .radiance import captures, to_radiance, white_pixels, white_sums
 
 
-@method("incoherent", options=(), waves=True, as_it_is=True)
+@method("incoherent", waves=True, as_it_is=True)
 def refocus(task: Task) -> list[np.ndarray]:
-    """Weigh the capture with that of every bin by itself."""
+    """Return the capture weighed with the capture of every single bin."""
     count = len(task.distances)
     parts = (portion(task.progress, index, [1] * count) for index in range(count))
     return [
@@ -42,7 +41,7 @@ def refocus(task: Task) -> list[np.ndarray]:
 
 
 def _plane(task: Task) -> np.ndarray:
-    """Refocus to the only distance of a task, each wavelength by one response for all of its channels.
+    """Return the image in the only plane of a task, with one response per wavelength for all of its channels.
 
     The computed white is that of the capture's own model: a ray capture has lost no light to diffraction.
     """

@@ -19,6 +19,7 @@ from ..errors import (
     refuse_if,
     require_choice,
     require_count,
+    require_flag,
     require_number,
     require_wavelength,
     short_repr,
@@ -28,6 +29,7 @@ from ..io.checkpoints import Checkpoint
 from ..light.detector import require_demosaiced
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
+from ..refocus_options import OPTIONS
 from ..runtime.batches import BatchMap
 from ..runtime.limits import largest_fitting, require_memory
 
@@ -37,7 +39,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """The inputs of a method of reconstruction, all of which have been checked.
+    """Checked inputs of a method of reconstruction.
 
     Attributes
     ----------
@@ -89,7 +91,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An image (rows, columns, channels), NaN where no light can come from, and facts about it: plain data by name."""
+    """Image (rows, columns, channels), NaN where no light can come from, with facts as plain data by name."""
 
     image: np.ndarray
     facts: dict[str, Any] = field(default_factory=dict)
@@ -102,7 +104,7 @@ def portion(progress: Progress, number: int, works: Sequence[float]) -> Progress
 
 
 def work_of(wavelengths: Sequence[float]) -> list[float]:
-    """Return the amounts of work for waves of some wavelengths, which their samples along both axes determine."""
+    """Return the amounts of work for waves of given wavelengths, by their samples along both axes."""
     return [wavelength**-2 for wavelength in wavelengths]
 
 
@@ -112,7 +114,7 @@ Refocus = Callable[..., Sequence[np.ndarray | Found]]
 
 @dataclass(frozen=True)
 class RegisteredMethod:
-    """A method of reconstruction as `method` registers it."""
+    """Method of reconstruction with its options, registered by `method`."""
 
     name: str
     refocus: Refocus
@@ -136,7 +138,7 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
-    """Return options with None, as if not given, for those that a method has no use for, of which one warning tells."""
+    """Return options, with None for those that a method has no use for; one warning names these."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
@@ -149,7 +151,7 @@ def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
 def method(
     name: str,
     *,
-    options: tuple[str, ...],
+    options: tuple[str, ...] = (),
     waves: bool,
     as_it_is: bool = False,
     long: bool = False,
@@ -162,7 +164,7 @@ def method(
     name : str
         The name under which users select it.
     options : tuple of str
-        The options of `reconstruct` that it takes.
+        The options of `reconstruct` that it takes, besides those whose records name it (see `refocus_options`).
     waves : bool
         Whether it needs wavelengths.
     as_it_is : bool
@@ -172,20 +174,17 @@ def method(
     white : bool
         Whether its images can be divided by those of a white capture.
     """
+    taken = (*options, *(option for option, record in OPTIONS.items() if name in record.methods))
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = RegisteredMethod(name, refocus, options, waves, as_it_is, long, white)
+        METHODS[name] = RegisteredMethod(name, refocus, taken, waves, as_it_is, long, white)
         return refocus
 
     return register
 
 
-FOOTPRINTS = ("lens", "point")
-RESPONSES = ("wave", "ray")
-
-
 def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
-    """Return the capture with its camera, or with another that is given."""
+    """Return the capture with its camera, or with a camera given instead."""
     if isinstance(capture, Capture):
         require_demosaiced(capture)
         if camera is None:
@@ -205,7 +204,7 @@ def require_upright(camera: PlenopticCamera) -> None:
 
 
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
-    """Return the distances, all of which lie before the camera."""
+    """Return the distances; refuse one that does not lie before the camera."""
     try:
         several = np.ndim(distance) > 0
     except ValueError:
@@ -221,33 +220,30 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     return distances
 
 
-def require_interleave(interleave: Any, camera: PlenopticCamera) -> int | str:
-    """Return the period of the subsets of lenses, or ``"auto"``."""
-    if interleave is None:
-        return 2
-    if isinstance(interleave, str) and interleave == "auto":
-        return interleave
-    lenses = max(camera.lens_count)
-    try:
-        return require_count("interleave", interleave, maximum=lenses)
-    except InputError:
-        raise InputError(
-            f"interleave = {short_repr(interleave)}: it must be 'auto' or a whole number from 1 to {lenses}, "
-            "the lenses along an axis"
-        ) from None
+def require_option(name: str, value: Any, camera: PlenopticCamera) -> Any:
+    """Return what methods get for an option; the default of its record where none is given."""
+    option = OPTIONS[name]
+    if value is None:
+        return option.default
+    if option.check:
+        return option.check(name, value, max(camera.lens_count))
+    if option.choices:
+        return require_choice(name, value, option.choices)
+    return require_flag(name, value) if bool in option.types else require_count(name, value)
 
 
-def require_response(response: Any, capture: Capture, wavelength: Any) -> str:
+def require_response(response: str | None, capture: Capture, wavelength: Any) -> str:
     """Return the model of the light: if not given, the wave model if there is a wavelength, else the capture's own."""
-    if response is None:
-        return capture.model if wavelength is None else "wave"
-    if require_choice("response", response, RESPONSES) == "ray" and wavelength is not None:
-        raise InputError(f"{argument('wavelength')}: a response by rays has none; leave it out")
-    return str(response)
+    if response == "ray":
+        refuse_if(wavelength is not None, f"{argument('wavelength')}: a response by rays has none; leave it out")
+    model = response or (capture.model if wavelength is None else "wave")
+    lens = capture.camera.lens_data
+    refuse_if(model == "ray" and not lens.is_thin, f"response = ray: behind main_lens = {lens.label} it must be wave")
+    return model
 
 
 def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera: PlenopticCamera) -> list[float]:
-    """Return the wavelength of each channel; scalar waves go through lenses that are wider."""
+    """Return the wavelength of each channel; refuse lenses too narrow for scalar waves."""
     given: Any = capture.wavelength if wavelength is None else wavelength
     if given is None:
         raise InputError(

@@ -52,7 +52,7 @@ _PAGE, _STAGGER = 512, 24
 
 
 class ThinElement:
-    """A thin element in the source plane of a step, a function of Dr.Jit's x and y; without one it changes nothing.
+    """Thin element in the source plane of a step, a function of Dr.Jit's x and y; None changes nothing.
 
     A product of a function of x and one of y is known from its values along two lines through a point at which its
     modulus is 1: it is given with such a point, and then its rows of zeros are left out.
@@ -76,7 +76,7 @@ class ThinElement:
             self._lit = backend().to_host(self.along_y) != 0
 
     def lit(self, rows: slice) -> list[slice]:
-        """Return those of the rows that the element does not darken, in runs."""
+        """Return runs of the rows that the element leaves lit."""
         runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
         return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
 
@@ -111,7 +111,7 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
 
 
 class FieldWorkspace:
-    """Memory that serves all of some steps: fresh pages would cost nearly as much as the transforms on them.
+    """Memory shared by steps, since fresh pages would cost nearly as much as the transforms.
 
     `report` is called with the samples that Fourier transforms have gone through.
     """
@@ -125,11 +125,11 @@ class FieldWorkspace:
         self._buffers: dict[str, Field] = {}
 
     def columns(self, step: Step) -> Field:
-        """Return the memory of a step's columns, which is that of the last step's, too."""
+        """Return the memory of a step's columns, which the last step's columns share."""
         return self._columns[: step.x.held]
 
     def array(self, name: str, shape: tuple[int, int]) -> Field:
-        """Return an array with any content; it holds until the same name is asked for again."""
+        """Return an uninitialised array, valid until the same name is requested again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
@@ -142,7 +142,7 @@ class FieldWorkspace:
             yield slice(first, min(first + block, count))
 
     def blocks(self, field: Field) -> Rows:
-        """Yield all rows of a field; the blocks are its own memory."""
+        """Yield all rows of a field in blocks, which are views of the field."""
         for rows in self.runs(len(field)):
             yield rows, field[rows]
 
@@ -156,7 +156,7 @@ class FieldWorkspace:
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """A length of free space in millimetres, for light of a wavelength there in nanometres, by slopes or by cosines.
+    """Free space of a length in mm, for light of a wavelength there in nm, by slopes or by cosines.
 
     With `beyond_paraxial`, only what it does beyond its paraxial part.
     """
@@ -168,12 +168,12 @@ class FreeSpace:
 
     @property
     def back(self) -> FreeSpace:
-        """The way back."""
+        """Free space from the second plane back to the first."""
         return FreeSpace(-self.distance, self.wavelength, self.paraxial, self.beyond_paraxial)
 
 
 def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace) -> Rows:
-    """Yield a field at the destination samples of a step, without the carrier, of one at its source samples.
+    """Yield a field at the destination samples of a step, without its carrier, from the field at source samples.
 
     The field passes the element first, then free space. Rows may come from another step's with the same workspace.
     """
@@ -191,7 +191,7 @@ def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, 
 def propagate_vjp(
     gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
-    """Take the gradient by the destination samples of `propagate` back to its source samples."""
+    """Yield the gradient by the source samples of `propagate` from the gradient by the destination samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
     for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
@@ -239,7 +239,7 @@ def to_directions(
 
 
 def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Take the gradient by the frequencies of `to_directions` back to its source samples."""
+    """Yield the gradient by the source samples of `to_directions` from the gradient by the frequencies."""
     back = step.reversed
     columns = workspace.columns(back)
     for mine, part in gradient:
@@ -269,7 +269,7 @@ class ParaxialPath:
         )
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield lines of the field on the second plane, of the one on the first; not in their order."""
+        """Yield lines of the field on the second plane, out of order, from the field on the first."""
         positive = (self._step.y.held + 1) // 2
         for mine, part in to_directions(source, self._element, self._step, workspace):
             lines = workspace.array("lines", (workspace.block, self._step.y.held))[: len(part)]
@@ -281,11 +281,11 @@ class ParaxialPath:
                 yield there, lines[own]
 
     def vjp(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Take the gradient by the lines back to the field on the first plane."""
+        """Yield the field on the first plane that a gradient by the lines gives."""
         yield from to_directions_vjp(self._to_spectrum(gradient, workspace), self._element, self._step, workspace)
 
     def _to_spectrum(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield lines of the gradient, in their order, by the lines of the spectrum."""
+        """Yield the gradient by lines of the spectrum, from the gradient in order."""
         count, positive = self._step.x.held, (self._step.y.held + 1) // 2
         for there, lines in gradient:
             found = lines * self._along_x[there, None].conj()
@@ -296,7 +296,7 @@ class ParaxialPath:
 
 
 def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tuple[slice, slice]]:
-    """Yield the parts of a run of lines, and their numbers when zero frequency comes to the middle, or back again."""
+    """Yield parts of a run of lines with their numbers after zero frequency moves to the middle, or back."""
     first = (lines.start + (count // 2 if moved is None else moved)) % count
     border = min(lines.stop - lines.start, count - first)
     yield slice(0, border), slice(first, first + border)
@@ -305,7 +305,7 @@ def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tu
 
 
 def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Turn columns into rows, transform these back and take their first samples."""
+    """Yield rows from columns: transformed back, with their first samples only."""
     x, y = step.x, step.y
     block = workspace.array("next rows", (workspace.block, x.held))
     for rows in workspace.runs(y.wanted):
@@ -317,7 +317,7 @@ def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
 
 
 def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
-    """Transform rows of the lowest frequencies to the destination samples."""
+    """Return the destination samples of rows of the lowest frequencies."""
     if axis.held < axis.new_padded:
         low, high = _lowest(axis.new_padded, axis.held)
         wide = workspace.array("wide", (len(part), axis.new_padded))
@@ -344,7 +344,7 @@ _EDGES = 2**19
 
 
 def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> NDArray[np.float64]:
-    """Return by how much the integral up to an edge, f samples beyond one, exceeds the sum of those up to that one.
+    """Return the part of an integral from one edge of samples up to an edge f samples further.
 
     The values a to d are those of the samples `_NEAR`.
     """
@@ -353,7 +353,7 @@ def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> N
 
 
 class Integrals:
-    """Integrals of lines of samples between neighbouring edges, the lower of which comes last.
+    """Integrals of lines of samples between neighbouring edges.
 
     `edges_of` lines are (lines, bins + 1) and count samples from the middle one; of the `count` samples of a line, an
     odd number, zero comes first and the negative ones last. Edges are worked out again for every block of lines: those
@@ -366,7 +366,7 @@ class Integrals:
         self._buffer: Any = None
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
-        """Return the samples before the edges of some lines, and how far the edges are beyond these samples."""
+        """Return the samples before the edges of lines, and the distances from these samples to the edges."""
         arrays = backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.
         edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)
@@ -375,14 +375,14 @@ class Integrals:
         return before.astype(np.int64), position - before
 
     def _blocks(self, lines: slice) -> Iterator[slice]:
-        """Yield parts of some lines, of so many edges that all that is worked out for them is small."""
+        """Yield slices of the lines with so few edges that intermediate arrays stay small."""
         start, stop, _ = lines.indices(self._shape[0])
         height = max(1, _EDGES // (self._shape[1] + 1))
         for first in range(start, stop, height):
             yield slice(first, min(first + height, stop))
 
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
-        """Integrate some of the lines of samples, (lines, count), or the power of a field, over bins, (lines, bins)."""
+        """Return integrals over bins, (lines, bins), of some lines of samples, (lines, count), or a field's power."""
         arrays = backend().arrays
         found = arrays.empty((len(values), self._shape[1]))
         start = lines.indices(self._shape[0])[0]
@@ -392,7 +392,7 @@ class Integrals:
         return found
 
     def _forward(self, values: Any, lines: slice) -> Any:
-        """Integrate a block of lines."""
+        """Return the integrals of a block of lines."""
         arrays, (before, f) = backend().arrays, self._places(lines)
         numbers, parts = self._padded(values)
         flat, row = numbers.reshape(-1), arrays.arange(len(values))[:, None] * self._size
@@ -405,7 +405,7 @@ class Integrals:
         return total + beyond[:, :-1] - beyond[:, 1:]
 
     def _padded(self, values: Any) -> tuple[Any, int]:
-        """Return lines with their samples in order and dark ones around, and how many numbers add up to a sample."""
+        """Return lines with ordered samples and dark ones around, and the number of values per sample."""
         arrays, middle, half = backend().arrays, _MARGIN + self._half, self._half
         shape, kind = (len(values), self._size), values.dtype
         if self._buffer is None or self._buffer.shape != shape or self._buffer.dtype != kind:
@@ -422,7 +422,7 @@ class Integrals:
         return numbers, 2
 
     def vjp(self, bins: Any) -> Any:
-        """Apply the transpose of `forward` to all lines, from (lines, bins) to (lines, count)."""
+        """Return the transpose of `forward`, from (lines, bins) to (lines, count), for all lines."""
         arrays = backend().arrays
         found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
@@ -430,7 +430,7 @@ class Integrals:
         return found
 
     def _vjp(self, bins: Any, block: slice) -> Any:
-        """Apply the transpose to a block of lines."""
+        """Return the transpose for a block of lines."""
         arrays, (before, f) = backend().arrays, self._places(block)
         total = arrays.pad(bins, ((0, 0), (0, 1))) - arrays.pad(bins, ((0, 0), (1, 0)))
         lines = arrays.arange(len(bins))[:, None] * self._size
@@ -446,7 +446,7 @@ class Integrals:
 
 
 class BinSums:
-    """Sums over the bins of one object plane, `oversample` of them to a lens, of the power at directions.
+    """Sums of power over the bins of one object plane, with `oversample` bins to a lens.
 
     Sums are in pixel values times pixels. Negative sums, which cubics may produce, are set to zero.
     """
@@ -497,7 +497,7 @@ class BinSums:
         return (arrays.where(self._lit, self._along_y.forward(along_x.T), 0) * self._scale).T
 
     def vjp(self, bins: Any) -> Any:
-        """Apply the transpose of `jvp`."""
+        """Return the transpose of `jvp`, applied to bins."""
         arrays = backend().arrays
         along_x = self._along_y.vjp(arrays.where(self._lit, bins.T, 0) * self._scale).T
         return self._along_x.vjp(arrays.where(self._lit_x, along_x, 0))

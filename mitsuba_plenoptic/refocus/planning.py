@@ -92,7 +92,7 @@ OBJECT_MARGIN = 6.0
 
 @dataclass(frozen=True)
 class AxisStep:
-    """One axis of a propagation step, lengths in millimetres: its source samples, their window, and the next plane's.
+    """One axis of a propagation step in mm: source samples, their window, and samples of the next plane.
 
     The field is zero beyond `count` samples from `first` on. Of the frequencies of the window of `padded` samples the
     lowest go to one of `new_padded` samples, `wanted` of which are taken from `start` on.
@@ -113,7 +113,7 @@ class AxisStep:
 
     @property
     def held(self) -> int:
-        """Frequencies that both windows have."""
+        """Number of frequencies that both windows have."""
         return min(self.padded, self.new_padded)
 
     @property
@@ -133,7 +133,7 @@ class AxisStep:
 
     @property
     def reversed(self) -> AxisStep:
-        """The step from the destination samples to the source samples."""
+        """Step from the destination samples to the source samples."""
         return AxisStep(self.start, self.new_pitch, self.wanted, self.new_padded, self.padded, self.first, self.count)
 
 
@@ -146,7 +146,7 @@ class Step:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns at the destination."""
+        """Numbers of rows and columns at the destination."""
         return self.y.wanted, self.x.wanted
 
     @property
@@ -161,7 +161,7 @@ class Step:
 
     @property
     def reversed(self) -> Step:
-        """The step back."""
+        """Return the reversed step."""
         return Step(self.x.reversed, self.y.reversed)
 
     @property
@@ -183,7 +183,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Directions(Step):
-    r"""A step by one transform, from samples to the lowest frequencies of the field; it ends at the spectrum.
+    r"""Step by one transform from samples to the lowest frequencies of the field, where it ends.
 
     From the MLA these are places on the main lens; from the main lens they are direction cosines, multiples of the
     wavelength over the window. The step back leads to the source samples.
@@ -191,13 +191,13 @@ class Directions(Step):
 
     @property
     def transforms(self) -> tuple[tuple[int, int, bool], ...]:
-        """The transforms to the spectrum."""
+        """Transforms from samples to the spectrum."""
         return super().transforms[:2]
 
 
 @dataclass(frozen=True)
 class Strip:
-    """Rows of the lit pixels that go to the main lens together; its samples are the same for all strips.
+    """Rows of lit pixels that go to the main lens together; the samples there are equal for all strips.
 
     `beyond_paraxial` stays in the plane of the MLA, and `to_main_lens` is the paraxial transform from there.
     """
@@ -209,7 +209,7 @@ class Strip:
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """All steps, in their order."""
+        """All steps of the strip, in their order."""
         return self.to_mla, self.beyond_paraxial, self.to_main_lens
 
 
@@ -262,7 +262,7 @@ class FieldPlan:
 
 
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
-    r"""Field samples across a pixel on the detector.
+    r"""Return the number of field samples across a pixel of the detector.
 
     The range of direction cosines must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` on both
     sides of the chief ray, whose own is that of the rim. On the MLA it must hold, beside the light that the main lens
@@ -279,7 +279,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
 def plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int = 1
 ) -> FieldPlan:
-    """Choose the grids for one capture and some object distances: as few strips as memory allows."""
+    """Return the grids for a capture and object distances, with as few strips as memory allows."""
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
     while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
@@ -299,7 +299,7 @@ def field_memory() -> float:
 def _plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int, count: int
 ) -> FieldPlan:
-    """Choose the grids for a given count of strips."""
+    """Return the plan of grids for a given number of strips."""
     subsamples = field_subsamples(camera, wavelength)
     pitch = camera.pixel_size / subsamples
     across = _detector_step(camera, wavelength, 0, lit[0], pitch)
@@ -348,7 +348,7 @@ def require_feasible(made: FieldPlan) -> None:
 
 
 def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
-    """Plan the step from pixels to the cells of their own lenses; light that leaves these cells misses the pupil.
+    """Return the step from pixels to the cells of their lenses; light that leaves these cells misses the pupil.
 
     All directions are included, and the window has room for them on both sides.
     """
@@ -373,7 +373,7 @@ def _main_lens_steps(
     detector: Sequence[AxisStep],
     oversample: int,
 ) -> tuple[list[tuple[AxisStep, AxisStep]], LensAxis, list[AxisStep]]:
-    """Plan the two steps from the MLA, in strips, to the main lens, its samples, and the steps to the object planes."""
+    """Return the two steps from the MLA, in strips, to the main lens, and the steps to the object planes."""
     b, radius, wave = camera.mla_distance, camera.aperture_radius, in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
     steepest = (radius + half_mla) / b + _MARGIN_ORDERS * wave / min(camera.mla_pitches)
@@ -402,7 +402,7 @@ def _main_lens_steps(
 def _beyond_paraxial(
     on_array: AxisStep, count: int, distance: float, steepest: float, beside: float, wave: float
 ) -> AxisStep:
-    """Plan the step in the plane of the MLA, which displaces light and leaves directions up to a steepest one.
+    """Return the step in the plane of the MLA that displaces light and keeps directions up to a steepest one.
 
     The window has room for `count` samples, and for light `beside` them in millimetres.
     """
@@ -419,7 +419,7 @@ def _beyond_paraxial(
 
 
 def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float, float]:
-    """Extent of the cells that hold what lies between two coordinates of the MLA plane."""
+    """Return the range of the cells that contain all points between two coordinates on the MLA."""
     lattice = camera.lattice
     if lattice.axis_aligned:
         pitch = camera.mla_pitches[axis]

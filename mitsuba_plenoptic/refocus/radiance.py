@@ -7,103 +7,47 @@ and is NaN with every method. Between the footprints of lenses, fine bins may ge
 many rays reach them; the computed white is least accurate there, and the brightening by it is limited. A white capture
 contains the true light of these bins, including interference, and shows the positions from which bins get their light;
 the image is corrected for their displacements.
-
-Displacement
-------------
-A bin gets light from around its position. By the microlenses' diffraction, light of one point of the pupil appears to
-come from another. In the middle of the field this averages out, but at the border of the pupil or the detector the
-light comes from one side only. If lenses interfere, the phases of their fields weight the positions from which light
-comes. So, to first order, a bin at x that is divided by white reads a linear radiance at :math:`x + s`.
-
-The displacement s is the first moment of white. In a scene whose radiance rises linearly along the plane of the bins,
-the capture is the white capture times the radiance at the positions from which pixels get their light,
-:math:`W (1 + \epsilon u)`. Refocused by the same method and divided by white it reads :math:`1 + \epsilon (x + s)`.
-The position u of a pixel is the intersection of the bins' plane with the ray through the centre of its lens and the
-centroid of the pixel's light in the pupil. With K, the spread of intensities over the pupil plane by diffraction, it is
-:math:`K * (P \, A) / K * A` over the pupil A (Goodman, "Introduction to Fourier Optics", sections 4.4 and 5.2).
-
-The image is then corrected to first order by the slope of a plane that is fitted to the bins around each bin, at the
-positions from which they get their light (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and
-Its Applications", section 3.1).
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
+import math
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar, cast
 
 import numpy as np
-import scipy
-import scipy.fft
-from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
-from ..errors import refuse_if
+from ..errors import MOST_PIXELS, refuse_if, short_repr
+from ..io.captures import Capture
+from ..light.optical_system import OpticalSystem
+from ..light.sampling import check_memory
+from ..light.walk import follow_back
 from ..optics import rays
-from ..optics.waves import in_millimetres, soft_edge
+from ..optics.waves import soft_edge
+from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
-from ..runtime.limits import require_memory
+from ..runtime.limits import single_threaded_blas
+from ..views.white_image import PupilFraction, recorded_white, scaled_white, white_image
+from .conjugates import RealConjugates, ThinConjugates
+from .displacement import brought_back, displacements, is_known, rising, tilt
+from .lens_by_lens import (
+    LensSet,
+    LensTile,
+    fine_bins,
+    object_patches,
+    on_bins,
+    passing_power,
+    pupil_fields,
+    tile_lenses,
+)
 from .methods import Progress, Task, portion
-
-_PLANE = 8
-"""Width of the plane in which the pupil is spread, in radii of the pupil."""
-
-_LEAST_SAMPLES = 512
-
-
-class PupilCentroid:
-    """The centroid in the pupil of the light that a pixel receives, given the diffraction of its microlens."""
-
-    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
-        window = _PLANE * camera.aperture_radius
-        # Spatial frequencies over the pupil plane correspond to positions in the microlens.
-        lens = camera.lattice.aperture_image(in_millimetres(wavelength) * camera.mla_distance / window, 1.0)
-        size = scipy.fft.next_fast_len(max(_LEAST_SAMPLES, 2 * len(lens)), real=True)
-        require_memory(100.0 * size**2, f"pupil of {size} x {size} samples")
-        amplitude = np.zeros((size, size))
-        amplitude[: len(lens), : len(lens)] = lens
-        spread = np.abs(scipy.fft.ifft2(np.roll(amplitude, (-(len(lens) // 2),) * 2, (0, 1)))) ** 2
-        transfer = scipy.fft.rfft2(spread)
-        self._pitch, self._first = window / size, -(size - 1) / 2
-        P = (np.arange(size) + self._first) * self._pitch
-        inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
-
-        def blurred(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
-
-        light = blurred(inside)
-        # Far from the pupil the rounding of the transform is not light.
-        lit = light > 1e-6 * light.max()
-        self._tables = [
-            np.divide(blurred(inside * along), light, out=np.zeros_like(light), where=lit).clip(
-                -camera.aperture_radius, camera.aperture_radius
-            )
-            for along in (P, P[:, None])
-        ]
-
-    def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the centroids in millimetres, along x and y, of pixels that see (x, y) through their lens's centre."""
-        at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
-        return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
-
-
-_SLOPE = 0.02
-"""Change of white over the light that it has, at most: what is of second order in it is then no tenth of a bin."""
-
-_FARTHEST = 1.0
-"""Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut."""
-
-_LEAST_DETERMINANT = 1e-3
-"""Of the covariance of the places of bins to which a plane is fitted, in bins; that of four in a square is 0.06."""
-
-_BLOCK = 2**18
-"""Pixels that are looked at together."""
-
+from .ray_sums import ray_sums
+from .splatting import traced_white
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""
@@ -114,7 +58,7 @@ _results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] 
 
 
 def once_a_camera(function: _F) -> _F:
-    """Remember what a function returns of a camera for as long as the camera lives."""
+    """Cache a function's result for a camera as long as the camera lives; a decorator."""
 
     @functools.wraps(function)
     def known(camera: PlenopticCamera, *given: Any) -> Any:
@@ -128,136 +72,52 @@ def once_a_camera(function: _F) -> _F:
     return cast(_F, known)
 
 
-def is_known(camera: PlenopticCamera) -> bool:
-    """Return whether displacements are known: for unfocused cameras with thin lenses, whose pixels see pupil points."""
-    return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
-
-
-def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
-    """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
-
-    Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
-    """
-    at_pupil, on_bins = rays.follow_back(1.0, 0.0, 0.0, distance, camera)
-    of_pupil = on_bins / at_pupil
-    farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
-    return _SLOPE / farthest, farthest, of_pupil
-
-
-def tilted_whites(
-    white: NDArray[np.float32],
-    camera: PlenopticCamera,
-    distances: Sequence[float],
-    wavelengths: Sequence[float] | None,
-) -> Iterator[tuple[float, NDArray[np.float32]]]:
-    """Yield for each distance the captures of scenes whose radiance rises along the bins, to the right and downwards.
-
-    They are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave capture;
-    None means a ray capture.
-    """
-    recorded = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
-    known = {light: PupilCentroid(camera, light) for light in recorded if light is not None}
-    centroids = [None if light is None else known[light] for light in recorded]
-    for distance, axis in itertools.product(distances, (0, 1)):
-        slope, farthest, of_pupil = tilt(camera, distance)
-        tilted = np.empty_like(white)
-        for rows, positions in _places(camera, distance, axis, centroids, of_pupil):
-            for channel, u in enumerate(positions):
-                tilted[rows, :, channel] = white[rows, :, channel] * (1 + slope * u.clip(-farthest, farthest))
-        yield distance, tilted
-
-
-def _places(
-    camera: PlenopticCamera, distance: float, axis: int, lights: Sequence[PupilCentroid | None], of_pupil: float
-) -> Iterator[tuple[slice, list[NDArray[np.float64]]]]:
-    """Yield rows of pixels, and the positions, along an axis of the MLA, from which each channel's light comes."""
-    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
-    height = max(1, _BLOCK // len(px))
-    for first in range(0, len(down), height):
-        p = px, down[first : first + height, None]
-        cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
-        found = [
-            np.broadcast_arrays(*rays.follow_back(q, c, c, distance, camera))
-            for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
-        ]
-        P = np.broadcast_arrays(found[0][0], found[1][0])
-        u = np.broadcast_to(found[axis][1], P[0].shape)
-        positions = []
-        for light in lights:
-            moved = 0.0 if light is None else light(*P)[axis] - P[axis]
-            positions.append(u + of_pupil * moved)
-        yield slice(first, first + height), positions
-
-
-def displacements(
-    tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
-) -> list[NDArray[np.float64]]:
-    """Return the displacements, in bins, from which the light of bins comes, along x and y; 0 where nothing is read."""
-    found = []
-    for axis, image in enumerate(tilted):
-        count = image.shape[1 - axis]
-        own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
-        position = (image - 1) / slope * (oversample / camera.mla_pitch)
-        farthest = _FARTHEST * oversample
-        found.append(np.nan_to_num(position - own).clip(-farthest, farthest))
-    return found
-
-
-def brought_back(
-    image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
-) -> NDArray[np.float64]:
-    """Draw an image back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
-    known = np.isfinite(image)
-    values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
-    rows, columns = image.shape[:2]
-    terms = (
-        moved[0] + (np.arange(columns) - columns / 2)[:, None],
-        moved[1] + (np.arange(rows) - rows / 2)[:, None, None],
-        values,
-    )
-    # Means over the bins around each bin: of position and value, and of their products.
-    mass = _mean_about(light, reach)
-    mass = np.where(mass > 0, mass, 1)
-    x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
-
-    def covariance(i: int, j: int, means: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
-
-    xx, xy, yy = covariance(0, 0, x * x), covariance(0, 1, x * y), covariance(1, 1, y * y)
-    xv, yv = covariance(0, 2, x * value), covariance(1, 2, y * value)
-    determinant = xx * yy - xy**2
-    # A few bins in a line determine no plane.
-    known_plane = determinant > _LEAST_DETERMINANT
-    safe = np.where(known_plane, determinant, 1)
-    across, down = (yy * xv - xy * yv) / safe, (xx * yv - xy * xv) / safe
-    return np.where(known_plane, image - moved[0] * across - moved[1] * down, image)
-
-
-def _mean_about(image: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Return the mean over the square of bins about each one; what lies outside of the image is 0."""
-    return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))
-
-
 _LEAST_REACHED = 0.01
 
 _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
 
+def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -> np.ndarray:
+    """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture that it is to divide.
+
+    A white wave capture that lost another part of the light at the edges of its micro-images is refused. The camera of
+    white is that of the capture, or that with which the capture was `recorded`.
+    """
+    image = np.atleast_3d(capture.image)
+    cameras = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
+    pixels = recorded_white(white, image.shape, cameras)
+    if isinstance(white, Capture):
+        refuse_if(
+            white.model == "wave" and capture.model != "wave",
+            "white: it was captured by waves, and the capture by rays, which lose no light at edges",
+        )
+        theirs, ours = (
+            None if one.wavelength is None else np.broadcast_to(one.wavelength, image.shape[2])
+            for one in (white, capture)
+        )
+        refuse_if(
+            theirs is not None and ours is not None and not np.array_equal(theirs, ours),
+            f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
+            "it must be of the same wavelengths",
+        )
+    scaled = scaled_white(pixels, white_pixels(capture.camera), capture.camera)
+    return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
+
+
 def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
-    """Yield what a method has to sum over bins, (rows, columns, channels), with the distances and the progress of it.
+    """Yield the images that a method sums over bins, (rows, columns, channels), with their distances and progress.
 
     That is the capture and, where there is one, the white capture; where displacements are known, too, for every
     distance two that are made of it.
     """
-    work = [(task.image, task.distances)] + ([] if task.white is None else [(task.white, task.distances)])
-    tilted: Iterator[tuple[float, np.ndarray]] = iter(())
+    whole = [task.image] if task.white is None else [task.image, task.white]
     # The ways to the main lens and from there to a plane take about equally long.
-    works = [1 + len(distances) for _, distances in work]
+    works = [1 + len(task.distances)] * len(whole)
+    made: Iterator[tuple[np.ndarray, Sequence[float]]] = ((image, task.distances) for image in whole)
     if task.white is not None and is_known(task.camera):
         works += [2] * (2 * len(task.distances))
-        tilted = tilted_whites(task.white, task.camera, task.distances, task.recorded)
-    made = itertools.chain(work, ((image, [distance]) for distance, image in tilted))
+        made = itertools.chain(made, rising(task.white, task.camera, task.distances, task.recorded))
     for done, (image, distances) in enumerate(made):
         yield image, distances, portion(task.progress, done, works)
 
@@ -265,7 +125,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 def to_radiance(
     task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Divide the sums of a capture over bins by those of white; NaN where no light can come from.
+    """Return sums of a capture over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
     ----------
@@ -298,14 +158,14 @@ def to_radiance(
 
 
 def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.ndarray:
-    """Divide the bins that are reached; the others are NaN."""
+    """Return the reached bins divided by the divisor, NaN elsewhere."""
     image = np.full(total.shape, np.nan, np.float32)
     np.divide(total, divisor, out=image, where=np.broadcast_to(reached, total.shape), casting="same_kind")
     return image
 
 
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return by what the sums over bins of a plane are divided, and which bins are."""
+    """Return the divisors of a plane's sums over bins, and a mask of the bins that are divided."""
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
@@ -317,19 +177,19 @@ def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: 
 
 
 def is_reached(rays: np.ndarray) -> np.ndarray:
-    """Return which bins get enough of the rays of white, (rows, columns), to be divided by what they get."""
+    """Return a mask (rows, columns) of bins with enough rays of white for a division."""
     return np.asarray((rays >= _LEAST_REACHED * rays.max()) & (rays > 0))
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:
-    """Part of a lens over which its light is spread: all for an unfocused one, none where a focused one is sharp."""
+    """Fraction of a lens over which its light is spread: 1 for unfocused cameras, 0 where a focused one is sharp."""
     if focus_type(camera) == "unfocused":
         return 1.0
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 
 
 class LensSpread:
-    """The spread of the light of each lens over its aperture, enlarged by `scale`, and the sum of fine bins to bins.
+    """Spread of each lens's light over its aperture, enlarged by `scale`, and summation of fine bins.
 
     A lens has gathered light over its aperture. Where a lens lies on every bin spreading it would change nothing in
     focus; elsewhere the light of all of a lens would go to the one bin that holds its centre, and some bins would get
@@ -341,12 +201,12 @@ class LensSpread:
         self._fine = fine
 
     def forward(self, power: np.ndarray) -> np.ndarray:
-        """Spread the power of fine bins, and sum it to bins."""
+        """Return bins, sums of the power of fine bins spread over lenses."""
         rows, columns = (size // self._fine for size in power.shape)
         return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
     def vjp(self, bins: np.ndarray) -> np.ndarray:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to bins."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
         whole = convolve(fine, self._aperture[::-1, ::-1])
         rows, columns = (k - 1 - (k - 1) // 2 for k in self._aperture.shape)
@@ -356,5 +216,215 @@ class LensSpread:
 def over_lenses(
     power: np.ndarray, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0
 ) -> np.ndarray:
-    """Spread fine bins over lenses; the rounding of the transform below zero is not light."""
+    """Return fine bins spread over lenses, without negative rounding errors of the transform."""
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)
+
+
+_THROUGHPUT_LENSES = 25
+
+_HEIGHTS = 17
+"""Lenses behind a real main lens of which the throughput is found."""
+
+_WHOLE = 0.2
+"""Light of such a lens over that of the brightest, at least."""
+
+_RAY_BINS = 36
+"""Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
+
+_MOST_RAY_BINS = 2**26
+
+
+@once_a_camera
+def white_pixels(camera: PlenopticCamera) -> np.ndarray:
+    """Return the white image of the camera."""
+    return white_image(camera) if camera.lens_data.is_thin else traced_white(camera)
+
+
+@once_a_camera
+def white_sums(
+    camera: PlenopticCamera,
+    distance: float,
+    radius: float,
+    footprint: str,
+    oversample: int,
+    wavelength: float | None = None,
+    relay: bool = True,
+) -> np.ndarray:
+    """Return the light of a scene of uniform radiance 1 in each bin, in pixel values times pixels: a method's divisor.
+
+    By rays it is `ray_sums` of the camera's white capture. By waves no two lenses interfere, as interference cancels in
+    the mean over the bins: it is the light of rays, less what the pupil does not let back of a micro-image.
+
+    Parameters
+    ----------
+    camera, distance, radius, footprint, oversample
+        As in `ray_sums`.
+    wavelength : float, optional
+        In nanometres; None: by rays.
+    relay : bool
+        Whether the microlenses of a wave act a second time, see `reconstruct`.
+
+    Returns
+    -------
+    (rows, columns) float64 array
+    """
+    if wavelength is None:
+        white = white_pixels(camera)[..., None]
+        return ray_sums(white, camera, distance, radius, footprint, oversample)[..., 0].astype(np.float64)
+    is_focused = focus_type(camera) != "unfocused"
+    if camera.lens_data.traced_surfaces:
+        positions, throughput = _traced_throughput(camera, wavelength, distance, relay)
+        x, y = (
+            (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
+            for count in camera.bin_count
+        )
+        share: Any = np.interp(np.hypot(x, y[:, None]), positions, throughput)
+    elif camera.lenses_are_bins and is_focused:
+        return _lens_patches(camera, wavelength, distance, relay, oversample)
+    else:
+        share = _throughput(camera, wavelength, relay)
+    if camera.lens_data.traced_surfaces or camera.lenses_like_bins or is_focused:
+        return white_sums(camera, distance, radius, footprint, oversample) * share
+    return _spread_rays(camera, distance, oversample, fine_bins(OpticalSystem(camera, wavelength), oversample)) * share
+
+
+@once_a_camera
+def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+    """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
+
+    A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone. Light of waves
+    comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses: pixels are split
+    into parts whose images are no wider than a lens.
+    """
+    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
+    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
+    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
+    most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
+    parts = max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
+    split = camera.replace(
+        resolution=tuple(parts * size for size in camera.resolution),
+        crop_offset=tuple(parts * size for size in camera.crop_offset),
+        crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
+    )
+    white = (white_pixels(camera) / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
+    counted = ray_sums(white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
+
+
+@once_a_camera
+@single_threaded_blas()  # the bits are the same with any thread count
+def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> float:
+    """Return the fraction of a white micro-image's power that comes back through the main lens.
+
+    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera. Pixels count whose own ray
+    passes the main lens.
+    """
+    around = _around_axis(camera, 2 if camera.lenses_are_bins else 3)
+    tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), backend().arrays
+    check_memory(tile.memory, "wave reconstruction of a white micro-image")
+    lenses = LensSet(tile)
+    inside = soft_edge((camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch)
+    back = sent = 0.0
+    i, j = around.lattice.cell(0.0, 0.0)
+    # Among the lenses next to the axis there is one of every type.
+    for step in range(len(camera.mla_focal_lengths)):
+        image, seen = _micro_image(around, (i + step, j))
+        sent += float(image[seen <= camera.lit_radius].sum()) * camera.pixel_size**2
+        batch = lenses.batch(np.array([lenses.find(i + step, j)]))
+        (field,) = pupil_fields(arrays.asarray(np.sqrt(image).astype(np.float32)), tile, batch, relay=relay)
+        back += float((abs(field) ** 2 * arrays.asarray(inside)).sum()) * tile.pupil_pitch**2
+    refuse_if(
+        not min(back, sent) > 0,
+        f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
+        f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
+        "no white can be computed for waves",
+    )
+    return back / sent
+
+
+@once_a_camera
+@single_threaded_blas()
+def _traced_throughput(
+    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `_throughput` does of some lenses behind a real main lens, by their distance from the axis.
+
+    Micro-images that the lens cuts have more edge for their area, and lose more.
+    """
+    conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
+    tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
+    check_memory(tile.memory, "wave reconstruction of white micro-images")
+    white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
+    lit = lenses.lit(white)
+    order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
+    chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
+    amplitude = libraries.arrays.asarray(np.sqrt(white))
+    found = []
+    for number in chosen:
+        batch = lenses.batch(lit[number : number + 1])
+        fields = pupil_fields(amplitude, tile, batch, relay=relay)
+        own = np.logical_and.reduce(np.broadcast_arrays(*(factor != 0 for factor in batch.source)))
+        sent = float((white[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
+        passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
+        if sent > 0:
+            found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
+    positions, shares, light = np.array(found).T
+    # Lenses whose micro-images are recorded in small part only say little.
+    whole = light > _WHOLE * light.max()
+    return positions[whole], shares[whole]
+
+
+@single_threaded_blas()
+def _lens_patches(
+    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool, oversample: int
+) -> np.ndarray:
+    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
+
+    For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
+    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
+    pupil. So some bins get more light than others. All lenses are taken for the one next to the axis.
+    """
+    around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), backend()
+    lenses = LensSet(LensTile(around, wavelength, count, oversample))
+    batch = lenses.batch(np.array([lenses.find(0, 0)]))
+    amplitude = libraries.arrays.asarray(np.sqrt(_micro_image(around, (0, 0))[0]).astype(np.float32))
+    fields = pupil_fields(amplitude, lenses.tile, batch, relay=relay)
+    thin = ThinConjugates(OpticalSystem(around, wavelength))
+    patch = libraries.to_host(object_patches(fields, lenses.tile, batch, distance, thin)[0]).astype(np.float64)
+    everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
+    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
+    comb[row * oversample, column * oversample] = 1
+    return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
+
+
+def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return one lens's micro-image of white, and how far from the axis its pixels see the pupil through the centre.
+
+    Of an unfocused camera with an aligned lattice the micro-image is a disc.
+    """
+    b, z = camera.mla_distance, camera.reduced_distance
+    centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
+    Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
+    seen = np.hypot(Px, Py[:, None])
+    if camera.lenses_are_bins and focus_type(camera) == "unfocused":
+        return soft_edge((camera.aperture_radius - seen) / camera.pupil_step), seen
+    lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0
+    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), seen
+
+
+def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
+    """Return the camera with a crop of `lenses` lenses on each side of the axis; the detector grows if needed."""
+    around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
+    refuse_if(
+        around > MOST_PIXELS // 2,
+        f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves",
+    )
+    columns, rows = (max(size, 2 * around) for size in camera.resolution)
+    return camera.replace(
+        resolution=(columns, rows),
+        detector_width=columns * camera.pixel_size,
+        crop_offset=(columns // 2 - around, rows // 2 - around),
+        crop_size=(2 * around, 2 * around),
+    )

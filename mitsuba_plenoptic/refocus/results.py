@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
+from ..extension import Displayed
 from ..io.exr import read_exr, write_exr
-from ..io.files import atomic_output, require_writable
+from ..runtime.files import atomic_output, require_writable
 from ..runtime.limits import require_memory
-from ..runtime.notebook import Displayed
 from ..views.light_field_files import require_zarr
 
 SUFFIXES = (".tif", ".tiff", ".zarr")
@@ -100,7 +100,7 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
 
 
 def read_reconstruction(path: str | Path) -> Reconstruction:
-    """Read a reconstruction that `write_reconstruction` wrote.
+    """Return the reconstruction in a file of `write_reconstruction`.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class Volume:
 
     @classmethod
     def of(cls, results: Sequence[Reconstruction]) -> Volume:
-        """Gather reconstructions of one capture.
+        """Return the volume of reconstructions of one capture.
 
         Bins grow with the distance. Here all planes have voxels as wide as the finest bins, over the field of the
         farthest plane, interpolated linearly between the centres of their own bins.
@@ -259,7 +259,7 @@ class Volume:
         return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
-        """Return it with its axes: ``distance``, ``y`` and ``x`` in scene units, from the axis, x to the right."""
+        """Return the volume as an array with the axes ``distance``, ``y`` and ``x``, from the axis, x to the right."""
         _, rows, columns = self.values.shape[:3]
         coordinates = {
             "distance": list(self.distances),
@@ -272,7 +272,7 @@ class Volume:
 
 
 def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
-    """Check, before a long computation, that a volume of these planes can be written as the file's suffix says."""
+    """Return a path after a check, before a long computation, that a volume of these planes can be written there."""
     path = require_writable(path, *SUFFIXES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)
@@ -345,7 +345,7 @@ def _is_ome(path: Path) -> bool:
 
 
 def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
-    """Take bins that are `width` voxels wide to voxels about the same middle, along one axis; NaN beyond the bins."""
+    """Return voxels from bins `width` voxels wide about the same middle, along one axis; NaN beyond the bins."""
     bins = image.shape[axis]
     position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
     outside = np.abs(position - (bins - 1) / 2) > bins / 2 + 1e-6

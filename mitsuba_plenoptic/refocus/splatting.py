@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, lens_footprint, pixel_footprint
-from ..lenses.common import main_lens
-from ..lenses.main_lens import MainLens
+from ..light.random_numbers import even_steps, hashed
+from ..light.walk import Passage, Walk, follow_back, on_plane
 from ..optics import rays
 from ..runtime.backend import array_module, drjit_array
 from ..runtime.fft import rows_and_columns
@@ -42,7 +42,7 @@ _BLOCK = 2**16
 
 @dataclass(frozen=True)
 class Splat:
-    """The positions of the pixels on the bins, and their footprints there.
+    """Positions of pixels on the bins, with their footprints.
 
     There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
     counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
@@ -61,7 +61,7 @@ class Splat:
     def of(
         cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
     ) -> Splat:
-        """Follow the rays of a camera's pixels, within a radius of the pupil; arguments as in `ray_sums`."""
+        """Return the splat of a camera's pixels within a radius of the pupil; arguments as in `ray_sums`."""
         focal_lengths = camera.mla_focal_lengths
         fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
@@ -94,7 +94,7 @@ class Splat:
         return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
 
     def vjp(self, bins: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Apply the transpose of `forward`, to float64 pixels (rows, columns, channels)."""
+        """Return the transpose of `forward`: float64 pixels (rows, columns, channels)."""
         margin, (down, across) = self.margin, self.size
         padded = np.pad(np.asarray(bins, np.float64), ((2 * margin,) * 2, (2 * margin,) * 2, (0, 0)))
         result = np.zeros((shape[0] * shape[1], bins.shape[2]))
@@ -107,13 +107,13 @@ class Splat:
         return result.reshape(*shape, -1)
 
     def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
-        """Yield for each type of lens which of the pixels are its, and its footprint."""
+        """Yield, for each type of lens, a mask of the pixels behind such lenses, and their footprint."""
         for index, taps in enumerate(self.footprints):
             yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Spread the light of every fine sample over the bins around its own."""
+    """Return the light of every fine sample spread over the bins around it."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
     rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
@@ -131,7 +131,7 @@ def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 
 def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Apply the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
+    """Return the transpose of `_spread`: (rows + taps - 1, columns + taps - 1) to (rows, columns, fine**2)."""
     taps = footprint.shape[0]
     kernels = footprint.reshape(taps, taps, -1)
     rows, columns = window.shape[0] - taps + 1, window.shape[1] - taps + 1
@@ -149,7 +149,7 @@ def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
-    """Draw what a pixel covers, its lens's view or its own square, whichever is wider: odd size, the sum is 1."""
+    """Return the footprint of a pixel: the view of its lens or the pixel's square, whichever is wider; its sum is 1."""
     scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
     if scale * camera.lattice.aperture_width >= pixel:
         return camera.lattice.aperture_image(step, scale)
@@ -162,7 +162,7 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
 
 
 def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Return the fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around it.
+    """Return fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around.
 
     The footprint is drawn in fine samples; its sum is 1.
     """
@@ -207,9 +207,9 @@ def _landing(
 def _places(
     camera: PlenopticCamera, distance: float, radius: float
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield what `traced_places` does behind a thin main lens, where all along a ray is linear in pixel and centre."""
-    of_pixel = np.array(rays.follow_back(1.0, 0.0, 0.0, distance, camera))
-    of_lens = np.array(rays.follow_back(0.0, 1.0, 1.0, distance, camera))
+    """Yield the places of `traced_places` behind a thin main lens, where rays are linear in pixel and centre."""
+    of_pixel = np.array(follow_back(1.0, 0.0, 0.0, distance, camera))
+    of_lens = np.array(follow_back(0.0, 1.0, 1.0, distance, camera))
     px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
@@ -230,30 +230,24 @@ _LANES = 2**22
 _WHITE_RAYS = 32
 """Rays of a pixel through each lens that can light it."""
 
-_STEPS = (0.8566748838545029, 0.733891856627126, 0.6287067210378087, 0.5385972572236101)
-"""Reciprocal powers of the root of x^5 = x + 1: an even sequence in four dimensions (Roberts, 2018)."""
-
 
 def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
-    """Follow one ray a pixel, through the centre of its lens, back to an object plane.
+    """Yield the places at which one ray per pixel, through the centre of its lens, meets an object plane.
 
     Yields rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which corrects
     the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
     """
-    types, lens = array_module(), main_lens(camera)
-    half, b = camera.pixel_size / 2, camera.mla_distance
+    types, walk, half = array_module(), Walk.of(camera), camera.pixel_size / 2
     for rows, px, py in _pixels(camera, types):
-        cx, cy = camera.lattice.centre(*_cell(camera, px, py))
+        centre, f2 = walk.lens_at(*walk.chief_cell((px, py))[1])
         lit = types.Bool(False)
         x, y = types.Float64(0), types.Float64(0)
         for across, down in ((-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)):
-            point, slope, is_open = _back(
-                camera, lens, (px + across * half, py + down * half), (cx, cy), (cx, cy), None
-            )
-            lit |= is_open
-            x, y = (-b * (p / distance + (1 - point[2] / distance) * t) for p, t in zip(point[:2], slope, strict=True))
+            traced = walk.trace((px + across * half, py + down * half), Passage(centre, centre, f2))
+            lit |= traced[2]
+            x, y = on_plane(traced, distance, camera.mla_distance)
         dr.eval(x, y, lit)
         yield rows, x.numpy(), y.numpy(), lit.numpy()
 
@@ -264,29 +258,24 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
     out over the pixels of a bin.
     """
-    types, lens, lattice, p = array_module(), main_lens(camera), camera.lattice, camera.pixel_size
+    types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
-    several = len(camera.mla_focal_lengths) > 1
     for rows, px, py in _pixels(camera, types):
-        i, j = _cell(camera, px, py)
+        _, (i, j) = walk.chief_cell((px, py))
         number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
-        shifts = [types.Float64(_scrambled(types, number, axis)) for axis in range(4)]
+        shifts = [types.Float64(hashed(number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
         total = types.Float64(0)
         for ray in range(_WHITE_RAYS):
             s, t, u, v = (
-                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, _STEPS, strict=True)
+                shift + dr.opaque(types.Float64, ray * step) for shift, step in zip(shifts, steps, strict=True)
             )
             s, t, u, v = (value - dr.floor(value) for value in (s, t, u, v))
             position = (px + (s - 0.5) * p, py + (t - 0.5) * p)
-            dx, dy = lattice.aperture_point(u, v)
+            dx, dy = camera.lattice.aperture_point(u, v)
             for across, down in around:
-                cx, cy = lattice.centre(i + across, j + down)
-                f2: Any = camera.reduced_focal_lengths[0]
-                if several:
-                    kind = types.UInt32(lattice.lens_type(i + across, j + down))
-                    f2 = dr.gather(types.Float64, types.Float64(camera.reduced_focal_lengths), kind)
-                _, _, is_open = _back(camera, lens, position, (cx + dx, cy + dy), (cx, cy), f2)
+                (cx, cy), f2 = walk.lens_at(i + across, j + down)
+                _, _, is_open = walk.trace(position, Passage((cx + dx, cy + dy), (cx, cy), f2))
                 total += dr.select(is_open, 1.0, 0.0)
             dr.eval(total)
         image[rows] = (total / _WHITE_RAYS).numpy().reshape(-1, camera.crop_size[0])
@@ -294,7 +283,7 @@ def traced_white(camera: PlenopticCamera) -> NDArray[np.float32]:
 
 
 def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, Any]]:
-    """Yield some rows at a time, with x and y of their pixels' centres."""
+    """Yield slices of rows with x and y of the centres of their pixels."""
     rows, columns = camera.shape
     x, y = (drjit_array(types.Float64, camera.pixel_coordinates(axis)) for axis in (0, 1))
     together = max(1, _LANES // columns)
@@ -304,30 +293,3 @@ def _pixels(camera: PlenopticCamera, types: Any) -> Iterator[tuple[slice, Any, A
         px = dr.gather(types.Float64, x, column)
         py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
         yield slice(first, last), px, py
-
-
-def _cell(camera: PlenopticCamera, px: Any, py: Any) -> tuple[Any, Any]:
-    """Return the indices of the lenses whose centres the light of the pupil's middle passes on its way to pixels."""
-    b, z = camera.pupil_distance, camera.reduced_distance
-    i, j = camera.lattice.cell(rays.chief_point(px, b, z), rays.chief_point(py, b, z))
-    return i, j
-
-
-def _back(
-    camera: PlenopticCamera, lens: MainLens, position: tuple[Any, Any], through: tuple[Any, Any], centre: Any, f2: Any
-) -> Any:
-    """Follow rays from the detector through points of lenses to the scene; through their centres if f2 is None."""
-    z = camera.reduced_distance
-    slope = [
-        (m - p) / z if f2 is None else rays.microlens_slope(p, m, c, z, f2)
-        for p, m, c in zip(position, through, centre, strict=True)
-    ]
-    return lens.trace(through, (slope[0], slope[1]))
-
-
-def _scrambled(types: Any, number: Any, axis: int) -> Any:
-    """Hash consecutive integers to evenly scattered values from 0 to 1 (Wellons, 2018)."""
-    x = types.UInt32(number) * 4 + axis
-    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
-        x = (x ^ (x >> shift)) * types.UInt32(factor)
-    return types.Float64(x ^ (x >> 16)) * (1 / 2**32)

@@ -35,263 +35,81 @@ Light that passed different microlenses from different scene points never interf
 coherent reconstruction do. Fields of lenses in subsets, every K-th column and row, interfere less; where the lenses of
 a subset are farther apart than their images are wide, not at all. That limit is found by full fields with such a
 period, or lens by lens, whichever costs less.
+
+Full fields
+-----------
+The chain of full fields goes detector -> array -> pupil -> object plane, one field for each subset of lenses, and so
+does its vjp back. It is linear in the amplitudes of the pixels; the power in bins is the square of its modulus.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
+import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..design import focus_type
-from ..errors import MOST_PIXELS, refuse_if
-from ..light.optical_system import OpticalSystem
+from ..light.microlenses import is_separable, transmission
+from ..light.optical_system import OpticalSystem, is_paraxial
 from ..light.sampling import check_memory
-from ..optics import rays
-from ..optics.waves import soft_edge
-from ..runtime.backend import backend
-from ..runtime.fft import Field, convolve
-from ..runtime.limits import single_threaded_blas
-from ..views.white_image import PupilFraction
-from .conjugates import RealConjugates, ThinConjugates, undistorted
-from .full_fields import lit_window, reconstruct_subsets
-from .lens_by_lens import (
-    LensBatch,
-    LensSet,
-    object_patches,
-    on_bins,
-    passing_power,
-    pupil_fields,
-    reconstruct_lens_by_lens,
-)
-from .lens_tiles import LensTile, fine_bins, tile_lenses
+from ..optics import guards, rays
+from ..optics.waves import parabola, phasor, power, soft_edge
+from ..runtime.backend import array_module, backend
+from ..runtime.fft import Field, resting_drjit
+from ..runtime.limits import require_memory
+from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
+from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
 from .methods import Progress, Task, method, portion, work_of
-from .planning import plan
-from .radiance import captures, lens_scale, once_a_camera, over_lenses, to_radiance
-from .ray import ray_sums, white_pixels, white_sums
-
-_THROUGHPUT_LENSES = 25
-
-_HEIGHTS = 17
-"""Lenses behind a real main lens of which the throughput is found."""
-
-_WHOLE = 0.2
-"""Light of such a lens over that of the brightest, at least."""
-
-_RAY_BINS = 36
-"""Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
-
-_MOST_RAY_BINS = 2**26
-
-
-def white_light(
-    camera: PlenopticCamera, wavelength: float, distance: float, oversample: int, relay: bool
-) -> np.ndarray:
-    """Return the power that comes to each bin from a white scene, in pixel values times pixels."""
-    fine = fine_bins(OpticalSystem(camera, wavelength), oversample)
-    if camera.lens_data.traced_surfaces:
-        positions, throughput = _traced_throughput(camera, wavelength, distance, relay)
-        x, y = (
-            (np.arange(count * oversample) - (count * oversample - 1) / 2) * (camera.mla_pitch / oversample)
-            for count in camera.bin_count
-        )
-        share = np.interp(np.hypot(x, y[:, None]), positions, throughput)
-        return _white_rays(camera, distance, oversample, fine) * share
-    if camera.lenses_are_bins and focus_type(camera) != "unfocused":
-        return white_power(camera, wavelength, distance, relay, oversample)
-    return _white_rays(camera, distance, oversample, fine) * white_throughput(camera, wavelength, relay)
-
-
-@once_a_camera
-def _white_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
-    """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
-
-    A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone.
-    """
-    if camera.lens_data.traced_surfaces or camera.lenses_like_bins or focus_type(camera) != "unfocused":
-        return white_sums(camera, distance, camera.lit_radius, "lens", oversample)
-    # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
-    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
-    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
-    white, parts = white_pixels(camera), _pixel_parts(camera, distance)
-    split = camera.replace(
-        resolution=tuple(parts * size for size in camera.resolution),
-        crop_offset=tuple(parts * size for size in camera.crop_offset),
-        crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
-    )
-    rays_of_white = (white / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
-    counted = ray_sums(rays_of_white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
-    return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
-
-
-def _pixel_parts(camera: PlenopticCamera, distance: float) -> int:
-    """Return into how many parts along each axis pixels are split, so that images of parts are no wider than a lens.
-
-    Light of waves comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses.
-    """
-    _, image = rays.follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
-    most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
-    return max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
-
-
-@once_a_camera
-@single_threaded_blas()  # the bits are the same with any thread count
-def white_throughput(camera: PlenopticCamera, wavelength: float, relay: bool = True) -> float:
-    """Return the fraction of a white micro-image's power that comes back through the main lens.
-
-    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera.
-    """
-    back, sent = (_aligned_throughput if camera.lenses_are_bins else _mean_throughput)(camera, wavelength, relay)
-    refuse_if(
-        not min(back, sent) > 0,
-        f"aperture_radius = {camera.aperture_radius:g}: its micro-images of "
-        f"{camera.micro_image_diameter / camera.pixel_size:.2g} pixels light no pixel near the axis, so that "
-        "no white can be computed for waves",
-    )
-    return back / sent
-
-
-@once_a_camera
-@single_threaded_blas()
-def _traced_throughput(
-    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `white_throughput` does of some lenses behind a real main lens, by their distance from the axis.
-
-    Micro-images that the lens cuts have more edge for their area, and lose more.
-    """
-    conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
-    tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
-    check_memory(tile.memory, "wave reconstruction of white micro-images")
-    white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
-    lit = lenses.lit(white)
-    order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
-    amplitude = libraries.arrays.asarray(np.sqrt(white))
-    found = []
-    for number in chosen:
-        batch = lenses.batch(lit[number : number + 1])
-        fields = pupil_fields(amplitude, tile, batch, relay=relay)
-        own = np.logical_and.reduce(np.broadcast_arrays(*(factor != 0 for factor in batch.source)))
-        sent = float((white[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
-        passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
-        if sent > 0:
-            found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
-    positions, shares, light = np.array(found).T
-    # Lenses whose micro-images are recorded in small part only say little.
-    whole = light > _WHOLE * light.max()
-    return positions[whole], shares[whole]
-
-
-def _aligned_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
-    """Power that comes back, and power sent, of the micro-image of a lens next to the axis."""
-    camera = _around_axis(camera, 2)
-    centre = rays.chief_detector_point(camera.mla_pitch / 2, camera.mla_distance, camera.reduced_distance)
-    px, py = (camera.pixel_coordinates(axis) - centre for axis in (0, 1))
-    image = soft_edge((camera.micro_image_diameter / 2 - np.hypot(px, py[:, None])) / camera.pixel_size)
-    tile = LensTile(camera, wavelength, _THROUGHPUT_LENSES, 1)
-    check_memory(tile.memory, "wave reconstruction of a white micro-image")
-    return _power(image, LensSet(tile), (0, 0), relay), float(image.sum()) * camera.pixel_size**2
-
-
-def _mean_throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> tuple[float, float]:
-    """Power that comes back, and power sent by pixels whose own ray passes the main lens, for a lens of every type."""
-    camera = _around_axis(camera, 3)
-    lenses = LensSet(LensTile(camera, wavelength, _THROUGHPUT_LENSES, 1))
-    back = sent = 0.0
-    i, j = camera.lattice.cell(0.0, 0.0)
-    # Among the lenses next to the axis there is one of every type.
-    for index in [(i + step, j) for step in range(len(camera.mla_focal_lengths))]:
-        image, radius = _white_micro_image(camera, index)
-        sent += float(image[radius <= camera.lit_radius].sum()) * camera.pixel_size**2
-        back += _power(image, lenses, index, relay)
-    return back, sent
-
-
-def _white_micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the micro-image of white behind one lens, and where its pixels see the pupil from its centre, at most."""
-    b, z = camera.mla_distance, camera.reduced_distance
-    centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
-    Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
-    lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0
-    return PupilFraction(camera, lens_type)(*np.broadcast_arrays(Px, Py[:, None])), np.hypot(Px, Py[:, None])
-
-
-@single_threaded_blas()
-def white_power(
-    camera: PlenopticCamera, wavelength: float, distance: float, relay: bool, oversample: int
-) -> np.ndarray:
-    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
-
-    For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
-    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
-    pupil. So some bins get more light than others. All lenses are taken for the one next to the axis.
-    """
-    count = tile_lenses(camera, [distance])
-    lenses = LensSet(LensTile(_around_axis(camera, 2), wavelength, count, oversample))
-    fields, batch = _lens_field(_white_micro_image(lenses.tile.camera, (0, 0))[0], lenses, (0, 0), relay)
-    libraries, system = backend(), OpticalSystem(lenses.tile.camera, wavelength)
-    patches = object_patches(fields, lenses.tile, batch, distance, ThinConjugates(system))
-    patch = libraries.to_host(patches[0]).astype(np.float64)
-    everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
-    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
-    column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
-    comb[row * oversample, column * oversample] = 1
-    return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
-
-
-def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
-    """Return the camera with a crop of `lenses` lenses on each side of the axis; the detector grows if needed."""
-    around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
-    refuse_if(
-        around > MOST_PIXELS // 2,
-        f"mla_pitch = {camera.mla_pitch:g}: a micro-image of {around // 2} pixels is too wide for waves",
-    )
-    columns, rows = (max(size, 2 * around) for size in camera.resolution)
-    return camera.replace(
-        resolution=(columns, rows),
-        detector_width=columns * camera.pixel_size,
-        crop_offset=(columns // 2 - around, rows // 2 - around),
-        crop_size=(2 * around, 2 * around),
-    )
-
-
-def _lens_field(image: np.ndarray, lenses: LensSet, index: tuple[float, float], relay: bool) -> tuple[Field, LensBatch]:
-    """Return the field that one lens makes of a capture at the main lens."""
-    batch = lenses.batch(np.array([lenses.find(*index)]))
-    amplitude = backend().arrays.asarray(np.sqrt(image).astype(np.float32))
-    return pupil_fields(amplitude, lenses.tile, batch, relay=relay), batch
-
-
-def _power(image: np.ndarray, lenses: LensSet, index: tuple[float, float], relay: bool) -> float:
-    """Power that one lens sends through the main lens."""
-    tile, arrays = lenses.tile, backend().arrays
-    (field,), _ = _lens_field(image, lenses, index, relay)
-    inside = (tile.camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch
-    return float((abs(field) ** 2 * arrays.asarray(soft_edge(inside))).sum()) * tile.pupil_pitch**2
-
+from .passages import (
+    BinSums,
+    FieldWorkspace,
+    FreeSpace,
+    ParaxialPath,
+    Rows,
+    ThinElement,
+    propagate,
+    propagate_vjp,
+    to_directions,
+    to_directions_vjp,
+)
+from .planning import (
+    OBJECT_MARGIN,
+    Directions,
+    FieldPlan,
+    LensAxis,
+    Step,
+    Strip,
+    Window,
+    check_pupil_diffraction,
+    field_memory,
+    plan,
+    require_feasible,
+)
+from .radiance import captures, lens_scale, over_lenses, to_radiance, white_sums
 
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
 
 
-@method("coherent", options=("relay",), waves=True)
+@method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
-    """Follow the light back as one coherent wave."""
+    """Return images from the light followed back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
-@method("partial", options=("interleave", "relay"), waves=True)
+@method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Follow the light back as one wave for each subset of lenses, or for each lens."""
+    """Return images from the light followed back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
 def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Refocus every channel.
+    """Return the refocused images, channel by channel.
 
     The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
     waves lose of a micro-image at the edge of the pupil.
@@ -309,15 +127,17 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
     white = [
-        np.stack([white_light(camera, w, g, oversample, relay) for w in task.wavelengths], axis=-1)
+        np.stack(
+            [white_sums(camera, g, camera.lit_radius, "lens", oversample, w, relay) for w in task.wavelengths], axis=-1
+        )
         for g in (task.distances if task.white is None else ())
     ]
-    rays = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
-    return to_radiance(task, sums, white, rays)
+    reach = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
+    return to_radiance(task, sums, white, reach)
 
 
 def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Return the pixels that are not negative and, where there are others, the magnitudes of these, with their signs.
+    """Return the non-negative pixels with the sign 1 and, if any, magnitudes of negative ones with the sign -1.
 
     Amplitudes are square roots. Pixels below zero, which `expose` makes of dark ones, are refocused apart, and what
     they give is subtracted: so noise of mean zero leaves no light on average.
@@ -337,7 +157,7 @@ def _signed_power(
     oversample: int,
     progress: Progress,
 ) -> list[np.ndarray]:
-    """Return the power in bins, in pixel values times pixels, spread over lenses where these do not lie on bins.
+    """Return the power in bins, in pixel values times pixels, spread over lenses that do not lie on bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
     Fields have the samples that all `planned` distances need: ratios of images, such as displacements, which are of
@@ -393,3 +213,331 @@ def full_field_period(
     if period**2 * math.prod(end - first for first, end in lit) >= single:
         return None
     return period if period**2 * plan(camera, wavelength, distances, lit).transformed < single else None
+
+
+def reconstruct_subsets(
+    image: np.ndarray,
+    camera: PlenopticCamera,
+    distances: Sequence[float],
+    wavelength: float,
+    *,
+    interleave: int = 1,
+    relay: bool = True,
+    oversample: int = 1,
+    checked: bool = True,
+    progress: Progress = lambda done: None,
+    conjugates: Conjugates | None = None,
+    planned: Sequence[float] | None = None,
+) -> list[np.ndarray]:
+    """Propagate subsets of lenses coherently, and return the power in bins of object planes.
+
+    The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
+    subset along each axis is `interleave`; 1 is one coherent field. If `checked`, guards check the light that is
+    lost. Grids are chosen for the distances that are `planned`, by default these ones, so that several calls can share
+    samples. Powers (rows, columns) are in pixel values times pixels.
+    """
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
+    columns, rows = (count * oversample for count in camera.bin_count)
+    check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
+    totals = [np.zeros((rows, columns)) for _ in distances]
+    lit = lit_window(image, camera)
+    if lit is None:
+        return totals
+    planned = list(planned or distances)
+    grids = plan(camera, wavelength, planned, lit, oversample)
+    grids = replace(grids, to_objects=tuple(grids.to_objects[planned.index(distance)] for distance in distances))
+    require_feasible(grids)
+    zones = [list(conjugates.zones(distance)) for distance in distances]
+    to_planes = [step for step, parts in zip(grids.to_objects, zones, strict=True) for _ in parts]
+    fields = BackwardFields(
+        camera, wavelength, grids, interleave=interleave, relay=relay, to_planes=to_planes, progress=progress
+    )
+    sums = [BinSums(step, camera, wavelength, oversample) for step in grids.to_objects]
+    inside = tuple(
+        slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
+    )
+    passed = 0.0
+    with resting_drjit():
+        for field in fields.at_pupil(np.sqrt(image[inside[::-1]])):
+            passed += fields.power(field)
+            for total, parts, step, bins in zip(totals, zones, grids.to_objects, sums, strict=True):
+                for zone in parts:
+                    found = backend().to_host(bins.forward(fields.to_object(field, zone, step)))
+                    part = zone.part(found.shape)
+                    total[part] += found[part]
+    progress(1.0)
+    if checked:
+        guards.check(guards.PUPIL, 1 - passed / float(image.sum(dtype=np.float64)))
+        for distance in distances:
+            check_pupil_diffraction(camera, wavelength, distance, OBJECT_MARGIN)
+    return totals
+
+
+def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
+    """First and past-the-last column and row of the full detector that hold light; None where all is dark."""
+    window = []
+    for axis in (0, 1):
+        lit = np.flatnonzero(image.any(axis=axis))
+        if lit.size == 0:
+            return None
+        offset = camera.crop_offset[axis]
+        window.append((offset + int(lit[0]), offset + int(lit[-1]) + 1))
+    return window[0], window[1]
+
+
+class BackwardFields:
+    """From the amplitudes of the pixels that a plan was made for to the fields of subsets of lenses, and the vjp.
+
+    A subset is every `interleave`-th lens along both indices of the lattice. Without `relay` the microlenses do not act
+    in the MLA plane, and there is no vjp. The work of which `progress` is reported is that of all subsets, to the main
+    lens and by the steps `to_planes` from there.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        wavelength: float,
+        grids: FieldPlan,
+        *,
+        interleave: int,
+        relay: bool = True,
+        with_vjp: bool = False,
+        to_planes: Sequence[Step] = (),
+        progress: Progress = lambda done: None,
+    ) -> None:
+        self._camera, self._wavelength, self._grids = camera, wavelength, grids
+        self._interleave, self._relay = interleave, relay
+        shorter, paraxial = camera.medium_wavelength(wavelength), is_paraxial(camera)
+        self._to_mla = FreeSpace(camera.detector_distance, shorter, paraxial)
+        self._beyond_paraxial = FreeSpace(camera.mla_distance, wavelength, paraxial, beyond_paraxial=True)
+        on_array = sum(8.0 * math.prod(strip.to_mla.shape) for strip in grids.strips)
+        steps = list(grids.steps)
+        if with_vjp:
+            steps += [step.reversed for step in steps]
+            columns = max(math.prod(step.columns) for step in steps)
+            # The gradients on the array are held whole, and so are the fields at the directions.
+            at_object = sum(
+                8.0 * (interleave**2 + 1) * step.x.new_padded * step.y.new_padded for step in grids.to_objects
+            )
+            memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
+            require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
+        self._pupil = _Pupil(grids.pupil, camera.aperture_radius)
+        # The light of all lenses on the array serves every subset, where it fits into memory.
+        self._holds = interleave > 1 and relay and len(grids.strips) == 1
+        self._holds &= grids.memory + on_array <= field_memory()
+        if self._holds:
+            require_memory(grids.memory + on_array, "a wave reconstruction by subsets", limit=field_memory())
+        once = [strip.to_mla for strip in grids.strips] if self._holds else []
+        each = [step for strip in grids.strips for step in strip.steps if step not in once] + list(to_planes)
+        # To write what is held, to memory never used before, takes as long as the transforms of that.
+        held = sum(step.transformed for step in once)
+        work = 2 * held + interleave**2 * sum(step.transformed for step in each)
+        self._workspace = FieldWorkspace(
+            steps, lambda transformed: progress((transformed + min(transformed, held)) / work)
+        )
+
+    @property
+    def _subsets(self) -> list[tuple[int, int]]:
+        return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
+
+    def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[Field]:
+        """Yield the field of every subset just before the main lens, in lines along y, zero outside the pupil.
+
+        It holds until the next one is asked for.
+        """
+        amplitude = self._workspace.libraries.arrays.asarray(amplitude)
+        held = None
+        if self._holds:
+            (strip,) = self._grids.strips
+            held = self._whole(self._on_array(strip, amplitude, None), strip.to_mla)
+        for subset in self._subsets:
+            field = self._at_pupil()
+            for strip in self._grids.strips:
+                if held is not None:
+                    light = self._workspace.blocks(held)
+                else:
+                    light = self._on_array(strip, amplitude, None if self._relay else subset)
+                lenses = self._lenses(strip.beyond_paraxial, subset)
+                displaced = propagate(light, lenses, strip.beyond_paraxial, self._beyond_paraxial, self._workspace)
+                self._add_within(field, self._path(strip).forward(displaced, self._workspace))
+            yield field
+
+    def _at_pupil(self) -> Field:
+        """Return a dark field on the main lens, in lines along y."""
+        field = self._workspace.array("pupil", (self._grids.pupil[0].count, self._grids.pupil[1].count))
+        field[...] = 0
+        return field
+
+    def _path(self, strip: Strip) -> ParaxialPath:
+        """Return the paraxial path of a strip from the array to the main lens."""
+        return ParaxialPath(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
+
+    def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
+        """Yield the field at the directions of an object plane, of one just before the main lens."""
+        return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
+
+    def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
+        """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
+        workspace = self._workspace
+        arrays = workspace.libraries.arrays
+        on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
+        for subset, gradient in zip(self._subsets, gradients, strict=True):
+            field = self._at_pupil()
+            spectrum = workspace.blocks(arrays.asarray(gradient))
+            self._add_within(field, to_directions_vjp(spectrum, _main_lens(step, zone), step, workspace))
+            for strip, own in zip(self._grids.strips, on_array, strict=True):
+                on = strip.beyond_paraxial
+                displaced = self._path(strip).vjp(workspace.blocks(field), workspace)
+                back = displaced, self._lenses(on, subset), on, self._beyond_paraxial, workspace
+                for rows, samples in propagate_vjp(*back):
+                    own[rows] += samples
+        found, n = [], self._grids.subsamples
+        for strip, own in zip(self._grids.strips, on_array, strict=True):
+            onto = strip.to_mla
+            light = converging(onto, self._camera, self._wavelength), onto, self._to_mla
+            samples = self._whole(propagate_vjp(workspace.blocks(own), *light, workspace), onto.reversed)
+            real = workspace.libraries.to_host(samples).real
+            shape = onto.y.count // n, n, onto.x.count // n, n
+            found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
+        return np.concatenate(found)
+
+    def power(self, field: Field) -> float:
+        """Power that passes the pupil, in pixel values times pixels."""
+        x, y = self._grids.pupil
+        return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
+
+    def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
+        """Return the field on the MLA from a strip of the detector, from all lenses or from a subset.
+
+        Light that strays to a cell from another lens's pixels is deflected by a micro-image and misses the main lens.
+        So the light of all lenses may propagate to the MLA at once, and a subset is the light that passes its lenses.
+        """
+        step, camera = strip.to_mla, self._camera
+        light = converging(step, camera, self._wavelength, self._interleave, subset)
+        return propagate(self._samples(amplitude[strip.rows]), light, step, self._to_mla, self._workspace)
+
+    def _lenses(self, step: Step, subset: tuple[int, int]) -> ThinElement:
+        if not self._relay:
+            return ThinElement(step)
+        return microlenses(step, self._camera, self._wavelength, self._interleave, subset)
+
+    def _samples(self, amplitude: NDArray[np.float32]) -> Iterator[tuple[slice, Any]]:
+        """Yield pixels repeated at each sample, in blocks of rows."""
+        arrays, n = self._workspace.libraries.arrays, self._grids.subsamples
+        together = max(1, self._workspace.block // n)
+        for rows in self._workspace.runs(len(amplitude), together):
+            part = amplitude[rows]
+            for axis in (0, 1) if n > 1 else ():
+                part = arrays.repeat(part, n, axis)
+            yield slice(rows.start * n, rows.stop * n), part
+
+    def _add_within(self, field: Field, blocks: Rows) -> None:
+        """Add lines to a field within the pupil, whose edge is softened over one sample."""
+        for lines, samples in blocks:
+            numbers, places, passed = self._pupil.edge(lines)
+            to_device = self._workspace.libraries.arrays.asarray
+            samples[to_device(numbers), to_device(places)] *= passed
+            # A line's chord of the pupil: a mask of the whole would cost several times that.
+            for number, line in zip(range(lines.start, lines.stop), samples, strict=True):
+                chord = self._pupil.chord(number)
+                field[number, chord] += line[chord]
+
+    def _whole(self, blocks: Rows, step: Step) -> Field:
+        """Gather the rows of a field at the destination samples of a step."""
+        field = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
+        for rows, samples in blocks:
+            field[rows] = samples
+        return field
+
+
+class _Pupil:
+    """Samples of a round pupil, line by line along y, with fractions for samples on the edge."""
+
+    def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
+        arrays = backend().arrays
+        (across, along), (x, y) = (axis.pitch for axis in axes), (axis.samples for axis in axes)
+        outer, inner = (
+            np.sqrt(np.maximum((radius + side * math.hypot(across, along)) ** 2 - x**2, 0)) for side in (0.5, -0.5)
+        )
+        self._first, self._end = np.searchsorted(y, -outer), np.searchsorted(y, outer, side="right")
+        ends = np.stack([self._first, np.searchsorted(y, -inner), np.searchsorted(y, inner, side="right"), self._end])
+        places = [np.r_[first:low, max(low, high) : end] for first, low, high, end in ends.T.tolist()]
+        self._starts = np.concatenate([[0], np.cumsum([len(own) for own in places])])
+        lines, self._places = np.repeat(np.arange(len(x)), np.diff(self._starts)), np.concatenate(places)
+        px, py = x[lines], y[self._places]
+        away = np.maximum(np.hypot(px, py), min(across, along))
+        passed = soft_edge((radius - away) / np.hypot(px * across / away, py * along / away))
+        self._lines, self._passed = lines, arrays.asarray(passed.astype(np.float32))
+
+    def chord(self, line: int) -> slice:
+        """Return the samples of a line that pass, at least in part."""
+        return slice(int(self._first[line]), int(self._end[line]))
+
+    def edge(self, lines: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
+        """Return the samples of some lines at the edge, by line and place, and the part of the field that passes."""
+        own = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
+        return self._lines[own] - lines.start, self._places[own], self._passed[own]
+
+
+def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
+    """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
+    light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
+
+    # Lines of the main lens are along y.
+    def lens(y: Any, x: Any) -> Any:
+        passed = phasor(light.path((x, y)))
+        return passed * soft_edge(array_module().Float(light.inside((x, y)) / pitch)) if zone.is_cut else passed
+
+    return ThinElement(step, lens)
+
+
+def microlenses(
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
+) -> ThinElement:
+    """Return the microlenses of a subset in the source plane of a step, by the remainders of indices; others are dark.
+
+    The period of the subset is `interleave`, in both indices of the lattice.
+    """
+
+    def lens(x: Any, y: Any) -> Any:
+        light = transmission(camera, wavelength, x, y)
+        return light if interleave == 1 else _of_subset(light, camera.lattice.cell(x, y), interleave, subset)
+
+    return ThinElement(step, lens, _centre(camera, subset))
+
+
+def converging(
+    step: Step,
+    camera: PlenopticCamera,
+    wavelength: float,
+    interleave: int = 1,
+    subset: tuple[int, int] | None = None,
+) -> ThinElement:
+    """Return the element that makes light on the detector converge to the centres of all lenses, or of a subset."""
+    b, z = camera.mla_distance, camera.reduced_distance
+
+    def phase(x: Any, y: Any) -> Any:
+        index = camera.lattice.cell(*(rays.chief_point(p, b, z) for p in (x, y)))
+        cx, cy = camera.lattice.centre(*index)
+        light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, z, wavelength))
+        return light if subset is None else _of_subset(light, index, interleave, subset)
+
+    centre = _centre(camera, subset or (0, 0))
+    # Under the lens's own chief ray, so that it belongs to the lens.
+    return ThinElement(step, phase, centre and (centre[0] * (b + z) / b, centre[1] * (b + z) / b))
+
+
+def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float] | None:
+    """Return the centre of a lens, where the array is a function of x times one of y."""
+    x, y = camera.lattice.centre(*map(float, index))
+    return (float(x), float(y)) if is_separable(camera) else None
+
+
+def _of_subset(light: Any, index: tuple[Any, Any], interleave: int, subset: tuple[int, int]) -> Any:
+    """Return light with the contributions of lenses outside the subset set to 0."""
+    period = dr.opaque(type(index[0]), interleave)
+    mine = [
+        i - period * dr.floor((i + 0.5) / period) == dr.opaque(type(i), remainder)
+        for i, remainder in zip(index, subset, strict=True)
+    ]
+    return dr.select(mine[0] & mine[1], light, 0)

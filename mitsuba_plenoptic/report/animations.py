@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import argument, refuse_if, require_module, require_number
-from ..io.files import atomic_output
+from ..runtime.files import atomic_output
 from .images import ANIMATED, enlarge, enlargement, to_bytes
 
 _RATE = 12.5
@@ -25,14 +25,14 @@ _LONGEST = 480
 
 
 def require_animation(path: Path) -> Any:
-    """Return the module that writes a file, None for a GIF, before what is shown is computed."""
+    """Return the module that writes an animation's format, None for GIF; called before frames are computed."""
     if path.suffix.lower() == ".gif":
         return None
     return require_module("imageio_ffmpeg", f"{path}: MP4 needs a package: pip install 'mitsuba-plenoptic[video]'")
 
 
 def sweep_distances(distances: Sequence[float]) -> list[float]:
-    """Return the distances of a focal sweep between two that are given, in even steps of their reciprocals."""
+    """Return the distances of a focal sweep between two distances, in even steps of their reciprocals."""
     refuse_if(
         len(distances) != 2,
         f"{argument('distance')}: a focal sweep goes from one distance to another, and {len(distances)} are given",
@@ -75,7 +75,7 @@ def write_animation(
 
 
 def _labelled(picture: Image.Image, text: str) -> Image.Image:
-    """Write a text with an outline into a picture, of a size that suits it."""
+    """Return a picture with an outlined text of suitable size."""
     if text:
         size = max(9, picture.height // 20)
         at = (size // 2, picture.height - size // 2)
@@ -87,7 +87,7 @@ def _labelled(picture: Image.Image, text: str) -> Image.Image:
 
 
 def _write_mp4(writer: Any, path: Path, pictures: Sequence[Image.Image]) -> None:
-    """Write H.264, whose sides must be even: an odd one loses its last line."""
+    """Write H.264, which needs even sides: an odd side loses its last line."""
     width, height = (side // 2 * 2 for side in pictures[0].size)
     # Without a macro block size of its own the writer would resize.
     video = writer.write_frames(str(path), (width, height), fps=_RATE, quality=8, macro_block_size=2)

@@ -42,7 +42,7 @@ from .stage_store import StageOptions
 
 
 def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
-    """Capture a scene by rays and by waves, refocus it by every method, and report how they differ.
+    """Return measurements of captures by rays and by waves and of their reconstructions, and write the report.
 
     Both captures have the main lens that the sensor's `lens_model` states, so that they differ by diffraction, at the
     pupil and at the microlenses.
@@ -87,7 +87,7 @@ _COHERENT = ("coherent", "partial")
 
 
 def measure(experiment: Experiment) -> dict[str, Any]:
-    """Compare the captures with each other and the reconstructions with thin lens and one-lens limit."""
+    """Return comparisons of the captures, and of the reconstructions with thin lens and one-lens limit."""
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
         "captures": {
@@ -196,7 +196,7 @@ def _depth(low: np.ndarray) -> float:
 def draw_comparison(
     folder: Path, experiment: Experiment, measured: Mapping[str, Any], zooms: Sequence[Zoom]
 ) -> dict[str, str]:
-    """Draw the figures that every experiment has; return their captions by file name."""
+    """Draw the figures common to all experiments; return their captions by file name."""
     rows = measured["reconstructions"]
     metrics = {(row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {ssim_text(row['ssim'])}" for row in rows}
     interference = {
@@ -225,7 +225,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     names = ["truth", *(method.name for method in METHODS)]
     distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
-    peak = Brightness().white([window.of(experiment.truths[distance]) for distance in distances])
+    peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
     wide, gap, left, title, foot = 2.3, 0.1, 0.4, 0.34, 0.32
     tall, lines = wide * window.aspect, math.ceil(len(names) / _ACROSS)
     high = title + tall + foot
@@ -245,7 +245,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
     """Draw micro-images by rays, by waves, and their difference."""
     ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
-    peak = Brightness().white([ray[zoom.rows, zoom.columns] for zoom in zooms])
+    peak = Brightness().peak([ray[zoom.rows, zoom.columns] for zoom in zooms])
     size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.3
     figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + foot))
     drawn: Any = None
@@ -263,7 +263,7 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
 
 
 def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
-    """Draw what the coherent methods add to the limit in which no two lenses interfere."""
+    """Draw the difference of coherent methods from the limit in which no two lenses interfere."""
     window = lit_window(list(experiment.truths.values()))
     distances, names = experiment.settings.distances, ("coherent", "partial")
     wide, gap, left, title, foot = 3.4, 0.1, 0.45, 0.4, 0.32

@@ -17,7 +17,7 @@ from .lens_drawing import field_figures, lateral_colour
 
 
 class Row(NamedTuple):
-    """One quantity of the sheet."""
+    """One quantity of the design sheet: name, value and unit."""
 
     group: str
     quantity: str
@@ -34,7 +34,7 @@ _Line = tuple[str, str, str, str]
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
-    """List a camera's parameters and derived quantities; without a wavelength not those of diffraction."""
+    """Return the rows of a camera's parameters and derived quantities; without a wavelength not of diffraction."""
     if camera.objective is not None or isinstance(camera.main_lens, Collimator):
         if camera.objective is not None:
             seen = _microscope_groups(camera, camera.objective, wavelength)
@@ -93,7 +93,7 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
 
 
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Paraxial quantities of a real main lens, and what it does to the light over the field."""
+    """Return lines with paraxial quantities of a real main lens, and its spots and light over the field."""
     cardinal = paraxial(lens)
     scale = camera.focal_length / cardinal.focal_length
     wanted = f"at {lens.wavelength:g} nm"
@@ -214,7 +214,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 
 
 def _seen(camera: PlenopticCamera) -> str:
-    """Say what the microlenses see."""
+    """Return a sentence on what the microlenses see."""
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
     distances = design.mla_object_distances(camera)
@@ -232,7 +232,7 @@ def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
 
 
 def _effective(camera: PlenopticCamera, distance: float, wavelength: float | None) -> list[_Line]:
-    """Resolution at one distance."""
+    """Return lines on the resolution at one distance."""
     finest = design.effective_resolution(camera, distance, wavelength)
     rows = [
         ("effective resolution", f"{finest.columns:.0f} x {finest.rows:.0f}", "", "details across and down"),
@@ -290,7 +290,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
 
 
 def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) -> _Line:
-    """Say what deconvolution can resolve at a distance."""
+    """Return the line on the resolution of deconvolution at a distance."""
     limit = design.resolution_limit(camera, distance, wavelength)
     if limit.in_focus:
         note = "in focus: the lens pitch decides, deconvolution does not help"
@@ -300,21 +300,21 @@ def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) ->
 
 
 def _distance(value: float) -> tuple[str, str]:
-    """Write a distance and its unit, where there may be no such plane or it may be at infinity."""
+    """Return a distance and its unit as texts, also for no plane and for infinity."""
     if value < 0:
         return "none", ""
     return ("infinity", "") if math.isinf(value) else (_four(value), "mm")
 
 
 def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
-    """Write a range of distances and its unit."""
+    """Return a range of distances and its unit as texts."""
     if limits is None:
         return "none", ""
     return " to ".join(_distance(limit)[0] for limit in limits), "mm"
 
 
 def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]]:
-    """Join ranges that overlap; nearest first."""
+    """Return ranges with overlapping ones joined, nearest first."""
     union: list[tuple[float, float]] = []
     for near, far in sorted(limits for limits in ranges if limits is not None):
         if union and near <= union[-1][1]:
@@ -325,7 +325,7 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
 
 
 def _four(value: float) -> str:
-    """Four digits, without an exponent for the sizes that cameras have."""
+    """Return a number as text with four digits, without an exponent for sizes of cameras."""
     return f"{value:.4g}"
 
 
@@ -372,7 +372,7 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _depths(limits: tuple[float, float]) -> str:
-    """Write depths in micrometres, nearest first."""
+    """Return depths in micrometres as text, nearest first."""
     return "nothing is sharp" if math.isnan(limits[0]) else " to ".join(_four(1e3 * limit) for limit in limits)
 
 

@@ -15,20 +15,19 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import naming, refuse_if
 from ..io.captures import Capture
-from ..light.passes import pass_counts
-from ..light.render_capture import plenoptic_sensor, render_capture
+from ..light.render_capture import pass_counts, plenoptic_sensor, render_capture
 from ..light.scene import load_scene
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
 from ..runtime.backend import DEFAULT_VARIANT, set_variant
-from .stage_store import Progress, StageOptions, StageStore, scene_fingerprint
+from .stage_store import Progress, StageOptions, Stages, scene_fingerprint
 
 _RAYS_PER_PASS = 2**24
 
 
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
-    """Render what a thin lens of the camera's aperture sees when focused at `distance`, one pixel a bin.
+    """Return the image by a thin lens of the camera's aperture focused at `distance`, one pixel per bin.
 
     There are `oversample` bins per lens along each axis.
     """
@@ -39,7 +38,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Render the camera's field of view from the centre of its main lens, `columns` wide, everything sharp."""
+    """Return the sharp image of the camera's field of view from the centre of its main lens, `columns` wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
@@ -71,7 +70,7 @@ def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, in
 
 
 def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
-    """Render a picture by rays, in passes of bounded size."""
+    """Return a picture by rays, rendered in passes of bounded size."""
     columns, rows = sensor.film().crop_size()
     integrator = scene.integrator()
     # A wave integrator's child sees the scene by rays.
@@ -89,7 +88,7 @@ _FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
-    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it starts from."""
+    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it refocuses."""
 
     name: str
     title: str
@@ -114,7 +113,7 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment."""
+    """Settings of an experiment: scene, camera, distances and methods."""
 
     # A scene file or a built-in name.
     scene: str
@@ -145,7 +144,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Results of an experiment."""
+    """Captures and reconstructions of an experiment."""
 
     settings: Settings
     camera: PlenopticCamera
@@ -172,8 +171,8 @@ class Experiment:
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
-def run_experiment(settings: Settings, store: StageStore) -> Experiment:
-    """Capture and refocus, taking from the store what is already there."""
+def run_experiment(settings: Settings, store: Stages) -> Experiment:
+    """Return captures and reconstructions of an experiment; finished stages come from the store."""
     refuse_if(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
@@ -261,7 +260,7 @@ def run_experiment(settings: Settings, store: StageStore) -> Experiment:
 def load_with_sensor(
     name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
 ) -> Any:
-    """Load a scene, with the camera of these parameters in place of its own; refuse one without a plenoptic sensor."""
+    """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
     scene = load_scene(name, parameters=parameters, unit=unit)
     if camera is not None:
         return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
@@ -270,18 +269,18 @@ def load_with_sensor(
     return scene
 
 
-def open_store(output: Path, stages: StageOptions | None) -> StageStore:
-    """Check, before the work, that the output folder can be made; it is made with the first stage."""
+def open_store(output: Path, stages: StageOptions | None) -> Stages:
+    """Return the store of an output folder, checked before the work and made with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
         f"{output}: the folder cannot be made: {there} is not a folder that can be written to",
     )
-    return StageStore(output / "data", stages)
+    return Stages(output / "data", stages)
 
 
 def refocused(
-    store: StageStore, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
+    store: Stages, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
 ) -> np.ndarray:
     """Return the reconstruction of a capture with some key, by options of `reconstruct`, as a stage."""
 
@@ -294,7 +293,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Reduce a capture whose film has three equal channels, of a mono variant, to one."""
+    """Return a capture of a mono variant, whose film has three equal channels, with one channel."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

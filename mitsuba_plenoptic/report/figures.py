@@ -41,7 +41,7 @@ _MOST_LABELS = 9
 
 @dataclass(frozen=True)
 class Panel:
-    """An image of a sheet, its title, and how many millimetres of the object it is wide, if that is known."""
+    """Image of a sheet with its title and, if known, its width in millimetres of the object."""
 
     image: np.ndarray
     title: str = ""
@@ -49,7 +49,7 @@ class Panel:
 
 
 def contact_sheet(results: Sequence[Reconstruction], white: float | None = None) -> Canvas:
-    """Lay out reconstructions: a row for each method and a column for each distance, on one scale.
+    """Return a figure of reconstructions: a row for each method, a column for each distance, on one scale.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
 
 
 def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
-    """Lay out a focal stack in rows, each image with its distance.
+    """Return a figure of a focal stack in rows, each image with its distance.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
-    """Lay out the views of a light field as they lie on the pupil, labelled by their positions u and v.
+    """Return a figure of a light field's views as they lie on the pupil, labelled by u and v.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
-    """Draw an epipolar image with its axes: position on the pupil over position in the plane in focus.
+    """Return a figure of an epipolar image: position on the pupil over position in the plane in focus.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
-    """Draw a depth map: the image in focus everywhere, the depth, and its confidence, each with its scale.
+    """Return a figure of a depth map: the image in focus everywhere, the depth and its confidence.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
         if (across := _in_focus(found)) is not None:
             scale_bar(axes, across, IN_FOCUS, size=_TEXT)
         if values.ndim == 3:
-            _state(axes, _white(norm))
+            _state(axes, f"white: radiance {norm.vmax:.3g}")
         else:
             below, end = _TITLE + tall + 0.07, _end(values, norm)
             bar = canvas.colour_bar(drawn, left, below, 0.09, label, width=wide, text=_TEXT, extend=end)
@@ -233,7 +233,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
 
 
 def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Canvas:
-    """Lay out panels of one size and one scale, with labels at the left of the rows, and below what `bars` are."""
+    """Return a figure of panels of one size and scale, with labels at the left of rows and bars below."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     aspect = images[0].shape[0] / images[0].shape[1]
     grey = images[0].ndim == 2
@@ -245,7 +245,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
     titles = [_TITLE if any(panel.title for panel in row) else _GAP for row in rows]
     tops = [sum(titles[: index + 1]) + index * tall for index in range(len(rows))]
     norm, drawn = _grey(images, white), None
-    stated = [] if grey else [_white(norm)]
+    stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
     stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
     canvas = Canvas(across, tops[-1] + tall + (_TITLE if stated else _GAP), _DPI)
     for down, row in enumerate(rows):
@@ -270,7 +270,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
 
 def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
     """Return the scale of radiances from black to white, encoded in sRGB as pictures are."""
-    peak = Brightness().white(images) if white is None else white
+    peak = Brightness().peak(images) if white is None else white
     return FuncNorm(
         (lambda values: srgb(np.clip(np.asarray(values) / peak, 0, None)), lambda codes: peak * linear_of(codes)),
         vmin=0,
@@ -279,7 +279,7 @@ def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
 
 
 def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
-    """Draw an image or a map; what is NaN is hatched."""
+    """Draw an image or a map with hatched NaN; return the artist."""
     known = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
     if not known.all():
         with matplotlib.rc_context({"hatch.linewidth": 0.4}):
@@ -293,13 +293,8 @@ def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray"
     return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
 
 
-def _white(norm: Normalize) -> str:
-    """State which radiance is white in colour images, which have no scale."""
-    return f"white: radiance {norm.vmax:.3g}"
-
-
 def _state(axes: Axes, text: str) -> None:
-    """Write below an image."""
+    """Write a text below an image."""
     axes.set_xlabel(text, size=_TEXT, color=_INK, loc="left", labelpad=3)
 
 
@@ -311,18 +306,18 @@ def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
 
 
 def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, top: float, height: float) -> None:
-    """Add the scale of radiances."""
+    """Add the scale bar of radiances."""
     end = _end(values, drawn.norm)
     canvas.colour_bar(drawn, left, top, height, "radiance", width=0.1, text=_TEXT, extend=end)
 
 
 def _end(values: np.ndarray, norm: Normalize) -> str:
-    """Return how a scale ends: with an arrow where some values surpass it."""
+    """Return the shape of a scale's end: an arrow where values surpass the end."""
     return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
 def _sampled(lf: xr.DataArray) -> np.ndarray:
-    """Return the samples of a light field or a part of it, NaN where no light comes from."""
+    """Return the samples of a light field, NaN where no light comes from."""
     return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
 
 
@@ -333,7 +328,7 @@ def _edges(positions: np.ndarray) -> tuple[float, float]:
 
 
 def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
-    """Label positions, of many only some, so that the labels do not overlap; the first states what they are."""
+    """Return labels of positions, so few that they do not overlap; the first names the quantity."""
     every = -(-len(positions) // _MOST_LABELS)
     texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]

@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from ..camera import PlenopticCamera
-from ..io.files import atomic_output
+from ..runtime.files import atomic_output
 from .experiment import Experiment
 from .images import to_bytes
 
@@ -25,7 +25,7 @@ _LENSES = 8
 
 
 class Window(NamedTuple):
-    """A part of an image in fractions of its height and width."""
+    """Part of an image, in fractions of its height and width."""
 
     top: float
     bottom: float
@@ -34,7 +34,7 @@ class Window(NamedTuple):
     field_aspect: float = 1.0
 
     def of(self, image: np.ndarray) -> np.ndarray:
-        """Cut the part out of an image."""
+        """Return the part of an image that the window shows."""
         rows, columns = image.shape[:2]
         return image[
             round(self.top * rows) : round(self.bottom * rows), round(self.left * columns) : round(self.right * columns)
@@ -42,7 +42,7 @@ class Window(NamedTuple):
 
     @property
     def aspect(self) -> float:
-        """Height over width."""
+        """Height of the window over its width."""
         return self.field_aspect * (self.bottom - self.top) / (self.right - self.left)
 
 
@@ -55,7 +55,7 @@ class Zoom(NamedTuple):
 
 
 def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
-    """Find the part of the field, symmetric about its middle, that holds the light of all images."""
+    """Return the part of the field, symmetric about its middle, that holds the light of all images."""
     reach = []
     for axis in (1, 0):
         ends = []
@@ -70,7 +70,7 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
 
 
 def brightest_zoom(experiment: Experiment) -> Zoom:
-    """Look closely at where a capture has most contrast from lens to lens."""
+    """Return a close-up where a capture has most contrast from lens to lens."""
     camera = experiment.camera
     columns, rows = camera.bin_count
     gradient = np.hypot(*np.gradient(_resize_mean(experiment.ray.image, rows, columns)))
@@ -82,7 +82,7 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
 
 
 def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
-    """Return a window of whole micro-images around the detector point of a chief ray with given slopes (x, y)."""
+    """Return a window of whole micro-images around the detector point of a chief ray of slopes (x, y)."""
     half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch
     spans = []
@@ -96,7 +96,7 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
 
 
 def _resize_mean(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Average an image over a grid of cells."""
+    """Return an image averaged over a grid of cells."""
     by_row = np.stack([part.mean(axis=0) for part in np.array_split(image, rows, axis=0)])
     return np.stack([part.mean(axis=1) for part in np.array_split(by_row, columns, axis=1)], axis=1)
 
@@ -136,7 +136,7 @@ class Canvas:
         text: float = 8,
         extend: str = "neither",
     ) -> Any:
-        """Add the scale of an image, along the longer side of what it fills, and return it."""
+        """Add the scale of an image along the longer side of the given rectangle, and return it."""
         along = "vertical" if height > width else "horizontal"
         axes = self.axes(left, top, width, height)
         bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
@@ -148,14 +148,14 @@ class Canvas:
         return bar
 
     def save(self, path: str | Path) -> None:
-        """Write it as PNG, or as PDF with text as text and lines as lines."""
+        """Write the figure as PNG, or as PDF with text as text and lines as lines."""
         with atomic_output(path, ".png", ".pdf") as temporary, matplotlib.rc_context({"pdf.fonttype": 42}):
             # Without the date, the same figure gives the same file.
             dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
             self.figure.savefig(temporary, metadata=dated)
 
     def save_both(self, path: Path) -> None:
-        """Write it as PNG, for a page, and next to that as PDF, for papers."""
+        """Write the figure as PNG, for a page, and as PDF of the same name, for papers."""
         for suffix in (".png", ".pdf"):
             self.save(path.with_suffix(suffix))
 
@@ -167,7 +167,7 @@ def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None
 
 
 def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
-    """Show a difference, from blue at `-bound` to red; return what a colour bar needs."""
+    """Draw a difference from blue at `-bound` to red; return the artist for a colour bar."""
     return axes.imshow(difference, cmap="RdBu_r", vmin=-bound, vmax=bound, interpolation="auto", aspect="auto")
 
 
@@ -179,7 +179,7 @@ def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "") -> 
 
 
 def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
-    """Frame on the whole detector what a close-up shows."""
+    """Draw the frame of a close-up on the picture of the whole detector."""
     x, y = (zoom.columns.start - corner[1]) / factor, (zoom.rows.start - corner[0]) / factor
     width, height = (zoom.columns.stop - zoom.columns.start) / factor, (zoom.rows.stop - zoom.rows.start) / factor
     axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=_ACCENT, linewidth=1.2))
@@ -201,7 +201,7 @@ ON_DETECTOR, IN_FOCUS = "on the detector", "in the plane in focus"
 
 
 def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
-    """Draw a bar of a round length into a picture that is `width` millimetres wide, or below it.
+    """Draw a bar of a round length into or below a picture that is `width` millimetres wide.
 
     Its label states the length and the plane in which it is one.
     """
@@ -226,7 +226,7 @@ def _bar_length(width: float) -> float:
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
-    """Lay a scale bar in an object plane; at infinity there are no lengths."""
+    """Draw a scale bar in an object plane; at infinity, where there are no lengths, nothing."""
     if math.isfinite(distance):
         width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
         scale_bar(axes, width, f"at {distance:g} mm")

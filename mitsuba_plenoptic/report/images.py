@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from ..errors import InputError, require_number
-from ..io.files import atomic_output
+from ..runtime.files import atomic_output
 
 ANIMATED = (".gif", ".mp4")
 
@@ -31,7 +31,7 @@ def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None)
 
 
 def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
-    """Encode a linear image (rows, columns[, 3]) in 8 bits, sRGB.
+    """Return a linear image (rows, columns[, 3]) encoded in 8 bits, sRGB.
 
     `peak`, by default the image's maximum, becomes white, and what is negative or not a number becomes black.
     """
@@ -44,7 +44,7 @@ def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
 
 
 def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
-    """Encode a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads its values.
+    """Return a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads its values.
 
     The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits the upper eight are above
     the lower eight in one picture. NaN is transparent. What is beyond the range is moved into it.
@@ -63,7 +63,7 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
 
 
 def enlarge(image: np.ndarray, scale: int) -> np.ndarray:
-    """Repeat each pixel `scale` times along both axes."""
+    """Return an image with each pixel repeated `scale` times along both axes."""
     return image.repeat(scale, axis=0).repeat(scale, axis=1)
 
 
@@ -73,7 +73,7 @@ def enlargement(image: np.ndarray, longest: int = LONGEST) -> int:
 
 
 def shrink(image: np.ndarray, longest: int) -> np.ndarray:
-    """Average blocks of pixels, whole blocks only, until neither side is longer than `longest`."""
+    """Return an image averaged over whole blocks of pixels until neither side is longer than `longest`."""
     rows, columns = image.shape[:2]
     factor = -(-max(rows, columns) // longest)
     if factor == 1:
@@ -86,7 +86,7 @@ def shrink(image: np.ndarray, longest: int) -> np.ndarray:
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:
-    """Encode linear values from 0 to 1 (IEC 61966-2-1)."""
+    """Return linear values from 0 to 1 encoded as sRGB (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
@@ -103,7 +103,7 @@ _BULK, _ALIKE, _SHARE, _HIGHLIGHT = 90.0, 10.0, 0.1, 5.0
 
 @dataclass(frozen=True)
 class Brightness:
-    """A rule for the value that becomes white; what is brighter is white, too."""
+    """Rule for the value that becomes white; brighter values are white, too."""
 
     # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
     exposure: float | None = None
@@ -120,7 +120,7 @@ class Brightness:
         if self.percentile is not None:
             require_number("percentile", self.percentile, positive=True, maximum=100)
 
-    def white(self, images: Sequence[np.ndarray]) -> float:
+    def peak(self, images: Sequence[np.ndarray]) -> float:
         """Return the value that becomes white in pictures that are looked at together; NaN is ignored."""
         if self.exposure is not None:
             return float(2.0**-self.exposure)
@@ -137,7 +137,7 @@ class Brightness:
 
 @dataclass(frozen=True)
 class Drawing:
-    """How pictures are drawn."""
+    """Settings for drawing pictures: exposure, scale and whether to draw a figure."""
 
     brightness: Brightness = field(default_factory=Brightness)
     # Pixels that a bin is wide; None: as suits the picture.
@@ -146,5 +146,5 @@ class Drawing:
     figure: bool = False
 
     def is_figure(self, path: Path) -> bool:
-        """Return whether a file becomes a labelled figure."""
+        """Return whether a file is written as a labelled figure."""
         return self.figure or path.suffix.lower() == ".pdf"

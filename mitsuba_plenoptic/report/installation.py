@@ -21,7 +21,7 @@ _MISSING = "not installed"
 
 @dataclass(frozen=True)
 class Installation:
-    """The state of an installation."""
+    """State of an installation: versions, variants and problems."""
 
     # Titles, each with the names and findings below it.
     sections: dict[str, list[tuple[str, str]]]
@@ -32,7 +32,7 @@ class Installation:
 
 
 def inspect_installation() -> Installation:
-    """Look at versions, LLVM, the GPU and Mitsuba's variants."""
+    """Return versions, LLVM, GPU and Mitsuba's variants of this installation."""
     problem = llvm.problem()
     cuda = bool(drjit.has_backend(drjit.JitBackend.CUDA))
     python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
@@ -46,7 +46,7 @@ def inspect_installation() -> Installation:
 
 
 def _state(variant: str, cuda: bool, problem: str | None) -> str:
-    """Say whether a variant works here, and how much of it a wave capture uses."""
+    """Return a sentence on whether a variant works, and how much of it a wave capture uses."""
     if not cuda if variant.startswith("cuda") else problem:
         return "not usable here"
     if "polarized" in variant:

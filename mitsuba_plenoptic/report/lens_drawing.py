@@ -12,11 +12,11 @@ from matplotlib.ticker import MaxNLocator
 
 from ..camera import PlenopticCamera
 from ..errors import InputError
-from ..io.files import require_writable
 from ..lenses import sequential
 from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
+from ..runtime.files import require_writable
 from .framing import Canvas
 
 _ACROSS = 201
@@ -72,13 +72,13 @@ class _DrawnRays:
         return self.directions(height, (Px / distance, (Py - height) / distance))
 
     def chief(self, height: float) -> float:
-        """Return Y/g of the chief ray."""
+        """Return Y/g of the chief ray for an image height."""
         slope = np.atleast_1d(self.lens.chief_slope(np.array([height])))
         return float(self.directions(height, (np.zeros(1), slope))[1][0])
 
 
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where on the MLA the rays of one object point land, of those that pass the lens.
+    """Return the positions on the MLA of the rays of one object point that pass the lens.
 
     The object point is that of the chief ray of a position on the MLA. Rays are traced back from the position to the
     object plane, and their distances from the point are scaled to the size of its image.
@@ -103,7 +103,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
-    """Return how much farther from the axis an image lies by the second wavelength's chief ray than by the first's.
+    """Return the difference in image height between chief rays of the second and the first wavelength.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
 
 
 def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Follow rays in the plane of the axis from a position on the MLA, surface by surface, to before the lens.
+    """Return ray paths in the plane of the axis from a position on the MLA through all surfaces, to before the lens.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
 
 
 def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[FieldFigures]:
-    """Trace bundles from the MLA to the object plane in focus; figures of a camera with a real main lens.
+    """Return figures of a camera with a real main lens, by bundles traced from the MLA to the plane in focus.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
-    """Draw where the rays of a point meet the MLA, in three colours."""
+    """Draw the points at which rays of an object point meet the MLA, in three colours."""
     largest = 0.5 * camera.mla_pitch
     for line, (wavelength, colour) in _LINES.items():
         x, y = spot(camera, height, wavelength)

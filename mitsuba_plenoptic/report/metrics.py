@@ -21,7 +21,7 @@ _WINDOW = 7
 
 @dataclass(frozen=True)
 class ImageMetrics:
-    """How close an image is to its reference."""
+    """Differences of an image from its reference: PSNR, SSIM and others."""
 
     # Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
     psnr: float
@@ -32,24 +32,24 @@ class ImageMetrics:
 
 
 def rounded(found: ImageMetrics | Difference) -> dict[str, Any]:
-    """Return figures by name, rounded to what they mean."""
+    """Return figures by name, rounded to their significant digits."""
     return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(found).items()}
 
 
 def ssim_text(ssim: float | None) -> str:
-    """Return a structural similarity as text: images too small for it have none."""
+    """Return a structural similarity as text, also for images too small to have one."""
     return "not defined" if ssim is None else f"{ssim:.3f}"
 
 
 def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
-    """Find the one factor on all images that brings them closest to their references (least squares)."""
+    """Return the factor on all images that fits them best to their references (least squares)."""
     products = sum(float(np.nansum(a * b)) for a, b in zip(images, references, strict=True))
     squares = sum(float(np.nansum(np.square(a))) for a in images)
     return products / squares if squares > 0 else 1.0
 
 
 def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
-    """Compare an image with a reference of the same shape, brightness and all.
+    """Return the metrics of an image against a reference of the same shape, brightness included.
 
     Pixels that are NaN in the image are not compared.
     """
@@ -76,12 +76,12 @@ def _similarity(image: np.ndarray, reference: np.ndarray, peak: float) -> float 
 
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
-    """Root of the summed squared differences over that of the reference."""
+    """Return the root of the summed squared differences over the root of the reference's squared sum."""
     return float(np.linalg.norm(np.asarray(image, np.float64) - reference) / np.linalg.norm(reference))
 
 
 def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:
-    """Return how far a reconstruction is from the limit in which no two lenses interfere.
+    """Return the RMS difference of a reconstruction from the limit without interference, over the limit's mean.
 
     The root mean square of their difference over the limit's mean, within a region of bins. A high-pass filter would
     not do as a measure, because it sees detail where there is any.
@@ -97,7 +97,7 @@ def lit_region(limit: np.ndarray) -> np.ndarray:
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:
-    """Find the bins (rows, columns) that hold a box in the scene, seen from the centre of the main lens; None if none.
+    """Return the bins (rows, columns) that hold a box in the scene, seen from the main lens's centre, None if none.
 
     Its corners (x, y, z) are given in the camera's frame, and its depth is taken as that of its middle.
     """
@@ -123,7 +123,7 @@ _WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 @dataclass(frozen=True)
 class SquareSharpness:
-    """How sharp edges are."""
+    """Widths of the edges of a square."""
 
     # Distance in pixels from 10 to 90 per cent of the edge's height.
     width: float
@@ -132,7 +132,7 @@ class SquareSharpness:
 
 
 def window_sharpness(image: np.ndarray) -> SquareSharpness:
-    """Measure an edge that runs from top to bottom through the image, a few degrees off the vertical.
+    """Return the sharpness of an edge that runs from top to bottom through the image, nearly vertical.
 
     In contrast to `mitsuba_plenoptic.edge_sharpness`, the edge's place is known, so that interference next to it is
     allowed, and a window of few pixels is enough.
@@ -157,7 +157,7 @@ def window_sharpness(image: np.ndarray) -> SquareSharpness:
 
 
 def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> SquareSharpness:
-    """Measure a bright square on dark ground, turned by a few degrees: the median of its four edges.
+    """Return the sharpness of a slightly turned bright square on dark ground: the median of its four edges.
 
     The median, because something else may lie near one of them.
 
@@ -179,7 +179,7 @@ def square_sharpness(image: np.ndarray, row: float, column: float, side: float) 
 
 
 def _profile(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Project the pixels along the edge: distances from it and the mean values there."""
+    """Return distances from an edge, and the mean of the pixels at each distance."""
     rows, columns = image.shape
     slope = np.abs(np.gradient(image, axis=1))
     tilt, start = 0.0, (columns - 1) / 2
@@ -204,7 +204,7 @@ def _profile(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _first_crossing(position: np.ndarray, rising: np.ndarray, level: float) -> float:
-    """Where a curve first reaches a level, by linear interpolation; infinity if nowhere."""
+    """Return the first position at which a curve reaches a level, by linear interpolation; infinity if nowhere."""
     above = np.flatnonzero(rising >= level)
     if above.size == 0:
         return math.inf
@@ -257,7 +257,7 @@ def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None)
 
 
 def middle_of_micro_images(camera: PlenopticCamera) -> np.ndarray:
-    """Mark the pixels that see the main lens's middle, within four fifths of its radius; (rows, columns) bool array."""
+    """Return a mask (rows, columns) of pixels that see the main lens within four fifths of its radius."""
     return np.asarray(white_image(camera.replace(aperture_radius=_MIDDLE * camera.aperture_radius)) > 0.5)
 
 

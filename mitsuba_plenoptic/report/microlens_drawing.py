@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import require_wavelength
-from ..io.files import require_writable
 from ..optics.waves import in_millimetres, parabola
 from ..prescription.glass import LINE_D
+from ..runtime.files import require_writable
 from .framing import Canvas
 
 _SAMPLES = 256

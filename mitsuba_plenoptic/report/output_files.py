@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,11 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from .. import report
 from ..errors import refuse_if
 from ..io.exr import image_channels, write_exr_parts
-from ..io.files import require_writable
 from ..io.truth_files import COORDINATES
 from ..refocus import Reconstruction, write_reconstruction
+from ..runtime.files import require_writable
 from ..views.viewpoints import view_mosaic
 from .animations import require_animation, write_animation
 from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
@@ -59,9 +59,9 @@ def write_reconstructions(
 
     Pictures share one scale. OpenEXR files keep in their headers the metadata of the capture, `source`.
     """
-    peak = drawing.brightness.white([result.image for result in results])
+    peak = drawing.brightness.peak([result.image for result in results])
     if drawing.is_figure(paths[0]):
-        _figures().contact_sheet(results, peak).save(paths[0])
+        report.figures.contact_sheet(results, peak).save(paths[0])
         return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
@@ -82,55 +82,66 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
         for j in range(lf.sizes["v"])
         for i in range(lf.sizes["u"])
     }
-    white = drawing.brightness.white([lf.values])
+    white = drawing.brightness.peak([lf.values])
     picture = _enlarged(view_mosaic(lf), drawing)
-    _write(path, "views", lf, parts, picture, white, drawing, lambda: _figures().views_figure(lf, white))
+    _write(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
 
 
 def write_photodiodes(
     path: str | Path, halves: xr.DataArray, names: NDArray[np.str_], drawing: Drawing = _AUTOMATIC
 ) -> None:
     """Write the pictures of photodiodes, named by row and column, and their sum: a part each, or side by side."""
-    white = drawing.brightness.white([halves.values])
+    white = drawing.brightness.peak([halves.values])
     total = np.asarray(halves.sum(("v", "u")).values)
     pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
     picture = _enlarged(view_mosaic(halves), drawing)
     parts = _images(**pictures, sum=total)
-    _write(path, "photodiodes", halves, parts, picture, white, drawing, lambda: _figures().views_figure(halves, white))
+    _write(
+        path, "photodiodes", halves, parts, picture, white, drawing, lambda: report.figures.views_figure(halves, white)
+    )
 
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
     """Write an epipolar image, as PNG enlarged."""
     values = np.asarray(image.values)
-    white = drawing.brightness.white([values])
+    white = drawing.brightness.peak([values])
     picture = _enlarged(values, drawing)
     parts = _images(epipolar=values)
     _write(
-        path, "epipolar image", image, parts, picture, white, drawing, lambda: _figures().epipolar_figure(image, white)
+        path,
+        "epipolar image",
+        image,
+        parts,
+        picture,
+        white,
+        drawing,
+        lambda: report.figures.epipolar_figure(image, white),
     )
 
 
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write a focal stack: a part each named by its distance, or the images side by side as PNG."""
+    """Write a focal stack: parts named by distance, or the images side by side as PNG."""
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
-    white = drawing.brightness.white([stack.values])
+    white = drawing.brightness.peak([stack.values])
     picture = _enlarged(_tiled(list(images.values())), drawing)
     parts = _images(**images)
-    _write(path, "focal stack", stack, parts, picture, white, drawing, lambda: _figures().stack_figure(stack, white))
+    _write(
+        path, "focal stack", stack, parts, picture, white, drawing, lambda: report.figures.stack_figure(stack, white)
+    )
 
 
 def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
     """Write a focal stack as an animation, there and back; return the number of its frames."""
     frames = [(np.asarray(image.values), f"{float(image.distance):.4g} mm") for image in stack]
     frames += frames[-2:0:-1]
-    write_animation(path, frames, drawing.brightness.white([stack.values]), drawing.scale)
+    write_animation(path, frames, drawing.brightness.peak([stack.values]), drawing.scale)
     return len(frames)
 
 
 def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
     """Write views along a circle on the pupil as an animation; return the number of its frames."""
     frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
-    write_animation(path, frames, drawing.brightness.white([image for image, _ in frames]), drawing.scale)
+    write_animation(path, frames, drawing.brightness.peak([image for image, _ in frames]), drawing.scale)
     return len(frames)
 
 
@@ -147,7 +158,7 @@ def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
 
 
 def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or pictures as PNG.
+    """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or as PNG.
 
     The true depth is a part, too, where it is known.
 
@@ -158,12 +169,14 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
     closeness = (high - parts["disparity"]) / ((high - low) or 1)
-    white = drawing.brightness.white([parts["image"]])
+    white = drawing.brightness.peak([parts["image"]])
     maps = [parts["image"] / white, closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     picture = _enlarged(np.concatenate(maps, axis=1), drawing)
-    _write(path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: _figures().depth_figure(found, white))
+    _write(
+        path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white)
+    )
 
 
 def _write(
@@ -190,18 +203,13 @@ def _write(
 
 
 def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
-    """Repeat the bins of a picture as often as asked for, or as makes a small one visible."""
+    """Return a picture with bins repeated as often as requested, or as makes a small picture visible."""
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 
 def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
-    """Return parts of one image each."""
+    """Return images as parts of a file, one image per part."""
     return {name: image_channels(image) for name, image in images.items()}
-
-
-def _figures() -> Any:
-    """Return the module that draws figures, whose libraries take a second to load."""
-    return importlib.import_module(".figures", __package__)
 
 
 def _tiled(images: list[np.ndarray]) -> np.ndarray:

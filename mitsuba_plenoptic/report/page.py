@@ -16,13 +16,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from PIL import Image
 
 from .. import design
-from ..io.files import write_text
+from ..io.checkpoints import write_json
+from ..runtime.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, lit_window
 from .images import Brightness, to_bytes
 from .metrics import ssim_text
-from .stage_store import software, time_summary, write_json
+from .stage_store import software, time_summary
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",
@@ -45,7 +46,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Report:
-    """The content of a report."""
+    """Content of a report: tables, pictures and texts by section."""
 
     # Headline and the sentence under it.
     title: str
@@ -88,7 +89,7 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
 
 
 def template(name: str, folder: Path = Path(__file__).parent / "templates") -> Template:
-    """Load a page's template from a folder, by default from that of the reports."""
+    """Return a page's template from a folder, by default the folder of the reports."""
     environment = Environment(
         loader=FileSystemLoader([folder, Path(__file__).parent / "templates"]),
         autoescape=True,
@@ -141,7 +142,7 @@ def _page(folder: Path, report: Report) -> str:
 
 
 def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:
-    """List what the experiment was made with."""
+    """Return the settings and versions of an experiment as pairs of texts."""
     settings = experiment.settings
     return [
         ("Wavelength", f"{settings.wavelength:g} nm"),
@@ -161,7 +162,7 @@ def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, 
 
 
 def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str, str]]:
-    """State how far the wave capture is from that of points."""
+    """Return the difference between the wave capture and the capture by points as pairs of texts."""
     if found is None:
         return []
     apart = f"{found['relative_error']:.2%} (relative L2, with the noise of both), energy {found['energy']:.4f}"
@@ -181,7 +182,7 @@ def captures(experiment: Experiment, window: Window) -> dict[str, str]:
 
 
 def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
-    """Return the size of the capture's cut-out, and the positions to zoom to in fractions of it."""
+    """Return the size of the capture's cut-out, and the positions of close-ups in fractions of it."""
     rows, columns = experiment.wave.image.shape
     height, width = window.of(experiment.wave.image).shape
     top, left = round(window.top * rows), round(window.left * columns)
@@ -201,14 +202,14 @@ def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> d
 
 
 def shown_distances(experiment: Experiment) -> list[float]:
-    """List the distances of the slider."""
+    """Return the distances of the report's slider."""
     return sorted({*experiment.settings.slider, *experiment.settings.distances})
 
 
 def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
-    """Return pictures by method and distance, with the metrics of those that have some."""
+    """Return pictures by method and distance, with metrics where they are known."""
     distances = shown_distances(experiment)
-    peak = Brightness().white([window.of(experiment.truths[distance]) for distance in distances])
+    peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
     facts: dict[str, dict[str, list[list[str]]]] = {}
     for row in measured["reconstructions"]:
         metrics = [
@@ -230,7 +231,7 @@ def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Wi
 
 
 def plate(path: Path, caption: str) -> dict[str, Any]:
-    """Take a figure into the page."""
+    """Return a figure's picture and caption as the page embeds them."""
     content = path.read_bytes()
     width, height = Image.open(io.BytesIO(content)).size
     return {"source": _data_url("png", content), "width": width, "height": height, "caption": caption}

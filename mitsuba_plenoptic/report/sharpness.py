@@ -29,7 +29,7 @@ _FREQUENCIES = np.linspace(0, 1, 129)
 
 @dataclass(frozen=True)
 class EdgeSharpness:
-    """The sharpness of an edge.
+    """Sharpness of an edge: place, angle, width and modulation transfer.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ def _rows_with_edge(
 
 
 def _refuse_others(slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp]) -> None:
-    """Refuse other edges beside the rows of one that was found."""
+    """Refuse an image with further edges beside the rows of the edge that was found."""
     columns = np.arange(slope.shape[1])
     offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
     own = slope[index]

@@ -46,7 +46,7 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
 
 
 def volume_overview(volume: Volume) -> NDArray[np.float32]:
-    """Lay out what is seen of a volume, from left to right: maximum projections, slices, and depth as colour.
+    """Return an overview image of a volume: maximum projections, slices, and depth as colour.
 
     The first two parts show the view along z with that along x to its right and that along y below, planes as far apart
     as they are, but three pixels at least; slices go through the brightest voxel.
@@ -100,7 +100,7 @@ def _orthogonal(
 
 
 def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
-    """Return how many pixels stand for each plane: as far as to the middles between it and its neighbours."""
+    """Return the number of pixels for each plane, by the middles between it and its neighbours."""
     depths = np.array(volume.distances)
     if len(depths) == 1:
         return np.array([_LEAST_PLANE])

@@ -1,4 +1,4 @@
-"""Work in batches of plain arrays that any thread, process or machine can compute, used in a fixed order.
+"""Long sums in batches of plain arrays that any thread, process or machine can compute, used in a fixed order.
 
 The result of a batch is the same whoever computes it: threads of this process, or the workers of a Dask cluster, to
 which only arrays travel. The parts of a sum are added one after another in the order of their batches, so its bits
@@ -13,11 +13,11 @@ import gc
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -46,7 +46,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Part:
-    """The sum of one batch."""
+    """Sum of one batch, with its place in the image."""
 
     # Where it lies on the grid.
     box: Box
@@ -62,7 +62,7 @@ class Batch(Protocol):
         """Samples of all its fields, to which the time is about proportional."""
 
     def prepare(self) -> Callable[[], Any]:
-        """Run what Dr.Jit does, and return the rest: a function that any thread may call for the batch's result."""
+        """Run Dr.Jit's part of a batch; return a function that any thread may call for the batch's result."""
 
 
 class BatchMap(Protocol):
@@ -77,15 +77,15 @@ class BatchMap(Protocol):
 
     @property
     def threads(self) -> int:
-        """How many of them are computed in this process."""
+        """Number of batches that are computed at a time in this process."""
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
-        """Compute the batches; closed early, it drops those in progress."""
+        """Yield the results of batches; if closed early, drop batches in progress."""
 
 
 @dataclass(frozen=True)
 class PartialSum:
-    """A partial sum."""
+    """Sum of several batches so far."""
 
     # The batches that are in it: the first ones.
     batches: int
@@ -130,6 +130,178 @@ def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:
         sums[:, top - box.top : bottom - box.top, left - box.left : right - box.left] += part.sums[
             :, top - part.box.top : bottom - part.box.top, left - part.box.left : right - part.box.left
         ]
+
+
+Progress = Callable[[int, int], None]
+"""Called with the items done and how many there are."""
+
+Item = TypeVar("Item")
+
+
+def counted(items: Collection[Item], progress: Progress | None) -> Iterator[Item]:
+    """Yield items, and report before each of them, and at the end, how many are done."""
+    for done, item in enumerate(items):
+        if progress:
+            progress(done, len(items))
+        yield item
+    if progress:
+        progress(len(items), len(items))
+
+
+class LongSum(Protocol):
+    """A sum of many items on a box of some grid, gathered into batches."""
+
+    arrays: Any  # NumPy, or CuPy for parts that lie on a CUDA device
+    box: Box
+    channels: int
+    items: NDArray[np.int64]  # of each batch
+
+    def batches(self, first: int) -> Iterator[Batch]:
+        """Yield the batches from one on, in their order."""
+
+    def image(self, total: PartialSum) -> NDArray[np.float32]:
+        """Turn the finished sum into (rows, columns, channels) of pixels."""
+
+
+@dataclass(frozen=True)
+class SumTask:
+    """One of several sums that make an image."""
+
+    # Its items, those too that are in no batch.
+    items: int
+    # Plans the sum, once it is its turn.
+    plan: Callable[[], LongSum]
+    # Turns its image into what is added to that of all: (rows, columns, channels).
+    combine: Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Several sums in progress."""
+
+    sums: int
+    # Their images, added up; (rows, columns, channels).
+    image: NDArray[np.float32]
+    # The next one, as far as it has come.
+    partial: PartialSum | None = None
+
+
+class CheckpointStore(Protocol):
+    """Stores the partial result of a job, so that it can resume after a crash: see `io.checkpoints.Checkpoint`."""
+
+    def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
+        """Return the stored partial result of the job with these facts or None; refuse that of another job."""
+
+    def save(self, snapshot: Snapshot) -> None:
+        """Keep a snapshot, if it is time to."""
+
+
+@dataclass
+class Job:
+    """How a long computation is carried out.
+
+    Attributes
+    ----------
+    progress : callable, optional
+        Called with the items done and how many there are.
+    batch_map : BatchMap, optional
+        Computes the batches. Default: threads of this process.
+    keeper : CheckpointStore, optional
+        Stores what is done.
+    """
+
+    progress: Progress | None = None
+    batch_map: BatchMap | None = None
+    keeper: CheckpointStore | None = None
+
+    @property
+    def workers(self) -> BatchMap:
+        """Who computes the batches: the given ones, or threads of this process."""
+        return self.batch_map or Threads()
+
+    def run(
+        self,
+        tasks: Iterable[SumTask],
+        shape: tuple[int, int, int],
+        items: int,
+        facts: Callable[[], dict[str, Any]] = dict,
+    ) -> NDArray[np.float32]:
+        """Compute sums one after another, and add their images.
+
+        The bits of the result depend neither on who computes the batches nor on whether the job was continued.
+
+        Parameters
+        ----------
+        tasks : iterable of SumTask
+            The sums.
+        shape : (int, int, int)
+            Rows, columns and channels of the image.
+        items : int
+            Items of all sums.
+        facts : callable
+            Returns what the job is computed from, in plain JSON values, by which a stored one is recognised as the
+            same.
+
+        Returns
+        -------
+        float32 array (rows, columns, channels)
+        """
+        state = Snapshot(0, np.zeros(shape, np.float32))
+        if self.keeper:
+            state = self.keeper.begin(shape, **facts()) or state
+        done = count = 0
+        for count, task in enumerate(tasks, 1):
+            if count > state.sums:
+                image = task.combine(self._sum(task, state, done, items))
+                state = Snapshot(count, np.add(state.image, image, out=state.image))
+            done += task.items
+        refuse_if(state.sums > count, f"checkpoint: it is damaged: {state.sums} sums are no part of {count}")
+        return state.image
+
+    def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
+        """Compute one sum, from where it stands."""
+        work = task.plan()
+        shape = (work.channels, work.box.rows, work.box.columns)
+        start = state.partial or PartialSum(0, work.arrays.zeros(shape, np.float32))
+        refuse_if(
+            start.sums.shape != shape or not 0 <= start.batches <= len(work.items),
+            f"checkpoint: {start.batches} batches of shape {start.sums.shape}: this sum has {len(work.items)} of "
+            f"shape {shape}",
+        )
+        left = work.items[start.batches :].tolist()
+        total = replace(start, sums=work.arrays.asarray(start.sums))
+        batches, done = work.batches(start.batches), before + task.items - sum(left)
+        with contextlib.closing(self.each(batches, left, done, items)) as parts:
+            for part in parts:
+                add(part, work.box, total.sums)
+                arrived = total.arrived + float(part.sums.sum(dtype=np.float64))
+                total = PartialSum(total.batches + 1, total.sums, arrived)
+                if self.keeper:
+                    self.keeper.save(replace(state, partial=total))
+        return work.image(total)
+
+    def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Generator[Any, None, None]:
+        """Compute batches of `size` items each, and yield their results in order.
+
+        Parameters
+        ----------
+        batches : iterable of Batch
+            The batches.
+        items : sequence of int
+            How many items each of them stands for.
+        done, total : int
+            The items that are done before, and those of the whole job.
+        """
+        self._report(done, total)
+        with contextlib.closing(self.workers(batches)) as results:
+            for count, result in zip(items, results, strict=True):
+                yield result
+                done += int(count)
+                self._report(done, total)
+
+    def _report(self, done: int, items: int) -> None:
+        if self.progress:
+            self.progress(done, items)
 
 
 _GROUP_SAMPLES = 2**22
@@ -276,7 +448,7 @@ def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
 
 
 def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]) -> list[Any]:
-    """Compute batches, on a worker."""
+    """Return the results of batches, computed on a worker."""
     _check_software(software(), versions, "a worker")
     results = []
     for batch in batches:

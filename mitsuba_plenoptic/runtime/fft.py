@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of, drjit_array
+from .backend import backend_of, drjit_array, quotient
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -54,7 +54,7 @@ def worker_count() -> int:
 
 @contextmanager
 def resting_drjit() -> Iterator[None]:
-    """Keep Dr.Jit's own threads off the processor cores while another library uses them.
+    """Keep Dr.Jit's threads off the processor cores while another library computes.
 
     Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
     number of its threads is one for the whole process: the first of several Python threads to come here sets it to
@@ -79,7 +79,7 @@ def resting_drjit() -> Iterator[None]:
 
 @contextmanager
 def busy_drjit() -> Iterator[None]:
-    """Give Dr.Jit its own threads back for a while, inside `resting_drjit`."""
+    """Give Dr.Jit its threads back inside `resting_drjit`."""
     with _rest:
         resting = _resting > 0
         if resting:
@@ -114,7 +114,7 @@ def stop_threads() -> None:
 
 @functools.cache
 def _nanothread() -> Any:
-    """Return the library of Dr.Jit's threads; None where it is not found."""
+    """Return the library of Dr.Jit's threads, None where it is not found."""
     number, pointer, flag = ctypes.c_uint32, ctypes.c_void_p, ctypes.c_int
     for path in Path(dr.__file__).parent.glob("*nanothread.*"):
         with contextlib.suppress(OSError, AttributeError):
@@ -148,12 +148,12 @@ def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> 
 
 
 def rfft(samples: NDArray[np.float32], *, axis: int) -> Field:
-    """Transform real samples along one axis; the frequencies from zero on."""
+    """Return the spectrum of real samples along one axis, for frequencies from zero on."""
     return _transform("rfft", samples, None, axis=axis)
 
 
 def irfft(spectrum: Field, count: int, *, axis: int) -> NDArray[np.float32]:
-    """Transform what `rfft` gives back to `count` real samples, along one axis; the spectrum is overwritten."""
+    """Return `count` real samples from a spectrum of `rfft` along one axis; the spectrum is overwritten."""
     return _transform("irfft", spectrum, None, n=count, axis=axis)
 
 
@@ -210,14 +210,14 @@ def array_types(array: Any) -> Any:
 def rows_and_columns(types: Any, rows: int, columns: int) -> tuple[Any, Any]:
     """Return the row and the column of each sample of an image, line by line."""
     index = dr.arange(types.UInt32, rows * columns)
-    row = quotient(types, index, columns)
+    row = quotient(index, columns, types)
     return row, index - row * dr.opaque(types.UInt32, columns)
 
 
 def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
     """Take a flat index apart into that of an image, its row and its column."""
-    line = quotient(types, index, columns)
-    image = quotient(types, line, rows)
+    line = quotient(index, columns, types)
+    image = quotient(line, rows, types)
     return (
         image,
         line - image * dr.opaque(types.UInt32, rows),
@@ -225,17 +225,12 @@ def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, An
     )
 
 
-def quotient(types: Any, index: Any, divisor: int) -> Any:
-    """Return the whole quotient by a multiplication, several times faster than Dr.Jit's division of integers."""
-    return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
-
-
 _LARGE = 2**24
 """Samples of an image from which on it is convolved part by part."""
 
 
 def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
-    """Return all of the convolution of two images, n + k - 1 samples along each axis.
+    """Return the full convolution of two images, n + k - 1 samples along each axis.
 
     Shapes: `image`, `kernel` (rows, columns).
     """

@@ -76,7 +76,7 @@ def memory_asked() -> Iterator[list[float]]:
 
 
 def unit_hint(needed: float, limit: float) -> str:
-    """Return what to add to a refusal of work so large that lengths are likely not in millimetres."""
+    """Return an addition to a refusal of memory, if lengths are likely not in millimetres."""
     return "; lengths are millimetres: check their unit" if not needed <= _OTHER_UNITS * limit else ""
 
 
@@ -118,7 +118,7 @@ _SHOWING = {"report", "cli"}
 # The versions are those of the loaded modules.
 @cache
 def software() -> dict[str, str]:
-    """Return the versions that results depend on, our own by its source text."""
+    """Return {package: version} of what results depend on; for this package, the hash of its source files."""
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):

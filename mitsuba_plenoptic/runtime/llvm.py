@@ -40,12 +40,12 @@ class Library:
 
     @property
     def usable(self) -> bool:
-        """Whether Dr.Jit can compile everything with it."""
+        """Whether Dr.Jit can compile all kernels with this library."""
         return self.version >= (MINIMUM,)
 
     @property
     def version_text(self) -> str:
-        """The version, as in ``LLVM 19.1``."""
+        """Version of the library, as in ``LLVM 19.1``."""
         return format_version(self.version)
 
 
@@ -84,7 +84,7 @@ def choose() -> None:
 
 
 def problem() -> str | None:
-    """Return why the LLVM that Dr.Jit has loaded is unusable and what to do, in one sentence; None if it is usable.
+    """Return why Dr.Jit's LLVM is unusable and how to mend it, in one sentence; None if it is usable.
 
     Nothing is compiled, since that is what aborts the process.
     """
@@ -95,14 +95,6 @@ def problem() -> str | None:
         return None
     loaded = format_version(version) if version > (0,) else None
     return explain(loaded, os.environ.get(VARIABLE), candidates())
-
-
-def require() -> None:
-    """Make sure that Dr.Jit can compile with LLVM."""
-    from ..errors import InputError
-
-    if sentence := problem():
-        raise InputError(sentence)
 
 
 def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:

@@ -112,12 +112,12 @@ def moving_bar() -> Progress:
 
 
 def is_quiet() -> bool:
-    """Return whether no progress is shown: where the package logs what is critical alone."""
+    """Return whether progress is hidden, as the package logs only critical messages."""
     return logging.getLogger("mitsuba_plenoptic").level == logging.CRITICAL
 
 
 def has_screen() -> bool:
-    """Whether standard error is a terminal or a notebook, where a bar can move."""
+    """Return whether standard error is a terminal or a notebook, where a bar can move."""
     console = Console(stderr=True)
     return console.is_terminal or console.is_jupyter
 
@@ -128,7 +128,7 @@ _under_way: list[ProgressBar] = []
 
 @contextlib.contextmanager
 def plain_lines(label: str) -> Iterator[ProgressBar]:
-    """Print now and then on standard error what is done and for how long, unless a bar can move there.
+    """Print progress and elapsed time now and then on standard error, unless a bar can move there.
 
     Within another such context it is the outer one that prints, what the inner one reports.
     """

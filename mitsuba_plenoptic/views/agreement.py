@@ -38,7 +38,7 @@ _COARSE, _FINE = 0.33, 0.37
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which part of the variance views leave unexplained, moved so that points of one disparity coincide.
+    """Return the unexplained fraction of the variance between views, moved so that points of one disparity coincide.
 
     The results, each (t, s): that ratio, from 0 to 1, which noise alone reaches, and NaN where too few views see a bin;
     the variance that is to be explained; and the samples, over which 1 is the variance of the ratio of noise alone.
@@ -67,7 +67,7 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
 
 
 def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Return how probably an image in focus everywhere, (rows, columns), shows stripes finer than two lenses.
+    """Return the probability that an image in focus everywhere, (rows, columns), shows stripes finer than two lenses.
 
     Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
     1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens

@@ -41,7 +41,7 @@ def light_field(
     bins: LensGrid | None = None,
     lenses: LensGrid | None = None,
 ) -> xr.DataArray:
-    """Wrap sampled values into a labelled light field.
+    """Return sampled values as a labelled light field.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarra
 
 
 def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:
-    """Turn lens coordinates into millimetres in the plane in focus, or into slopes if there is no such plane."""
+    """Return lens coordinates in millimetres in the plane in focus, or as slopes if there is no such plane."""
     distance = camera.focus_distance
     if 0 < distance < math.inf:
         return -c * distance / camera.mla_distance, {
@@ -153,7 +153,7 @@ def grid_of(lf: xr.DataArray) -> LensGrid | None:
 
 
 def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
-    """Return what an attribute holds as JSON."""
+    """Return the content of a JSON attribute of a light field."""
     with refusing(
         f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON:", TypeError, ValueError
     ):
@@ -216,7 +216,7 @@ def depth_range(lf: xr.DataArray) -> tuple[float, float]:
 
 
 def disparity(lf: xr.DataArray, distance: float) -> float:
-    r"""How far a point moves from one view to the next, in lenses along the index.
+    r"""Return the shift of a point from one view to the next, in lenses along the index.
 
     A scene point at distance g appears in the view from pupil point P at the lens c = u + P s(g), with u its image
     through the pupil's centre and :math:`s = 1 + b/g - b/f_1`. Neighbouring views are
@@ -242,7 +242,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
 
 
 def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
-    """Invert `disparity`: the distance at which a point moves so far; infinity where there is no such distance.
+    """Return the distance for a disparity, the inverse of `disparity`; infinity where there is none.
 
     Parameters
     ----------

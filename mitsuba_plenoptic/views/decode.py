@@ -11,7 +11,7 @@ import xarray as xr
 from ..camera import PlenopticCamera, are_alike, require_camera
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..io.captures import Capture, as_array, require_pixels, require_suitable_white
+from ..io.captures import Capture, as_array, require_pixels
 from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
 from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
@@ -19,7 +19,7 @@ from ..runtime.limits import require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .lens_grid import LensGrid, bin_grid, lens_grid
-from .white_image import divide_by_white, scaled_white, white_image
+from .white_image import divide_by_white, recorded_white, scaled_white, white_image
 
 
 @suggest_keywords
@@ -50,7 +50,7 @@ def decode(
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
-        (see `mitsuba_plenoptic.views.white_image.white_radiance`). Default: computed by rays from the camera's pupil;
+        (see `mitsuba_plenoptic.views.white_image.scaled_white`). Default: computed by rays from the camera's pupil;
         diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
         Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
     grid : LensGrid, optional
@@ -78,16 +78,15 @@ def decode(
     >>> dict(lf.sizes)
     {'v': 11, 'u': 11, 't': 48, 's': 48}
     """
-    _require_suitable(white, capture, camera)
-    image, camera = _checked(capture, camera, grid)
+    image, pixels, camera = _checked(capture, camera, white, grid)
     if camera is not None and camera.lens_data.images_stop:
         for name, given in (("grid", grid), ("truth", truth)):
             refuse_if(
                 given is not None,
                 f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
             )
-        return decode_views(image, camera, objective_of(camera), None if white is None else _white(white, image))
-    reference = _reference(image, camera, white, grid)
+        return decode_views(image, camera, objective_of(camera), pixels)
+    reference = _reference(camera, pixels, grid)
     if camera is not None:
         lenses, bins = grid or lens_grid(camera), bin_grid(camera)
     elif grid is not None:
@@ -111,62 +110,60 @@ def checked_images(
     white: Capture | np.ndarray | None,
     grid: LensGrid | None,
 ) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
-    """Return the capture's image, the white image and the camera that `decode` is given, or refuse them.
+    """Return the capture's image, the white image and the camera for `decode`; refuse unsuitable ones.
 
     The result has the shape (rows, columns, channels), (rows, columns, 1).
     """
-    _require_suitable(white, capture, camera)
-    image, camera = _checked(capture, camera, grid)
-    return image, _reference(image, camera, white, grid), camera
+    image, pixels, known = _checked(capture, camera, white, grid)
+    return image, _reference(known, pixels, grid), known
 
 
 def _checked(
-    capture: Capture | np.ndarray, camera: PlenopticCamera | None, grid: LensGrid | None
-) -> tuple[np.ndarray, PlenopticCamera | None]:
-    """Return image and camera."""
+    capture: Capture | np.ndarray,
+    camera: PlenopticCamera | None,
+    white: Capture | np.ndarray | None,
+    grid: LensGrid | None,
+) -> tuple[np.ndarray, np.ndarray | None, PlenopticCamera | None]:
+    """Return the image, the recorded white image (rows, columns, 1) if there is one, and the camera."""
+    cameras = [] if camera is None else [camera]
     if isinstance(capture, Capture):
         require_demosaiced(capture)
-        camera = camera or capture.camera
+        cameras.append(capture.camera)
         capture = capture.image
-    image = _image("capture", capture)
-    if camera is not None:
-        camera = regular_array(require_camera(camera))
+    image = as_array("capture", capture)
+    refuse_if(
+        image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
+        f"capture of shape {image.shape}: it must be an image of 1 or 3 channels",
+    )
+    require_pixels("capture", image)
     refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
     refuse_if(
-        camera is None and grid is None,
+        not cameras and grid is None,
         "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image",
     )
-    if camera is not None and image.shape[:2] != camera.shape:
-        raise InputError(f"capture of shape {image.shape[:2]}: the camera records {camera.shape}")
-    return image, camera
+    known = regular_array(require_camera(cameras[0])) if cameras else None
+    if known is not None and image.shape[:2] != known.shape:
+        raise InputError(f"capture of shape {image.shape[:2]}: the camera records {known.shape}")
+    pixels = None
+    if white is not None:
+        pixels = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(axis=2, keepdims=True)
+    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), pixels, known
 
 
-def _require_suitable(
-    white: Capture | np.ndarray | None, capture: Capture | np.ndarray, camera: PlenopticCamera | None
-) -> None:
-    """Refuse a white capture of a mosaic, or by another camera."""
-    if isinstance(white, Capture):
-        require_demosaiced(white)
-        own = capture.camera if isinstance(capture, Capture) else None
-        require_suitable_white(white, [each for each in (camera, own) if each is not None])
-
-
-def _reference(
-    image: np.ndarray, camera: PlenopticCamera | None, white: Capture | np.ndarray | None, grid: LensGrid | None
-) -> np.ndarray:
-    """Return the white image, (rows, columns, 1): the given one, or what the camera would record."""
+def _reference(camera: PlenopticCamera | None, white: np.ndarray | None, grid: LensGrid | None) -> np.ndarray:
+    """Return the white image, (rows, columns, 1): the recorded one in units of the radiance 1, or the computed one."""
     if camera is None:
         if white is None:
             raise InputError("white = None: without a camera the pupil is known from a white image only")
-        return _white(white, image)
+        return white
     computed = white_image(camera, grid)
-    return computed[..., None] if white is None else scaled_white(_white(white, image), computed, camera)
+    return computed[..., None] if white is None else scaled_white(white, computed, camera)
 
 
 def _coordinates(
     truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Return ground truth as coordinates of the light field of its camera."""
+    """Return ground truth as coordinates of its camera's light field."""
     planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
         not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
@@ -187,35 +184,15 @@ def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: i
     )
 
 
-def _image(name: str, values: np.ndarray) -> np.ndarray:
-    image = as_array(name, values)
-    refuse_if(
-        image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
-        f"{name} of shape {image.shape}: it must be an image of 1 or 3 channels",
-    )
-    require_pixels(name, image)
-    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False)
-
-
-def _white(white: Capture | np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Return a white capture in one channel, of the image's size."""
-    reference = _image("white", white.image if isinstance(white, Capture) else white).mean(axis=2, keepdims=True)
-    refuse_if(
-        reference.shape[:2] != image.shape[:2],
-        f"white of shape {reference.shape[:2]}: the capture has the shape {image.shape[:2]}",
-    )
-    return np.asarray(reference)
-
-
 def _brightness(middle: np.ndarray) -> np.float32:
-    """Typical value of a white image in the middle of its micro-images."""
+    """Return a typical value of a white image in the middle of micro-images."""
     lit = middle[middle > 0]
     refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
     return np.float32(np.median(lit))
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """Return how many views lie on either side of the central one, and mark those that see this lens alone.
+    """Return the number of views on either side of the central one, and a mask of views that see this lens alone.
 
     The result has the shape (2 half + 1, 2 half + 1).
     """
@@ -234,7 +211,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
 
 
 def _upright(lenses: LensGrid) -> LensGrid:
-    """Return a square upright grid of the same density that fills what the lenses cover."""
+    """Return a square upright grid of the same density over the area of the lenses."""
     pitch = lenses.pitch
     low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
     if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:
@@ -269,7 +246,7 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
 def _sample(
     image: np.ndarray, lenses: LensGrid, half: int, resampling: scipy.sparse.csr_array | None, bins: LensGrid
 ) -> np.ndarray:
-    """Sample the lenses of an image, and interpolate between them.
+    """Return samples of an image for all lenses, interpolated between lenses.
 
     The result has the shape (2 half + 1, 2 half + 1, rows, columns, channels).
     """
@@ -282,7 +259,7 @@ def _sample(
 
 
 def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
-    """Sample an image at whole-pixel steps about each micro-image centre.
+    """Return samples of an image at whole-pixel steps about each micro-image centre.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """

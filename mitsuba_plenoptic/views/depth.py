@@ -14,7 +14,7 @@ import xarray as xr
 from ..camera import are_alike
 from ..design import focus_types
 from ..errors import InputError, require_count, require_number, suggest_keywords
-from ..runtime.jobs import Progress, counted
+from ..runtime.batches import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import finer_stripes, view_disagreement
 from .coordinates import camera_of, depth_range, disparity, distance_of, require_light_field, view_steps
@@ -47,7 +47,7 @@ def depth_map(
     planes: int | None = None,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    r"""Estimate the depth that every bin of the central view sees, and how probably it is right.
+    r"""Return the depth of every bin of the central view, with a confidence.
 
     For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
     unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
@@ -151,7 +151,7 @@ def depth_map(
 
 
 def beyond_search(found: xr.Dataset) -> tuple[float, float]:
-    """Return which fractions of the bins probably see what is nearer and what is farther than a depth map's search.
+    """Return the probable fractions of bins that see points nearer, and farther, than the search of a depth map.
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
@@ -162,7 +162,7 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
-    """Return the nearest and the farthest distance of which views or micro-images can show the depth.
+    """Return the nearest and farthest distance whose depth views or micro-images can show.
 
     Views show it while they move by up to `_WIDEST` lenses, twice as far as `depth_range`; micro-images of focused
     cameras while their lenses are not farther apart than what they show.
@@ -194,7 +194,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
     dense = math.sqrt(_PER_PIXEL / _PER_LENS)
 
     def steps(slope: np.ndarray | float) -> Any:
-        """Count planes from a disparity of `dense` on: the integral of the greater of both densities."""
+        """Return the number of planes from a disparity of `dense` on: the integral of the greater of both densities."""
         return np.where(
             slope < dense, _PER_PIXEL * (1 / dense - 1 / np.maximum(slope, 1e-9)), _PER_LENS * (slope - dense)
         )
@@ -220,7 +220,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
 
 
 def is_focused(lf: xr.DataArray) -> bool:
-    """Whether all microlenses of a light field's camera are focused on the main lens's image."""
+    """Return whether all microlenses of a light field's camera are focused on the main lens's image."""
     return "unfocused" not in focus_types(camera_of(lf))
 
 
@@ -230,7 +230,7 @@ def disagreement_of_planes(
     progress: Progress | None = None,
     micro_images: MicroImages | None = None,
 ) -> tuple[Disagreement, float]:
-    """Measure how badly views agree about planes of rising disparities, and return how many samples that counts for.
+    """Return the disagreement of views on planes of rising disparities, and the number of samples.
 
     `micro_images` are those of a focused camera; those of another camera are refused.
     """
@@ -257,7 +257,7 @@ def disagreement_of_planes(
 
 @dataclass(frozen=True)
 class DepthError:
-    """How far estimated depths are off, as fractions of the true distance.
+    """Errors of estimated depths, as fractions of the true distance.
 
     Attributes
     ----------

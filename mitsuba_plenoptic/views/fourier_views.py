@@ -22,7 +22,7 @@ from ..lenses.common import main_lens
 from ..prescription.objective import Objective
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, labelled
-from .white_image import MINIMUM_WEIGHT, divide_by_white, white_radiance
+from .white_image import MINIMUM_WEIGHT, divide_by_white, scaled_white
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""
@@ -46,7 +46,7 @@ class LensViews:
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
-        """Find the lenses in the image of the stop."""
+        """Return the lenses in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
         refuse_if(
             abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
@@ -86,10 +86,10 @@ def decode_views(
     there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
     weight = there * views.fraction[:, :, None, None]
     if white is not None:
-        computed = weight.sum(axis=(2, 3)).ravel()
-        weight = _sampled(white, camera, views)[..., 0]
-        radius = np.hypot(views.across, views.down[:, None]).ravel()
-        weight /= white_radiance(weight.sum(axis=(2, 3)).reshape(-1, 1), computed, radius)
+        number = np.arange(views.fraction.size).reshape(views.fraction.shape)
+        away = np.hypot(views.across, views.down[:, None])
+        lenses = (np.broadcast_to(number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
+        weight = scaled_white(_sampled(white, camera, views), weight, camera, lenses)[..., 0]
     divide_by_white(values, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}
@@ -103,7 +103,7 @@ def decode_views(
 
 
 def _room(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return the width and height of a rectangle about each lens's centre that overlaps none of its neighbours'."""
+    """Return width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle."""
     lattice = camera.lattice
     along, across = float(lattice.pitches[0]), float(lattice.row_distance)
     upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
@@ -113,7 +113,7 @@ def _room(camera: PlenopticCamera) -> tuple[float, float]:
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return the light that the apertures of lenses at some positions receive, relative to that of an even stop."""
+    """Return the light that apertures of lenses receive, relative to an evenly lit stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
@@ -132,7 +132,7 @@ def _in_stop(
 
 
 def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the distinct positions, rising, and the index of each among them."""
+    """Return the distinct positions in rising order, and the index of each position among them."""
     order = np.argsort(positions)
     line_of = np.cumsum(np.diff(positions[order], prepend=-np.inf) > tolerance) - 1
     result = np.empty(len(positions), np.int64)

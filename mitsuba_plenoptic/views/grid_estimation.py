@@ -33,7 +33,7 @@ _BLOCK = 2048
 
 
 def estimate_lens_grid(white: np.ndarray) -> LensGrid:
-    """Find pitches, rotation and offset of a square, rectangular or hexagonal microlens array from a white image.
+    """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
     The spectrum of the image's middle gives the lattice to a fraction of a pixel per lens. From there the centroids
     of the micro-images are fitted by least squares, first about the middle, then further and further out. A hexagonal
@@ -178,7 +178,7 @@ def centroids(
     centres: np.ndarray,
     weight_at: Callable[[np.ndarray], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the centroids and the brightness of patches, over the darkest in them, weighted by the distance."""
+    """Return centroids of patches above their darkest pixels, weighted by distance, and their brightness."""
     x, y, patch = patches
     dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
     weight = weight_at(np.hypot(dx[:, None, :], dy[:, :, None]))
@@ -189,7 +189,7 @@ def centroids(
 
 
 def _rows_at_right_angles(steps: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit origin, rotation and both spacings to centres at given steps along the rows and across them."""
+    """Return origin, rotation and spacings fitted to centres at given steps along and across the rows."""
     matrix = np.column_stack([np.ones(len(steps)), steps])
     origin, first, second = np.linalg.lstsq(matrix, measured)[0]
     # Both fitted steps determine the rotation, the one with the longer lever arm better.

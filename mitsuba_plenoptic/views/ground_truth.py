@@ -29,7 +29,7 @@ _REFLECTIONS = 8
 
 
 class FirstHits:
-    """Finds what rays meet first in a scene: the surface that Mitsuba's integrator ``aov`` reports."""
+    """Finder of the first surface that rays meet in a scene, as Mitsuba's integrator ``aov`` reports it."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class FirstHits:
         self._index[registered] = np.arange(1, len(registered) + 1)
 
     def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
-        """Trace rays, and return float32 arrays (count[, 3]) by name."""
+        """Return float32 arrays (count[, 3]) by name for the first hits of rays."""
         found = {
             name: np.empty((count, len(letters))[: 1 + (len(letters) > 1)], np.float32)
             for name, letters in QUANTITIES.items()
@@ -91,7 +91,7 @@ class FirstHits:
         return {name: values.numpy().T for name, values in found.items()}
 
     def _unfolded(self, ray: Any, hit: Any, met: Any) -> Any:
-        """Return the lengths of rays over plane mirrors, which show a thing as far behind them as it is before them."""
+        """Return lengths of rays unfolded at plane mirrors, which show a point as far behind them as it is in front."""
         length = dr.select(met, hit.t, dr.inf)
         for _ in range(_REFLECTIONS):
             met = met & _is_plane_mirror(hit, ray)
@@ -106,12 +106,12 @@ class FirstHits:
 
 
 def _flags() -> Any:
-    """Return what is found of a hit: also the derivatives of normals, by which plane surfaces are known."""
+    """Return the flags of an intersection, with derivatives of normals, by which plane surfaces are known."""
     return mi.RayFlags.All | mi.RayFlags.dNSdUV
 
 
 def _is_plane_mirror(hit: Any, ray: Any) -> Any:
-    """Return where a surface only reflects, without scattering, and is plane."""
+    """Return a mask of hits on plane surfaces that only reflect, without scattering."""
     flags = hit.bsdf(ray).flags()
     reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
     both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
@@ -122,7 +122,7 @@ def _is_plane_mirror(hit: Any, ray: Any) -> Any:
 @suggest_keywords
 @one_at_a_time
 def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor: int | Any = 0) -> GroundTruth:
-    """Find what a plenoptic camera of the scene looks at: for each pixel, and for each sample of the light field.
+    """Return the ground truth of a plenoptic camera's scene, for each pixel and each sample of the light field.
 
     A pixel sees a part of the scene, through all of its lens and so through a part of the pupil. Its ground truth is
     that of one ray, from its middle through the centre of its lens. A sample of the light field that `decode` makes

@@ -65,7 +65,7 @@ class LensComparison:
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return which part of the variance neighbouring lenses leave unexplained, moved so that a disparity coincides.
+        """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
         The results are those of `agreement.view_disagreement`; the ratio is NaN where lenses compare nothing. The
         variance that samples of a bin have is to be explained, and that between samples of neighbouring lenses is left
@@ -109,7 +109,7 @@ class LensComparison:
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
-        """Return each pair of neighbouring lenses once, as blocks: lenses, their neighbours, and the way to these.
+        """Return each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
 
         The way is in pitches of the bins, along columns and rows.
         """
@@ -139,7 +139,7 @@ class LensComparison:
         return pairs
 
     def _straightened(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return samples where a pencil through the lens's centre would show them, and which of them are open."""
+        """Return samples at the positions where a pencil through the lens's centre shows them, and a mask."""
         images = self._images
         values, weight = np.empty_like(self._values), np.empty_like(images.weight)
         types = images.types
@@ -211,7 +211,7 @@ def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndar
 
 
 def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Smooth samples within their micro-images, each for as much as it sees of the pupil."""
+    """Return samples smoothed within their micro-images, weighted by the part of the pupil that they see."""
     total, seen = values * weight[..., None], weight
     for axis in (2, 3):
         total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
@@ -227,13 +227,13 @@ def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.
 
 
 def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
-    """Interpolate samples, (rows, columns, v, u, ...), by these fractions of a view: one view less along each axis."""
+    """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view, one view fewer per axis."""
     part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
     return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:
-    """Return the views that have such ones `move` views on, the whole views about those, and the fraction between."""
+    """Return views that have a partner `move` views on, the partners' whole views, and the fraction between these."""
     whole = math.floor(move)
     first, last = max(0, -whole), min(views, views - 1 - whole)
     return slice(first, last), slice(first + whole, last + whole + 1), np.float32(move - whole)

@@ -243,7 +243,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
 
 
 def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
-    """Count the lenses of a lattice from the first row and column that an image needs.
+    """Return the grid of a lattice's lenses, counted from the first row and column that an image needs.
 
     Shapes: `shape` (int, int), `origin` (2,).
     """

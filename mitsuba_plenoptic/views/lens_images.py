@@ -64,7 +64,7 @@ def micro_images(
     white: Capture | np.ndarray | None = None,
     grid: LensGrid | None = None,
 ) -> MicroImages:
-    """Sample the micro-images of a capture, for `depth_map`.
+    """Return the micro-images of a capture, sampled for `depth_map`.
 
     Parameters
     ----------

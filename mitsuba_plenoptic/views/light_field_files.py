@@ -12,9 +12,9 @@ from ..camera import PlenopticCamera, are_alike
 from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
 from ..extension import format_of, place
 from ..io.captures import Capture, read_capture
-from ..io.files import atomic_output, require_file, require_size, require_writable
 from ..io.pictures import TIFF, read_picture
 from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
+from ..runtime.files import atomic_output, require_file, require_size, require_writable
 from ..runtime.limits import require_memory
 from . import MicroImages, decode, estimate_lens_grid, micro_images
 from .coordinates import camera_of, require_light_field
@@ -80,7 +80,7 @@ def open_light_field(
         _refuse(path, views=views)
         capture = read_capture(path)
         known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
-        by = None if white is None else _white_capture(white, linear)
+        by = None if white is None else read_recording(white, linear)
         return decode(capture, camera=camera, white=by, truth=known)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
@@ -94,7 +94,9 @@ def open_light_field(
         if views is not None:
             layout = "lenses" if name.endswith(_LENSES) else "views"
             return read_mosaic(path, views, layout=layout, linear=linear)
-        reference = None if white is None else _white(white, linear)
+        reference = None if white is None else read_recording(white, linear)
+        # Pictures have no camera, by which a white capture could be refused.
+        reference = reference.image if isinstance(reference, Capture) else reference
         if camera is not None:
             return decode(read_picture(path, linear=linear), camera=camera, white=reference)
         if reference is None:
@@ -120,7 +122,7 @@ def open_micro_images(
     linear: bool = False,
     camera: PlenopticCamera | None = None,
 ) -> MicroImages | None:
-    """Sample the micro-images of a capture's file, for the depth maps of focused cameras.
+    """Return the micro-images of a capture's file, for depth maps of focused cameras; None for other cameras.
 
     Parameters
     ----------
@@ -140,7 +142,7 @@ def open_micro_images(
     path = Path(path)
     if path.suffix.lower() != ".exr":
         return None
-    by = None if white is None else _white_capture(white, linear)
+    by = None if white is None else read_recording(white, linear)
     return micro_images(read_capture(path), camera=camera, white=by)
 
 
@@ -170,7 +172,7 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
 
 
 def require_light_field_path(path: str | Path) -> Path:
-    """Check, before a long computation, that a light field can be written there, in the format of its suffix.
+    """Return a path after a check, before a long computation, that a light field can be written there.
 
     Parameters
     ----------
@@ -186,7 +188,7 @@ def require_light_field_path(path: str | Path) -> Path:
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:
-    """Read the ground truth of a capture: a file, or the one that the capture names, if it is there and is its own."""
+    """Return the ground truth of a capture: from a file, or from the capture's own file if it exists; else None."""
     if not isinstance(truth, bool):
         return read_ground_truth(truth)
     name = capture.metadata.get(NAME)
@@ -199,15 +201,9 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     return found if are_alike(found.camera, capture.camera) else None
 
 
-def _white_capture(path: str | Path, linear: bool) -> Capture | np.ndarray:
-    """Read a white capture with its camera, or a picture, which has no camera."""
+def read_recording(path: str | Path, linear: bool) -> Capture | np.ndarray:
+    """Read a capture with its camera, or the pixels of a picture, which has no camera."""
     return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
-
-
-def _white(path: str | Path, linear: bool) -> np.ndarray:
-    """Read a white image."""
-    found = _white_capture(path, linear)
-    return found.image if isinstance(found, Capture) else found
 
 
 def _refuse(path: Path, **options: object) -> None:
@@ -290,7 +286,7 @@ def read_labelled(path: str | Path) -> xr.DataArray:
 
 
 def _require_zarr_memory(path: Path) -> None:
-    """Refuse a folder whose arrays, or the chunks in which they are read, would not fit into memory."""
+    """Refuse a folder with arrays, or chunks of arrays, that would not fit into memory."""
     import zarr
 
     for file in path.rglob("*"):

@@ -62,7 +62,7 @@ WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 @dataclass(frozen=True)
 class Choice:
-    """The plane of each bin."""
+    """Plane chosen for each bin, with its probability."""
 
     # Index of the plane, with fractions, (rows, columns).
     plane: np.ndarray
@@ -77,7 +77,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """How badly views agree about planes."""
+    """Disagreement of views on each plane of a search."""
 
     # Variance about each plane over the variance that is to be explained, 1 of noise, (planes, rows, columns); NaN
     # where nothing can be compared.
@@ -93,7 +93,7 @@ class Disagreement:
 def disagreement(
     ratio: np.ndarray, whole: np.ndarray, samples: np.ndarray, brightness: np.ndarray, inverse: np.ndarray
 ) -> Disagreement:
-    """Judge how badly views agree by the brightness of bins: deviations that mean nothing make every ratio 1."""
+    """Return the disagreement of views; deviations too small for the brightness of bins count as noise."""
     bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -103,7 +103,7 @@ def disagreement(
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
-    """Choose the most probable plane of each bin, whose surroundings have some samples, `VIEWS` or `LENSES`.
+    """Return the most probable plane of each bin, for surroundings with enough samples of `VIEWS` or `LENSES`.
 
     `tolerance` is the relative error of a distance that counts as right.
     """
@@ -115,7 +115,7 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
 
 
 def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return where the right plane may be beyond the last one.
+    """Return a mask of bins whose true plane may lie beyond the last plane.
 
     That is so within the tolerance of the first or the last plane, and where no valley of the disagreement is closed at
     the chosen one: on both sides, among the planes that can be compared, the logarithm of the deviation must rise by
@@ -144,7 +144,7 @@ def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.nd
 
 
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the most probable planes, with fractions, the evidence on whether they are right, and who agrees.
+    """Return the most probable planes with fractions, evidence on whether they are right, and agreeing neighbours.
 
     Evidence, (4, rows, columns), is logarithms but for the first: one; the log odds that the plane is right, if the
     evidence of the bin's surroundings, on average, is taken at its word, as repeated texture agrees at several
@@ -193,13 +193,13 @@ def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: float) -> tuple[n
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
-    """Return probabilities over the planes from their logarithms, but for a factor."""
+    """Return probabilities over the planes from their logarithms, up to a factor."""
     values = np.exp(logarithm - logarithm.max(axis=0))
     return np.asarray(values / values.sum(axis=0))
 
 
 def _with_neighbours(own: np.ndarray) -> np.ndarray:
-    """Multiply the probabilities of each bin with what the bins on its four sides tell, each from those beyond it.
+    """Return probabilities of planes multiplied by the messages from the bins on the four sides.
 
     Belief propagation (Pearl 1988) along rows and columns, each line a chain.
     """
@@ -221,7 +221,7 @@ def _with_neighbours(own: np.ndarray) -> np.ndarray:
 
 
 def _summit(probability: np.ndarray) -> np.ndarray:
-    """Place of the most probable plane, by a parabola through its logarithm and its neighbours', -1/2 to 1/2 off."""
+    """Return the offset, -1/2 to 1/2, of the most probable plane, by a parabola through three logarithms."""
     best = probability.argmax(axis=0)
     inner = best.clip(1, len(probability) - 2)
     row, column = np.indices(best.shape)
@@ -232,7 +232,7 @@ def _summit(probability: np.ndarray) -> np.ndarray:
 
 
 def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the probability between two planes; each plane's own is spread evenly over its neighbourhood."""
+    """Return the probability between two planes; each plane's probability is spread over its neighbourhood."""
     below = np.concatenate([np.zeros((1, *low.shape)), np.cumsum(probability, axis=0)])
     row, column = np.indices(low.shape)
 

@@ -10,7 +10,7 @@ import scipy
 import xarray as xr
 
 from ..errors import refuse_if, require_choice, require_number, suggest_keywords
-from ..runtime.jobs import Progress, counted
+from ..runtime.batches import Progress, counted
 from ..runtime.limits import require_memory
 from .coordinates import channel_planes, require_light_field, view_steps
 from .coordinates import disparity as disparity_at
@@ -20,7 +20,7 @@ METHODS = ("shift", "fourier")
 
 
 def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
-    """Refocus by moving every view against its parallax and averaging them.
+    """Return the average of views moved against their parallax.
 
     After R. Ng et al., "Light Field Photography with a Hand-held Plenoptic Camera" (2005), section 4. Views are
     moved by linear interpolation and weighted by the fraction of the pupil that they see, so that the borders do not
@@ -150,7 +150,7 @@ def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
 
 
 def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int) -> None:
-    """Add what `shifted` reads."""
+    """Add the values that `shifted` reads to a total."""
     whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
     part = np.float32(shift - whole)
     for count, factor in ((whole, 1 - part), (whole + 1, part)):
@@ -163,7 +163,7 @@ def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int)
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Sum views (v, u, t, s), each read at its shift."""
+    """Return the sum of views (v, u, t, s), each read at its shift."""
     by_column = np.zeros(values.shape[1:], dtype=np.float64)
     for row, shift in zip(values, down, strict=True):
         _add_shifted(by_column, row, shift, axis=1)

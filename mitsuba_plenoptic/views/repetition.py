@@ -33,7 +33,7 @@ _BLURRED, _SLOPE, _LEAST, _MOST = 2.5, 3.0, 0.25, 0.87
 
 
 def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
-    """Return how probably the depth of a bin, (t, s), is wrong because its texture repeats, by the searched planes.
+    """Return the probability, (t, s), that a bin's depth is wrong because texture repeats in the search.
 
     It is 0 where no plane of the search is a whole period from another one.
     """
@@ -50,7 +50,7 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
 
 
 def _repetition(images: MicroImages) -> tuple[np.ndarray, np.ndarray]:
-    """Return, of each lens, by how much the correlation of micro-images rises again, and the period in pixels."""
+    """Return, for each lens, the renewed rise of the micro-image's correlation, and the period in pixels."""
     open_ = (images.weight >= _OPEN).astype(np.float32)[..., None]
     seen = np.maximum(open_.sum(axis=(2, 3), keepdims=True), 1)
     values = (images.values - (images.values * open_).sum(axis=(2, 3), keepdims=True) / seen) * open_

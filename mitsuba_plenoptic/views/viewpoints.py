@@ -48,13 +48,13 @@ def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) ->
 
 
 def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
-    """Label an image (t, s[, c]) with the coordinates and attributes of a light field's views."""
+    """Return an image (t, s[, c]) with the coordinates and attributes of a light field's views."""
     dims = ("t", "s", "c")[: image.ndim]
     return xr.DataArray(image, dims=dims, coords={dim: lf[dim] for dim in dims}, name="radiance", attrs=lf.attrs)
 
 
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
-    """Keep `count` views along each axis: those in the middle of as many equal parts of the pupil.
+    """Return `count` views along each axis, in the middles of equal parts of the pupil.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
 
 
 def view_mosaic(lf: xr.DataArray) -> np.ndarray:
-    """Lay the views side by side as they lie on the pupil, seen from behind the camera.
+    """Return the views side by side as they lie on the pupil, seen from behind the camera.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
 def epipolar_image(
     lf: xr.DataArray, axis: str = "horizontal", *, at: float | None = None, through: float | None = None
 ) -> xr.DataArray:
-    """Return one line of the field from every view of one line of the pupil: a point of the scene draws a slanted line.
+    """Return one line of the field from every view along one line of the pupil, in which points draw slanted lines.
 
     Parameters
     ----------

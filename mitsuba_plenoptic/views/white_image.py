@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..camera import PlenopticCamera
-from ..errors import refuse_if
+from ..camera import PlenopticCamera, are_alike
+from ..errors import InputError, refuse_if, short_repr
+from ..io.captures import Capture, as_array, recording_of, require_pixels
+from ..light.detector import require_demosaiced
 from ..light.lens_kinds import regular_array
 from ..optics import rays
 from ..runtime.fft import blur
@@ -28,7 +31,7 @@ _POINTS = 8
 
 
 class PupilFraction:
-    r"""Fraction of the light from an endless pupil that a pixel gets through the pupil there is.
+    r"""Fraction of an endless pupil's light that each pixel gets through the camera's pupil.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
     position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
@@ -98,6 +101,9 @@ _MOST_WORK = 3e10
 # Lenses with less than this fraction of the computed light of the fullest are cut by the border too much to be judged.
 _WHOLE = 0.2
 
+# Part of a white capture's pixels that may be saturated.
+_MOST_SATURATED = 0.01
+
 # Light of a lens over that of the brightest: below three stops, more than main lenses vignette by, a white is refused.
 _DARKEST, _DIM = 1 / 8, 1 / 2
 
@@ -113,7 +119,7 @@ _log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
-    """Compute what a camera records of a scene of uniform radiance 1.
+    """Return the capture of a scene of uniform radiance 1 that a camera would record.
 
     The value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds. Each lens of a tilted
     array has its own distances; distortion changes nothing, as rays keep their position on the pupil.
@@ -181,45 +187,74 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     return image[half : half + rows, half : half + columns]
 
 
-def scaled_white(white: np.ndarray, computed: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Scale a recorded white image to a radiance of 1, and refuse one that does not fill the view.
+def recorded_white(
+    white: Capture | np.ndarray, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera] = ()
+) -> np.ndarray:
+    """Return the pixels of a recorded white image, (rows, columns, channels).
+
+    Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras, `lens_model` aside, and
+    an image of other pixels than `shape`, (rows, columns[, channels]), or of other channels than one or as many.
+    """
+    given = white.image if isinstance(white, Capture) else as_array("white", white)
+    if isinstance(white, Capture):
+        require_demosaiced(white)
+        saturated, pixels = recording_of(white).get("saturated_pixels", 0), math.prod(white.camera.shape)
+        refuse_if(
+            isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
+            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
+        )
+        if cameras and not any(are_alike(white.camera, camera) for camera in cameras):
+            theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
+            parameters = (name for name in {**ours, **theirs} if name != "lens_model")
+            name = next(name for name in parameters if theirs.get(name) != ours.get(name))
+            raise InputError(
+                f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
+                f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
+            )
+    require_pixels("white", given)
+    if given.shape[:2] != shape[:2] or given.ndim not in (2, 3) or given.shape[2:] not in ((), (1,), shape[2:]):
+        raise InputError(f"white of shape {given.shape}: it must have the pixels of the capture, {shape[:2]}")
+    return np.atleast_3d(given)
+
+
+def scaled_white(
+    white: np.ndarray,
+    computed: np.ndarray,
+    camera: PlenopticCamera,
+    lenses: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Divide a recorded white image by its radiance, channel by channel, and refuse one that does not fill the view.
+
+    The radiance is the median of recorded over computed light among the quarter of the lenses that is nearest to the
+    axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between
+    microlenses with gaps.
 
     Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
     wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
 
-    Shapes: `white` (rows, columns, channels), `computed` (rows, columns); the result (rows, columns, channels).
+    Parameters
+    ----------
+    white, computed : arrays (rows, columns, channels) and (rows, columns)
+        The recorded image, and `white_image` of the camera.
+    camera : PlenopticCamera
+        The camera of both.
+    lenses : pair of arrays, optional
+        For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
+        sample from the axis.
+
+    Returns
+    -------
+    float32 array of the shape of `white`
     """
-    lenses = lens_numbers(camera).ravel()
-    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-    radius = np.bincount(lenses, np.hypot(x, y[:, None]).ravel()) / np.maximum(np.bincount(lenses), 1)
-    light = np.stack([np.bincount(lenses, channel.ravel()) for channel in np.moveaxis(white, 2, 0)], axis=-1)
-    model = computed.ravel() * _mean_response(camera)
-    expected = np.bincount(lenses, model)
-    radiance = white_radiance(light, expected, radius)
-    # Where a lens's light lies: of white the common part of both images is nearly all.
-    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
-    scaled = white.sum(axis=2).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[lenses]
-    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
-    _require_most(
-        common,
-        _LEAST_COMMON,
-        f"white: {common:.0%} of its light is distributed over the micro-images as the camera distributes it",
-        "it must be by this camera and fill the view of the whole pupil",
-    )
-    return np.asarray(white / radiance, np.float32)
-
-
-def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return the radiance of a recorded white for each channel: what it is to be divided by.
-
-    It is the median of recorded over computed light among the quarter of the lenses that is nearest to the axis, where
-    main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between microlenses with
-    gaps.
-
-    Shapes: `light` (lenses, channels), `computed` (lenses,), `radius` (lenses,).
-    """
-    whole = (computed > 0) & (computed >= _WHOLE * computed.max(initial=0))
-    ratio = light[whole] / computed[whole, None]
+    if lenses is None:
+        x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+        lenses, computed = (lens_numbers(camera), np.hypot(x, y[:, None])), computed * _mean_response(camera)
+    numbers, away, model = (values.ravel() for values in (*lenses, computed))
+    radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
+    light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(white, -1, 0)], axis=-1)
+    expected = np.bincount(numbers, model)
+    whole = (expected > 0) & (expected >= _WHOLE * expected.max(initial=0))
+    ratio = light[whole] / expected[whole, None]
     brightest = ratio.max(axis=0, initial=0)
     refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
@@ -236,11 +271,21 @@ def white_radiance(light: np.ndarray, computed: np.ndarray, radius: np.ndarray) 
     other = np.abs(radiance - 1) > _SAME_RADIANCE
     if other.any():
         _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
-    return np.asarray(np.where(other, radiance, 1))
+    # Where a lens's light lies: of white the common part of both images is nearly all.
+    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = white.sum(axis=-1).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[numbers]
+    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
+    _require_most(
+        common,
+        _LEAST_COMMON,
+        f"white: {common:.0%} of its light is distributed over the micro-images as the camera distributes it",
+        "it must be by this camera and fill the view of the whole pupil",
+    )
+    return np.asarray(white / np.where(other, radiance, 1), np.float32)
 
 
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
-    """Divide samples by the fraction of the pupil that they see, in place; both become 0 where it is too little.
+    """Divide samples in place by the fraction of the pupil they see; set both to 0 where it is too small.
 
     So they do where a sample is not of one lens `alone`.
     """
@@ -250,14 +295,14 @@ def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray |
 
 
 def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
-    """Refuse a white with too small a fraction of what it should have, and warn of less than a half."""
+    """Refuse a white capture with less than a required fraction, and warn below one half."""
     refuse_if(fraction < least, f"{text}: {rule}")
     if fraction < _DIM:
         warnings.warn(f"{text}: {rule}", stacklevel=2)
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to the light of a lens on the axis; computed white images leave it out."""
+    """Return the mean response of pixels to light of a lens on the axis, which computed white images leave out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
     # Importing this takes longer than most commands of a shell need in all.
@@ -292,7 +337,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return how much nearer to the main lens the lenses of micro-images (n, 2) stand than one on the axis."""
+        """Return the heights towards the main lens of lenses of micro-images (n, 2), relative to one on the axis."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)

@@ -9,17 +9,15 @@ from mitsuba_plenoptic.cli.render_command import expose
 from mitsuba_plenoptic.extensions.onchip.halves import LAYOUTS
 from mitsuba_plenoptic.io import captures, examples
 from mitsuba_plenoptic.io import truth_files as ground_truth
-from mitsuba_plenoptic.light import detector, scene_unit
+from mitsuba_plenoptic.light import detector, scene
 from mitsuba_plenoptic.refocus import methods
+from mitsuba_plenoptic.refocus_options import METHODS
 from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS
 from mitsuba_plenoptic.views.viewpoints import AXES
 
 LIBRARY = {
     "MODELS": captures.MODELS,
-    "UNITS": scene_unit.UNITS,
-    "METHODS": methods.METHODS,
-    "FOOTPRINTS": methods.FOOTPRINTS,
-    "RESPONSES": methods.RESPONSES,
+    "UNITS": scene.UNITS,
     "VIEW_METHODS": VIEW_METHODS,
     "AXES": AXES,
     "LAYOUTS": ["x".join(map(str, layout)) for layout in LAYOUTS],
@@ -36,6 +34,7 @@ LIGHT = {
     "mitsuba_plenoptic.extension",
     "mitsuba_plenoptic.plugins",
     "mitsuba_plenoptic.presets",
+    "mitsuba_plenoptic.refocus_options",
     "mitsuba_plenoptic.runtime",
     "mitsuba_plenoptic.runtime.llvm",
     "mitsuba_plenoptic.runtime.progress",
@@ -51,6 +50,10 @@ SLOW = {"numpy", "scipy", "xarray", "pandas", "matplotlib", "h5py", "yaml", "Ope
 @pytest.mark.parametrize("name", LIBRARY)
 def test_choices_are_those_of_the_library(name):
     assert getattr(choices, name) == tuple(LIBRARY[name])
+
+
+def test_methods_are_those_that_are_registered():
+    assert tuple(methods.METHODS) == METHODS
 
 
 def test_every_choice_is_compared():

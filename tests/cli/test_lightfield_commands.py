@@ -244,7 +244,7 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
     # In the order of rows from the upper left, the first of the square.
     for number, (v, u) in ((0, (middle - 7, middle - 7)), (112, (middle, middle)), (113, (middle, middle + 1))):
         square = lf.values[middle - 7 : middle + 8, middle - 7 : middle + 8]
-        known = to_bytes(lf.values[v, u], Brightness().white([square]))
+        known = to_bytes(lf.values[v, u], Brightness().peak([square]))
         assert (np.asarray(Image.open(pictures[number]))[..., 0] == known).all()
     truth = np.frombuffer((folder / "gt_depth_lowres.pfm").read_bytes().split(b"\n", 3)[3], "<f4").reshape(8, 8)[::-1]
     assert np.nanmin(truth) == pytest.approx(0.24, rel=1e-5)
@@ -255,7 +255,7 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
     for axis in "vuts":
         np.testing.assert_allclose(found[axis], square[axis])
     # Pictures have eight bits, of which half a step is lost, and end at white.
-    white = Brightness().white([square.values])
+    white = Brightness().peak([square.values])
     codes = [255 * srgb(np.clip(one.values / white, 0, 1)) for one in (found, square)]
     assert abs(codes[0] - codes[1]).max() < 0.51
     assert "parameters.cfg" in complaint("convert", tmp_path, "-o", back)

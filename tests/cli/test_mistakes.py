@@ -12,9 +12,9 @@ from scene_cases import write_scene
 
 from mitsuba_plenoptic import InputError, read_capture, reconstruct
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.cli.choices import METHODS
 from mitsuba_plenoptic.cli.inputs import require_in_use
 from mitsuba_plenoptic.extensions.raw.exchange import open_light_field
+from mitsuba_plenoptic.refocus_options import METHODS
 
 
 @pytest.mark.parametrize(

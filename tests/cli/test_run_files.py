@@ -11,7 +11,8 @@ import pytest
 from mitsuba_plenoptic import read_capture
 from mitsuba_plenoptic.cli import command_group, commands_of, step_commands
 from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
-from mitsuba_plenoptic.cli.stopping import existing_checkpoint
+from mitsuba_plenoptic.cli.stopping import checkpoint_of
+from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.exr import read_exr
 
 STEPS = """
@@ -95,6 +96,13 @@ def test_a_damaged_log_is_no_log(folder, fresh):
     log = json.loads((folder / "run.steps.json").read_text())
     (folder / "run.steps.json").write_text(json.dumps(log | dict.fromkeys(log, 3) | {"x": {"written": 3}}))
     assert fresh() == [1, 2, 3]
+
+
+def test_a_file_that_another_process_runs_is_refused(folder, complaint):
+    log = folder / "run.steps.json"
+    with checkpoints.locked(checkpoints.lock_of(log), "never"):
+        assert f"{folder / 'run.yaml'}: another process is running it; wait" in complaint("run", folder / "run.yaml")
+    assert not log.exists()
 
 
 def test_save_run_repeats_a_command(raw, tmp_path, run):
@@ -204,8 +212,10 @@ def test_a_step_is_not_added_where_it_would_mean_something_else(raw, tmp_path, c
     assert complaint(*words, tmp_path / "run.json").endswith("give a name that ends in .yaml or .yml")
 
 
-def test_resume_means_the_same_in_every_command_that_has_it():
-    assert existing_checkpoint(False) == "resume_if_same" and existing_checkpoint(True) == "resume"
+def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
+    kept = {resume: checkpoint_of(tmp_path / "a.exr", resume) for resume in (False, True)}
+    assert kept[False].existing == "resume_if_same" and kept[True].existing == "resume"
+    assert kept[True].path == tmp_path / "a.exr.checkpoint"
     texts = {
         option.help
         for _, command in commands_of(command_group())

@@ -26,7 +26,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.points.operator import CaptureOperator
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job
 
 SMALL = small_camera()
 SCENE = letters(4)
@@ -266,6 +266,23 @@ def test_a_full_disk_is_named_once(tmp_path, monkeypatch):
         with pytest.warns(UserWarning) as warned:
             checkpoint.save(None)
     assert str(warned[0].message) == f"{path}: no checkpoint can be written: No space left on device"
+
+
+def test_a_second_process_is_refused_until_the_first_has_ended(tmp_path, python):
+    path = tmp_path / "raw.checkpoint"
+    code = f"""
+    from mitsuba_plenoptic import Checkpoint, InputError
+    try:
+        with Checkpoint({str(path)!r}, "resume") as checkpoint:
+            checkpoint.begin((1, 1, 1))
+    except InputError as error:
+        print(error)
+    """
+    with Checkpoint(path) as checkpoint:
+        checkpoint.begin((1, 1, 1))
+        said = python(code).stdout
+        assert said == f"{path}: another process is computing this; wait until it has ended\n"
+    assert python(code).stdout == "" and list(tmp_path.iterdir()) == []
 
 
 def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):

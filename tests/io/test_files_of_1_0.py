@@ -21,7 +21,7 @@ from mitsuba_plenoptic.io.checkpoints import Checkpoint
 from mitsuba_plenoptic.io.exr import read_attributes, read_exr
 from mitsuba_plenoptic.io.versions import camera_of_waves
 from mitsuba_plenoptic.optics.spectrum import Spectrum
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job
 from mitsuba_plenoptic.views import white_image
 
 OLD = Path(__file__).parents[1] / "files_of_1_0"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 
 POINT, WAVELENGTH = (20.0, -60.0, 300.0), 633.0
 
@@ -19,9 +19,19 @@ def lens(request):
     return LensSystem.of(camera_with(request.param), WAVELENGTH)
 
 
-def test_the_gradient_of_the_path_is_the_rays_direction(lens):
-    pupil = ExitPupil(lens, POINT)
+def test_rays_along_its_light_lead_back_to_the_point(lens):
+    pupil = ExitPupil.of(lens, POINT)
     assert pupil.error < 0.01
+    places = tuple(pupil.bundle[0][::7].T)
+    start, slope, is_open = lens.ray(places, pupil.land(places, None))
+    assert is_open.mean() > 0.95
+    for axis in (0, 1):
+        met = start[axis] + (POINT[2] - start[2]) * slope[axis]
+        assert np.abs(met - POINT[axis])[is_open].max() < 1e-3
+
+
+def test_the_gradient_of_the_path_is_the_direction_of_its_light(lens):
+    pupil = ExitPupil.of(lens, POINT)
     places, cosines = (values[::7].T for values in pupil.bundle)
     step = 1e-3
     for axis in (0, 1):
@@ -32,7 +42,7 @@ def test_the_gradient_of_the_path_is_the_rays_direction(lens):
 
 def test_light_ends_where_surfaces_end_it(lens):
     """Rays from the array through places of the pupil to the scene are let through inside the edge only."""
-    pupil = ExitPupil(lens, POINT)
+    pupil = ExitPupil.of(lens, POINT)
     places = pupil.bundle[0].T
     assert pupil.inside(tuple(places)).min() > -0.02
     # Along a line through the middle the way back through the lens tells the same edge.
@@ -60,9 +70,9 @@ def test_light_ends_where_surfaces_end_it(lens):
 def test_a_point_needs_to_lie_before_the_lens_and_to_be_seen():
     lens = LensSystem.of(camera_with("double_gauss"), WAVELENGTH)
     with pytest.raises(InputError, match="g = 40: it must lie before the main_lens, beyond 56"):
-        ExitPupil(lens, (0.0, 0.0, 40.0))
+        ExitPupil.of(lens, (0.0, 0.0, 40.0))
     with pytest.raises(InputError, match="no light of it passes the main_lens"):
-        ExitPupil(lens, (600.0, 0.0, 240.0))
+        ExitPupil.of(lens, (600.0, 0.0, 240.0))
 
 
 @pytest.mark.slow

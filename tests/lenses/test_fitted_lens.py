@@ -8,8 +8,8 @@ import pytest
 from wave_cases import thin_as_real
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
+from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.accuracy import band_for
@@ -39,7 +39,7 @@ def test_its_light_is_that_which_is_fitted_to_one_point(camera):
     lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     assert 0 < lens.fitted.error < 0.01
     for point in points[:4]:
-        one = ExitPupil(LensSystem.of(camera, WAVELENGTH), tuple(point))
+        one = ExitPupil.of(LensSystem.of(camera, WAVELENGTH), tuple(point))
         pupil = one.bundle[0].T[:, ::5]
         light, own = lens.bind(point[None]), tuple(P[None] for P in pupil)
         path = light.path(own, None, WAVELENGTH)[0] - one.path(tuple(pupil), None, WAVELENGTH)

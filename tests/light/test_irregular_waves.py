@@ -6,8 +6,7 @@ import pytest
 from wave_cases import HALF, error, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
-from mitsuba_plenoptic.light.figure_error import FigureError
-from mitsuba_plenoptic.light.lens_kinds import irregularities
+from mitsuba_plenoptic.light.lens_kinds import FigureError, irregularities
 from mitsuba_plenoptic.points.point_spread import point_spread_function
 from tools.bench.cases.microlens_shapes import SHAPES, WAVELENGTH, propagated
 

@@ -10,8 +10,9 @@ from scipy.special import j0, j1
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.lens_system import LensSystem
-from mitsuba_plenoptic.light.optical_system import OpticalSystem, RayPupil
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.phase_space import PhaseSpace
+from mitsuba_plenoptic.light.walk import Walk
 from tools.bench.cases import phase_space
 from tools.bench.measures import relative
 
@@ -117,7 +118,7 @@ def test_walls_through_other_main_lenses_are_those_of_point_spreads(camera):
 def test_the_pupil_off_the_axis_is_that_of_rays():
     camera = PlenopticCamera.preset("paper_double_gauss").replace(aperture_radius=13.0)
     mi.set_variant("llvm_ad_mono")
-    pupil, lens = RayPupil(OpticalSystem(camera, 633.0)), LensSystem.of(camera, 633.0)
+    pupil, lens = Walk.of(camera, OpticalSystem(camera, 633.0).lens), LensSystem.of(camera, 633.0)
     x, y = np.random.default_rng(0).uniform(-2.4, 2.4, (2, 20000)) * camera.pupil_radius
     for centre in ((0.0, 0.0), (3.5, -2.0), (0.0, 4.0)):
         u, v = pupil.inner((mi.Float(x), mi.Float(y)), (mi.Float(centre[0]), mi.Float(centre[1])))

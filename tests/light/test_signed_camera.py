@@ -9,7 +9,7 @@ import scipy.signal
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.light.array_kernels import REACH, displaced
-from mitsuba_plenoptic.light.optical_system import OpticalSystem, RayPupil
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
 from mitsuba_plenoptic.light.signed_camera import (
     PARAMETERS,
@@ -22,8 +22,8 @@ from mitsuba_plenoptic.light.signed_camera import (
 )
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.light.signed_draws import Pixels
-from mitsuba_plenoptic.runtime.batches import Box
-from mitsuba_plenoptic.runtime.jobs import Job, SumTask
+from mitsuba_plenoptic.light.walk import Walk
+from mitsuba_plenoptic.runtime.batches import Box, Job, SumTask
 
 PIXELS = 192
 MODELS = {
@@ -66,7 +66,8 @@ def moved(camera, name, amount):
 def traced(work, pixels, key):
     """Return the rays that a sum draws, and their slopes in the scene."""
     drawn, _ = work._drawn_rays(pixels, key)
-    return drawn, RayPupil(OpticalSystem(work._camera, 633.0)).trace(drawn.place, drawn.pupil, drawn.height)[1]
+    walk = Walk.of(work._camera, OpticalSystem(work._camera, 633.0).lens)
+    return drawn, walk.through_pupil(drawn.pupil, drawn.place, drawn.height)[1]
 
 
 class HeldRays(CameraTangents):

@@ -15,8 +15,7 @@ from mitsuba_plenoptic.optics.spectrum import Spectrum
 from mitsuba_plenoptic.points.operator import PLANS, CaptureOperator
 from mitsuba_plenoptic.points.point_spread import point_spread_function
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
-from mitsuba_plenoptic.runtime.batches import Threads
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job, Threads
 
 SMALL = small_camera()
 

@@ -14,7 +14,7 @@ from mitsuba_plenoptic.points.arrival import field_grids
 from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE
 from mitsuba_plenoptic.points.full_field import full_field
 from mitsuba_plenoptic.points.operator import CaptureOperator
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job
 
 CAMERAS = {
     "rectangular": {"mla_pitch": (0.064, 0.05), "mla_offset": (0.0, 0.013)},

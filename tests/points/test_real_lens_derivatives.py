@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from wave_cases import HALF, WAVELENGTH, error, in_every_lens, scattered, small_camera
 
-from mitsuba_plenoptic.lenses.exit_pupil import ExitPupil
-from mitsuba_plenoptic.lenses.lens_changes import lens_change
+from mitsuba_plenoptic.lenses.fitted_lens import lens_change
+from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.waves import in_millimetres

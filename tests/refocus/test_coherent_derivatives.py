@@ -10,9 +10,9 @@ from mitsuba_plenoptic import InputError, reconstruct
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.refocus import CoherentRefocus, planning
 from mitsuba_plenoptic.refocus.conjugates import ThinConjugates
-from mitsuba_plenoptic.refocus.full_fields import BackwardFields
 from mitsuba_plenoptic.refocus.passages import BinSums, Integrals
 from mitsuba_plenoptic.refocus.radiance import LensSpread
+from mitsuba_plenoptic.refocus.wave_methods import BackwardFields
 
 CAMERAS = {
     "square": ({}, {}),

@@ -8,9 +8,9 @@ from wave_cases import WAVELENGTH, small_camera, thin_as_real
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.refocus.conjugates import RealConjugates
-from mitsuba_plenoptic.refocus.full_fields import reconstruct_subsets
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.splatting import traced_white
+from mitsuba_plenoptic.refocus.wave_methods import reconstruct_subsets
 from tools.bench.cases import field_of_view, lens_models
 
 METHODS = {"coherent": {}, "partial": {"interleave": "auto"}, "deconvolved": {"iterations": 10}}

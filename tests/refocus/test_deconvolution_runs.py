@@ -19,7 +19,8 @@ from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.refocus.deconvolution import response as response_module
 from mitsuba_plenoptic.refocus.deconvolution.response import Response
 from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.refocus.deconvolution.variation import MOST, Noise, TotalVariation
+from mitsuba_plenoptic.refocus.deconvolution.variation import Noise, TotalVariation
+from mitsuba_plenoptic.refocus_options import MOST_VARIATION
 from mitsuba_plenoptic.runtime.batches import Cluster, Threads
 
 WAVELENGTH = 633.0
@@ -63,7 +64,7 @@ def test_variation_is_that_of_an_even_slope(name):
         return np.sqrt(kept[0] ** 2 + kept[1] ** 2 + (1e-3 * values[inside].mean()) ** 2).sum()
 
     found = variation.gradient([values.astype(np.float32)], [inside])[0]
-    assert np.abs(found).max() <= 2 + np.sqrt(2) < 1 / MOST
+    assert np.abs(found).max() <= 2 + np.sqrt(2) < 1 / MOST_VARIATION
     assert (found * direction).sum() == pytest.approx((total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-2)
 
 

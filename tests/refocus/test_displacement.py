@@ -9,7 +9,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
-from mitsuba_plenoptic.refocus.radiance import brought_back, displacements, is_known
+from mitsuba_plenoptic.refocus.displacement import brought_back, displacements, is_known
 from mitsuba_plenoptic.views.white_image import white_image
 from tools.bench.scenes import walls
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.refocus.radiance import PupilCentroid
+from mitsuba_plenoptic.refocus.displacement import PupilCentroid
 
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
 

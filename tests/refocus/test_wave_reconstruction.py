@@ -13,11 +13,11 @@ from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct,
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.points.point_spread import point_spread_function
-from mitsuba_plenoptic.refocus import full_fields, planning
-from mitsuba_plenoptic.refocus.full_fields import BackwardFields, lit_window, reconstruct_subsets
+from mitsuba_plenoptic.refocus import planning, wave_methods
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
 from mitsuba_plenoptic.refocus.planning import plan
-from mitsuba_plenoptic.refocus.ray import white_sums
+from mitsuba_plenoptic.refocus.radiance import white_sums
+from mitsuba_plenoptic.refocus.wave_methods import BackwardFields, lit_window, reconstruct_subsets
 from mitsuba_plenoptic.views.white_image import white_image
 
 # Grey or random pixels and single ones are no captures, and a guard says so.
@@ -35,7 +35,7 @@ METHODS = {
 cameras = pytest.mark.parametrize(
     "camera", [SMALL, pytest.param(OTHER, marks=pytest.mark.slow)], ids=["paper", "other"]
 )
-wave_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
+of_waves = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
 MOSTLY = [pytest.param(options, marks=[pytest.mark.slow] * (name == "K2")) for name, options in METHODS.items()]
 """Of tests in which every second lens takes the longest and tells the least."""
 most_methods = pytest.mark.parametrize("options", MOSTLY, ids=METHODS.keys())
@@ -100,7 +100,7 @@ def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
         np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
-@wave_methods
+@of_waves
 @pytest.mark.parametrize("lens", [(0, 0), (-6, 4), (7, -8)])
 def test_a_lit_lens_goes_where_geometry_says(options, lens):
     for result in refocus(micro_image(SMALL, *lens), DISTANCES, **options):
@@ -293,7 +293,7 @@ def far_point(request):
     return request.param, camera, point_spread_function(camera, (X, Y, far), wavelength=WAVELENGTH)
 
 
-@wave_methods
+@of_waves
 def test_far_planes(options, far_point):
     """A point there, captured by waves, comes back; pixels see two bins of so far a plane."""
     distance, camera, spread = far_point
@@ -306,8 +306,8 @@ def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
     image = lit_inside(SMALL, 200, 440)
     whole = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert len(plan(SMALL, WAVELENGTH, [112.5], lit_window(image, SMALL)).strips) == 1
-    monkeypatch.setattr(full_fields, "plan", lambda *given: planning._plan(*given, 3))
-    monkeypatch.setattr(full_fields, "require_feasible", lambda made: None)
+    monkeypatch.setattr(wave_methods, "plan", lambda *given: planning._plan(*given, 3))
+    monkeypatch.setattr(wave_methods, "require_feasible", lambda made: None)
     parts = reconstruct_subsets(image, SMALL, [112.5], WAVELENGTH)[0]
     assert np.linalg.norm(parts - whole) < 2e-3 * np.linalg.norm(whole)
 
@@ -333,7 +333,7 @@ def test_a_white_capture_is_one_where_its_waves_cancel():
     np.testing.assert_allclose(refocus(white, 250.0, camera, white=white, **options).image, 1, atol=1e-5)
 
 
-@wave_methods
+@of_waves
 def test_a_dark_capture_is_dark(options):
     assert not refocus(np.zeros(SMALL.shape), 110.0, **options).image.any()
 
@@ -431,7 +431,7 @@ def test_few_lenses_far_apart_need_little_memory(monkeypatch):
             refocus(image, 160.0, camera, method="partial", interleave=interleave)
 
 
-@wave_methods
+@of_waves
 @pytest.mark.parametrize(
     ("change", "message"),
     [

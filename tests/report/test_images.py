@@ -69,15 +69,15 @@ def test_a_lamp_out_of_focus_does_not_make_the_rest_black():
     lit = np.random.default_rng(0).uniform(0.1, 0.6, (100, 100))
     lamp = lit.copy()
     lamp[:30, :10] = 50.0
-    white = Brightness().white([lit])
+    white = Brightness().peak([lit])
     assert white == pytest.approx(np.percentile(lit, 99.5))
-    assert to_bytes(np.full((1, 1), 0.18), Brightness().white([lamp])) > 60
-    assert white < Brightness().white([lamp, lit]) < 5 * white
-    assert Brightness(percentile=99.5).white([lamp]) == 50
+    assert to_bytes(np.full((1, 1), 0.18), Brightness().peak([lamp])) > 60
+    assert white < Brightness().peak([lamp, lit]) < 5 * white
+    assert Brightness(percentile=99.5).peak([lamp]) == 50
     # What is bright on black is what the picture is about.
     for faint in (0.0, 1e-3):
-        assert Brightness().white([np.where(np.arange(100) < 3, 1.0, faint * lit)]) == 1
-    assert Brightness().white([np.zeros((3, 3)), np.full((3, 3), np.nan)]) == 1
+        assert Brightness().peak([np.where(np.arange(100) < 3, 1.0, faint * lit)]) == 1
+    assert Brightness().peak([np.zeros((3, 3)), np.full((3, 3), np.nan)]) == 1
 
 
 def lamp_scene():
@@ -114,4 +114,4 @@ def test_the_wall_is_seen_next_to_a_lamp_in_all_figures():
         assert np.median(np.asarray(image.get_array())) == pytest.approx(0.5, rel=0.02)
         assert image.norm(0.5) > 0.3
     seen = preview_of(scene, camera)
-    assert to_bytes(seen.picture, Brightness().white([seen.picture]))[0, 0] > 100
+    assert to_bytes(seen.picture, Brightness().peak([seen.picture]))[0, 0] > 100

@@ -22,8 +22,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.studio.sweep import SweepSettings, sweep
 from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.runtime import batches as distributed
-from mitsuba_plenoptic.runtime.batches import Cluster
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Cluster, Job
 
 pytest.importorskip("distributed")
 

@@ -18,7 +18,7 @@ from mitsuba_plenoptic.points.operator import CaptureOperator
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.refocus import radiance
 from mitsuba_plenoptic.runtime import backend as _backend
-from mitsuba_plenoptic.runtime.jobs import Job
+from mitsuba_plenoptic.runtime.batches import Job
 from tools.bench.cases.speed_steps import gpu
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.

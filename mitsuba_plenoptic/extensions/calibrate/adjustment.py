@@ -33,18 +33,18 @@ def deviation(distance: np.ndarray) -> float:
 
 
 def outlying(distance: np.ndarray) -> np.ndarray:
-    """Mark outliers by their distance from the expected position."""
+    """Return a mask of outliers by their distance from the expected position."""
     return np.asarray(distance > OUTLIER * max(deviation(distance), 1e-9))
 
 
 def huber(distance: np.ndarray) -> np.ndarray:
-    """Return weights by which rows far from the expected position count by their distance, not its square."""
+    """Return weights for robust fits: beyond a limit, rows count by their distance instead of its square."""
     bound = _HUBER * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
 
 def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fit positions linearly, as long as more than half of them are right.
+    """Return coefficients that solve linear equations for positions, of which more than half must be right.
 
     The least sum of distances shows which rows are outliers; the others are then fitted by least squares.
 
@@ -77,7 +77,7 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 
 
 def both_axes(matrix: np.ndarray) -> np.ndarray:
-    """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to each axis with coefficients of its own."""
+    """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to x and to y, with coefficients for each axis."""
     return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
 
 
@@ -89,7 +89,7 @@ _MOST_DAMPING = 1e10
 
 @dataclass(frozen=True)
 class Problem:
-    """Observations that are fitted together."""
+    """Corners and centres that are fitted together, with their weights."""
 
     # Corners seen through lenses.
     corners: Observations
@@ -155,7 +155,7 @@ def _triangle(rows: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Adjusted:
-    """The result of an adjustment."""
+    """Parameters, poses and residuals that an adjustment has found."""
 
     # (17,).
     numbers: np.ndarray
@@ -176,7 +176,7 @@ def adjust(
     *,
     most_steps: int = _MOST_STEPS,
 ) -> Adjusted:
-    """Minimise the weighted sum of squares over some of the camera's parameters and all poses.
+    """Return camera parameters and poses that minimise the weighted sum of squares.
 
     Shapes: `weights` (n,).
     """
@@ -235,7 +235,7 @@ def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weigh
 def _solve(
     triangles: list[np.ndarray], camera: np.ndarray, camera_damping: np.ndarray, pose_damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the damped linear system, each column in its own scale."""
+    """Return the steps of camera and poses that solve the damped linear system, with columns scaled to equal norms."""
     reduced, heads = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))], []
     for triangle, damping in zip(triangles, pose_damping, strict=True):
         damped = _triangle(np.concatenate([triangle, np.pad(np.diag(damping), ((0, 0), (0, triangle.shape[1] - 6)))]))

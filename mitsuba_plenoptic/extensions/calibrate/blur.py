@@ -119,7 +119,7 @@ def fit_blur(
 
 
 def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return z/a of each observation: the detector's distance over that of the corner's image before the array."""
+    """Return z/a of each observation: the detector's distance over that of the corner's image, both from the array."""
     f, b, z = numbers[:3]
     distance = placed(seen.board, poses, seen.pose)[:, 2]
     return np.asarray(z / (b - distance * f / (distance - f)))
@@ -132,7 +132,7 @@ _BEYOND = 1.25
 
 
 class CutBlur:
-    """Where the pixels of a camera's micro-images see through their lenses, on average."""
+    """Mean positions that pixels show through the open parts of their lenses, where the rim of the pupil cuts blur."""
 
     def __init__(
         self,
@@ -158,13 +158,13 @@ class CutBlur:
                 self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
 
     def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        r"""Return :math:`\kappa` of lenses of these types and points of these disparities (`board_view`)."""
+        r"""Return :math:`\kappa` for lenses of given types and points of given disparities (`board_view`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
 
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
-        """Return the displacement of what pixels show from where they are.
+        """Return the displacement from a pixel's position to the mean position that the pixel shows, in pixels.
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """

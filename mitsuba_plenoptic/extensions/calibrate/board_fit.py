@@ -58,7 +58,7 @@ _MOST_OVERLAP = 1.5
 
 @suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
-    """Fit a camera, and the poses of a board, to corners seen through its microlenses.
+    """Return a camera, and the poses of a board, fitted to corners seen through its microlenses.
 
     Rows far from where the others put them are left out of the fit and named (`Evaluation.outliers`); errors that are
     reported count every row, if not stated otherwise.
@@ -156,7 +156,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
 
 
 def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensIndex | None = None) -> Evaluation:
-    """Hold a camera, refit the poses, and see how far off it predicts the corners.
+    """Return the errors of a fixed camera's predictions of corners, with refitted poses.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
 def cross_validate(
     corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
 ) -> dict[int, float]:
-    """Calibrate without each pose in turn, and predict it: its pose is refitted, nothing else.
+    """Return the error of each pose, predicted by a calibration without it; only its pose is refitted.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def cross_validate(
 
 
 def _poses(problem: Problem, used: np.ndarray) -> Problem:
-    """Restrict a problem to some of the poses."""
+    """Return a problem restricted to some of the poses."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[used], return_inverse=True)
     some = replace(seen.keep(used), pose=pose)
@@ -261,7 +261,7 @@ def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) ->
 
 
 def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return which centres are on a lattice, which a tilt may make denser at one side, and the weight of their fit.
+    """Return a mask of centres on a lattice, which a tilt may make denser at one side, and the weight of the fit.
 
     It is the deviation of the corners' residuals over that of centres that err together.
     """
@@ -275,7 +275,7 @@ def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
 
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return how far from its prediction each corner is seen, in pixels."""
+    """Return the distance between predicted and observed position of each corner, in pixels."""
     return np.asarray(np.hypot(*problem.residuals(numbers, poses).T))
 
 
@@ -313,7 +313,7 @@ def _require_matching_pupil(
 
 
 def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarray:
-    """Return the weights of corners: less for those far from their prediction, 0 for outliers."""
+    """Return the weight of each corner: smaller for residuals beyond a limit, 0 for outliers."""
     distance = _distance(problem, found.numbers, found.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose

@@ -73,11 +73,11 @@ class Observations:
 
     @property
     def poses(self) -> int:
-        """Number of poses."""
+        """Number of poses of the board."""
         return int(self.pose.max()) + 1
 
     def keep(self, chosen: np.ndarray) -> Observations:
-        """Return some of the rows."""
+        """Return the observations in the chosen rows."""
         return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
 
 
@@ -92,7 +92,7 @@ def _left_jacobian(vector: np.ndarray) -> np.ndarray:
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Invert matrices (n, 2, 2); `numpy.linalg.inv` takes ten times as long."""
+    """Return the inverses of matrices (n, 2, 2), ten times as fast as `numpy.linalg.inv`."""
     (a, b), (c, d) = matrix.transpose(1, 2, 0)
     return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
 
@@ -119,7 +119,7 @@ def _lenses(
 
 
 def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Turn positions on the detector and their derivatives into pixels."""
+    """Return positions on the detector and their derivatives, converted to pixels."""
     by_numbers = p_by / pixel_size
     principal = [AT["principal_u"], AT["principal_v"]]
     by_numbers[:, [0, 1], principal] += 1
@@ -148,7 +148,7 @@ def predict_centres(
 def predict(
     numbers: np.ndarray, poses: np.ndarray, seen: Observations, *, pixel_size: float, row_ratio: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Predict where corners are seen, and how that changes.
+    """Return the predicted positions of corners in pixels, and the derivatives of these positions.
 
     Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
     """
@@ -216,7 +216,7 @@ def on_pixel_grid(numbers: np.ndarray) -> np.ndarray:
 
 
 def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera of these numbers, with a principal point `on_pixel_grid`.
+    """Return the camera of given parameters, with a principal point `on_pixel_grid`.
 
     What they do not determine is as in `like`: recorded pixels and their size, f-number, lattice, apertures and focal
     lengths of the microlenses, and how rays refract.

@@ -38,7 +38,7 @@ _LENSES = 3
 
 @dataclass(frozen=True)
 class Picture:
-    """A raw picture over its white image, and where its micro-images are."""
+    """A raw picture divided by its white image, with the centres of its micro-images."""
 
     name: str
     # Values over those of white; (rows, columns).
@@ -55,7 +55,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class BoardView:
-    """The approximate position of a board."""
+    """Approximate position of a board in a picture."""
 
     disparity: float
     # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
@@ -63,7 +63,7 @@ class BoardView:
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
-    """Find a board in a raw picture."""
+    """Return the position of a board found in a raw picture."""
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
@@ -89,7 +89,7 @@ def find_board(picture: Picture, board: Board) -> BoardView:
 
 
 def _upright(corners: np.ndarray) -> np.ndarray:
-    """Order corners so that columns run to the right and rows down, as seen from the front of the board."""
+    """Return corners ordered so that columns run right and rows down, as seen from the front of the board."""
     if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
         corners = corners[::-1, ::-1]
     along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
@@ -97,7 +97,7 @@ def _upright(corners: np.ndarray) -> np.ndarray:
 
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
-    """Return disparities in order of how well neighbouring lenses agree about what they see."""
+    """Return disparities, sorted by how well neighbouring lenses agree about the picture at each of them."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
     position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
@@ -118,7 +118,7 @@ def _positions(picture: Picture, step: float) -> np.ndarray:
 
 
 def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the lenses' views of positions, and its variance where several see one, else NaN.
+    """Return the mean over lenses of their views of positions, and its variance, NaN for a single view.
 
     `position` is (n, 2), `lens` (n, lenses).
     """
@@ -220,7 +220,7 @@ _FARTHEST = 3.0
 
 @dataclass(frozen=True)
 class Saddles:
-    """Candidates for corners: arrays with one row each."""
+    """Candidates for corners, as arrays with one row per candidate."""
 
     # Column and row of the corner, 0 at the centre of the first pixel, (n, 2).
     position: np.ndarray
@@ -243,7 +243,7 @@ def find_saddles(
     even: float,
     seen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Saddles:
-    """Refine corners, each within a window of its micro-image.
+    """Return corners refined by least squares, each within a window of its micro-image.
 
     Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
@@ -293,7 +293,7 @@ def _fit(
 def _descend(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Minimise over position, angles and blur; level and contrast follow at each step (variable projection)."""
+    """Return position, angles and blur that minimise the residual; level and contrast follow at each step."""
     linear, square, jacobian, left = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
     low, high = np.log([_LEAST_BLUR, _MOST_BLUR])
@@ -320,7 +320,7 @@ def _descend(
 def _model(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return level and contrast, the weighted sum of squares, derivatives by the parameters p, and what is left."""
+    """Return level and contrast of a blurred corner, the weighted sum of squares, its derivatives, and residuals."""
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]
     edges = []

@@ -76,7 +76,7 @@ def calibrate(
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
-    from ...io.files import require_apart, require_different
+    from ...runtime.files import require_apart, require_different
     from ..raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
     from .calibration import Board
 
@@ -134,7 +134,7 @@ def _camera(camera: str | None) -> str:
 
 
 def _output(output: Path | None, suffix: str) -> Path:
-    from ...io.files import require_writable
+    from ...runtime.files import require_writable
 
     if output is None:
         raise typer.BadParameter("name the file to write", param_hint="--output")
@@ -235,7 +235,7 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
-    from ...io.files import require_writable
+    from ...runtime.files import require_writable
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import REMEDY
@@ -287,7 +287,7 @@ def _calibrate(
 
 
 def _print_outliers(seen: Evaluation) -> None:
-    """Print which rows are outliers, and the error without them."""
+    """Print the rows that are outliers, and the error without them."""
     import numpy as np
 
     rows = seen.outliers

@@ -18,8 +18,8 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...camera.camera_files import camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
-from ...io.files import write_text
 from ...lenses.distortion import undistort
+from ...runtime.files import write_text
 from .board_model import NAMES, camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
@@ -71,7 +71,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Read a camera as every command does, and how the data of its calibration count lenses.
+    """Return a camera, read as by every command, and the indexing of lenses that the data of its calibration use.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
 
 
 def lens_index(record: Any) -> LensIndex | None:
-    """Return how data count lenses, from the object ``calibration`` of a camera's file; None without that object."""
+    """Return the indexing of lenses that the object ``calibration`` of a camera's file states, or None."""
     if record is None:
         return None
     with refusing(
@@ -113,7 +113,7 @@ def lens_index(record: Any) -> LensIndex | None:
 
 
 def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
-    """Translate a configuration that libpleno and COMPOTE write (``intrinsics.js``).
+    """Return the camera of a configuration that libpleno and COMPOTE write (``intrinsics.js``).
 
     COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.
     The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The

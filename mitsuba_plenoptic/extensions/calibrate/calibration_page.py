@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ...io.files import write_text
 from ...report.page import template
+from ...runtime.files import write_text
 from .board_model import UNITS
 from .calibration_result import Calibration, ResidualMap, field_cells, group_means, residual_map
 from .observations import Board, Table, placed
@@ -32,7 +32,7 @@ _WIDTH = 760
 def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
 ) -> None:
-    """Write the report on a calibration."""
+    """Write the HTML report on a calibration."""
     size, seen = calibration.camera.crop_size, calibration.evaluation
     outliers = seen.outliers
     lens = residual_map(calibration, board, corners, "lens", 1)
@@ -78,14 +78,14 @@ def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[t
 
 
 def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
-    """Return each lens's position and darkness: its error over the 95 % quantile of all."""
+    """Return position and darkness of each lens: its error over the 95 % quantile of all errors."""
     position = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
     dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
     return [tuple(mark) for mark in np.column_stack([position.round(1), dark.round(2)]).tolist()]
 
 
 def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
-    """Return ranges of a quantity with as many observations each, and the RMS residual in them."""
+    """Return ranges of a quantity that hold equally many observations, and the RMS residual in each range."""
     squares = (residuals**2).sum(1)
     return [
         (float(quantity[part[0]]), float(quantity[part[-1]]), len(part), math.sqrt(squares[part].mean()))

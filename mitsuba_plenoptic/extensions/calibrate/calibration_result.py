@@ -32,7 +32,7 @@ GROUPED_BY = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How well a camera explains corners, every row counted.
+    """Errors with which a camera explains corners; every row counts.
 
     Attributes
     ----------
@@ -58,12 +58,12 @@ class Evaluation:
 
     @property
     def pose_errors(self) -> np.ndarray:
-        """The same for each pose."""
+        """RMS error of each pose, in pixels."""
         return np.sqrt(np.bincount(self.pose, (self.residuals**2).sum(1)) / np.bincount(self.pose))
 
     @property
     def outliers(self) -> np.ndarray:
-        """Rows, from 0, of residuals beyond six times what is typical."""
+        """Rows, counted from 0, whose residuals exceed six times the typical one."""
         return np.flatnonzero(outlying(np.hypot(*self.residuals.T)))
 
     @property
@@ -72,14 +72,14 @@ class Evaluation:
         return self.without_outliers().error
 
     def without_outliers(self) -> Evaluation:
-        """Return the same without the outliers."""
+        """Return this evaluation without the outliers."""
         inliers = np.delete(np.arange(len(self.residuals)), self.outliers)
         return replace(self, residuals=self.residuals[inliers], pose=self.pose[inliers])
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result of a calibration.
+    """Camera, poses and deviations that a calibration has found.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Calibration:
 
     @property
     def open_direction(self) -> dict[str, float]:
-        """Changes of the parameters when the focal length changes by its deviation, if that exceeds a tenth of it.
+        """Changes of the parameters when the focal length changes by its deviation, empty below a tenth of the length.
 
         Only the parameters that follow the focal length are named, those with a correlation beyond 0.5; empty where
         the data determine it.
@@ -200,7 +200,7 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Group the residuals of a calibration's corners.
+    """Return the residuals of a calibration's corners in groups.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def field_cells(pixel: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def group_means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how many rows each group has, and their mean."""
+    """Return the number of rows and the mean value of each group."""
     count = np.bincount(group)
     return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]
 
@@ -265,7 +265,7 @@ _MANY = 100
 
 @dataclass(frozen=True)
 class Deviations:
-    """How well the parameters are known."""
+    """Standard deviations and covariance of the parameters of a fit."""
 
     # Of the parameters' errors; (17, 17).
     covariance: np.ndarray
@@ -276,12 +276,12 @@ class Deviations:
 
     @property
     def values(self) -> np.ndarray:
-        """Standard deviations, (17,)."""
+        """Standard deviations of the parameters, (17,)."""
         return np.sqrt(np.diag(self.covariance))
 
 
 def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
-    """Return how well a fit's parameters are known, all of them free.
+    """Return standard deviations and covariance of a fit's parameters, all of them free.
 
     Shapes: `weights` (n,).
     """

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...io.captures import require_pixels
-from ...io.files import atomic_output
+from ...runtime.files import atomic_output
 from ...runtime.limits import require_memory
 from ...views.lens_grid import lens_types
 from .blur import CutBlur
@@ -58,7 +58,7 @@ def detect_corners(
     frame: int = 0,
     name: str = "picture",
 ) -> Table:
-    """Find the corners of a board in a raw picture, in every micro-image that shows one.
+    """Return the corners of a board in a raw picture, in every micro-image that shows one.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
 
 
 def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """Return the radius in pixels within which micro-images are on average as light as in their middle."""
+    """Return the radius in pixels within which micro-images are on average as bright as in their middle."""
     half = int(radius) + 1
     whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
@@ -192,7 +192,7 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 def _refined(
     picture: Picture, found: BoardView, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return corners as seen through lenses: indices of corner and lens, and the position."""
+    """Return corners as seen through lenses: indices of corner and lens, positions in pixels, and saddles."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
     position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
@@ -223,7 +223,7 @@ def _refined(
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return a function for `find_saddles`: the displacement of what pixels about corners show."""
+    """Return a function for `find_saddles`: the displacement from pixels about corners to the positions they show."""
     defocus = cut.defocus(kind, disparity)
     return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 
@@ -237,7 +237,7 @@ def _directions(corners: np.ndarray) -> np.ndarray:
 def _expected(
     picture: Picture, position: np.ndarray, disparity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which corners should be seen through which lenses, and where."""
+    """Return indices of corner and lens for each pair that should be visible, and the expected position in pixels."""
     reach = (picture.radius - _RIM) / np.abs(disparity)
     lenses = cKDTree(picture.centre).query_ball_point(position, reach)
     corner = np.repeat(np.arange(len(position)), [len(some) for some in lenses])
@@ -254,7 +254,7 @@ def _agreed(
     position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position and disparity of each corner anew, and mark the observations that agree with them."""
+    """Return recomputed position and disparity of each corner, and a mask of the observations that agree with them."""
     position, disparity = position.copy(), disparity.copy()
     agreed = np.zeros(len(seen), dtype=bool)
     for index in range(len(position)):

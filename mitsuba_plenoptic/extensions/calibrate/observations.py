@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import NO_RECORD, InputError, refuse_if, refusing, require_count, require_number
-from ...io.files import read_text
+from ...runtime.files import read_text
 from ..raw.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
 from .board_model import Observations
@@ -44,7 +44,7 @@ _MOST_OFF = 0.1
 
 @dataclass(frozen=True)
 class Board:
-    """A checkerboard.
+    """A checkerboard: counts of inner corners, and the size of squares.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Board:
 
     @classmethod
     def parse(cls, text: str, square: float) -> Board:
-        """Read ``COLUMNSxROWS``, for example ``9x5``."""
+        """Return the board that the text ``COLUMNSxROWS`` describes, for example ``9x5``."""
         columns, x, rows = text.partition("x")
         refuse_if(
             not (x and columns.isdecimal() and rows.isdecimal() and len(text) < 10),
@@ -80,7 +80,7 @@ class Board:
 
 @dataclass(frozen=True)
 class LensIndex:
-    """How lenses are counted: what the indices k, l of a file mean on the camera's lattice.
+    """Indexing of lenses: the lens of the camera's lattice that the indices k, l of a file mean.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class LensIndex:
     first: tuple[int, int]
 
     def unit(self, k: np.ndarray, l: np.ndarray) -> np.ndarray:  # noqa: E741
-        """Return positions (n, 2) from lens (0, 0), in pitches along the rows and rows across them."""
+        """Return positions (n, 2) of lenses from lens (0, 0): in pitches along the rows, and in rows across them."""
         k0, l0 = self.first
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
 
@@ -122,11 +122,11 @@ class Table:
 
     @property
     def pixel(self) -> np.ndarray:
-        """Columns u and v, (n, 2)."""
+        """Columns u and v as an array (n, 2), in pixels."""
         return np.stack([self["u"], self["v"]], axis=-1)
 
     def keep(self, chosen: np.ndarray) -> Table:
-        """Return some of the rows."""
+        """Return the table of the chosen rows."""
         return Table(self.name, {name: values[chosen] for name, values in self.columns.items()})
 
 
@@ -137,7 +137,7 @@ def concatenate(tables: Sequence[Table]) -> Table:
 
 
 def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
-    """Read columns of a CSV file, and those of the optional ones that it has."""
+    """Return a table of the named columns of a CSV file, with the optional columns that the file has."""
     path = Path(path)
     first, _, rest = read_text(path, LARGEST_FILE).partition("\n")
     header = [name.strip() for name in first.split(",")]
@@ -170,7 +170,7 @@ def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
 
 
 def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
-    """Read corners of a board on a detector of a given size.
+    """Return the corners of a board on a detector of a given size, read from a CSV file.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
 
 def read_centres(path: str | Path) -> Table:
-    """Read centres of micro-images: a CSV table, or a JSON file of LFToolbox or PlenoptiCam.
+    """Return centres of micro-images, read from a CSV table or a JSON file of LFToolbox or PlenoptiCam.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def read_centres(path: str | Path) -> Table:
 
 
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:
-    """Refuse tables of another detector."""
+    """Refuse a table whose positions lie outside the detector."""
     off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
     if off.size > _MOST_OFF * len(table.pixel):
         u, v = table.pixel[off[0]]
@@ -232,21 +232,21 @@ def require_on_detector(table: Table, size: tuple[int, int]) -> None:
 
 
 def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return observations for a fit, and the frame indices of its poses."""
+    """Return the observations for a fit, and the frame index of each pose."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     positions = board.places(corners["cluster"])
     return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, positions, pose), frames
 
 
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return positions on boards, (n, 2), in the camera frame, (n, 3), each by its own pose."""
+    """Return positions on boards, (n, 2), in the camera frame, (n, 3), with the pose of each row."""
     flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
     turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return turned + poses[pose, 3:]
 
 
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
-    """Find how a table counts its lenses, from where their pixels lie.
+    """Return the indexing of lenses that a table uses, found from the positions of its pixels, and their grid.
 
     Shapes: `middle` (2,); the result (3, 2).
     """

@@ -42,7 +42,7 @@ _EXPLAINED = 0.35
 def start_values(
     problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find parameters from which a fit converges.
+    """Return start values from which a fit of camera and poses converges.
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
     """
@@ -99,7 +99,7 @@ def start_values(
 def board_images(
     problem: Problem, board: Board, frames: np.ndarray, grid: np.ndarray, principal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find where the main lens images each board, from how its corners move from lens to lens.
+    """Return the image of each board by the main lens, found from the shifts of its corners from lens to lens.
 
     The result has the shape (poses,), (poses, 3, 2), (n,).
     """
@@ -136,7 +136,7 @@ def board_images(
 def _agreeing(
     seen: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
 ) -> np.ndarray:
-    """Return the rows that lie in their own micro-image and agree with most of their frame; refuse other frames."""
+    """Return a mask of rows that lie in their micro-image and agree with most of their frame; refuse bad frames."""
     near = np.hypot(*(pixel - centre).T) < pitch
     good, strange = near.copy(), []
     for pose, frame in enumerate(frames):
@@ -177,7 +177,7 @@ def _agreeing(
 
 
 def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
-    """Return whether a flat board explains where corners are seen, and the rows that agree with it.
+    """Return whether a flat board explains the observed corners, and a mask of the rows that agree with it.
 
     Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's positions. Lenses that see a
     corner lie about its position; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
@@ -194,7 +194,7 @@ def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tupl
 
 
 def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
-    """Return poses (n, 6) of boards that face the camera, from how a thin lens images them."""
+    """Return poses (n, 6) of boards that face the camera, from their images by a thin lens."""
     poses = np.zeros((len(maps), 6))
     for pose, (corner, along, across) in zip(poses, maps, strict=True):
         magnification = np.sqrt(np.linalg.det([along, across]))

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import refuse_if
-from ...io.files import atomic_output
+from ...runtime.files import atomic_output
 from ...views import LensGrid, estimate_lens_grid
 from ...views.grid_estimation import centroids, pixels_around
 from .adjustment import OUTLIER
@@ -37,7 +37,7 @@ _LEAST_DARKER = 0.02
 
 @dataclass(frozen=True)
 class Centres:
-    """Centres of micro-images.
+    """Centres of micro-images, with residuals from a regular grid.
 
     Attributes
     ----------
@@ -65,18 +65,18 @@ class Centres:
 
     @property
     def error(self) -> float:
-        """RMS of the residuals' lengths."""
+        """RMS distance of the centres from the regular grid, in pixels."""
         return float(np.sqrt((self.residuals**2).sum(1).mean()))
 
     def table(self, name: str) -> Table:
-        """Return them as `read_centres` does."""
+        """Return the centres as a table like that of `read_centres`."""
         k, l = self.lens.T  # noqa: E741
         u, v = self.pixel.T
         return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
 def find_centres(*whites: np.ndarray) -> Centres:
-    """Find the micro-images of a white image and the centre of each.
+    """Return the centre of each micro-image in a white image.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[n
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres that agree with the centroids of their windows, and the light over the darkest there."""
+    """Return centres that agree with the centroids of their windows, and the windows' light above their minimum."""
     patches, light = pixels_around(image, centre, int(np.ceil(radius)) + 2), np.zeros(len(centre))
     for _ in range(_REPEATS):
         centre, light = centroids(
@@ -138,7 +138,7 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Mark centres that differ from their neighbours, in position or in light, by more than neighbours do."""
+    """Return a mask of centres that differ from their neighbours by more than neighbours do, in place or light."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)

@@ -6,6 +6,7 @@ Each is a function of a `Question` and returns answers by the names of tasks; a 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,10 +20,10 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_choice
 from ...io.captures import Capture
-from ...io.files import atomic_output
 from ...refocus import reconstruct
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
-from ...runtime.jobs import Progress, counted
+from ...runtime.batches import Progress, counted
+from ...runtime.files import atomic_output
 from ...views import decode, depth_map, distance_of, micro_images, view
 from .contents import CAPTURES, DISTANCES, FINER, PUPIL_POINTS, WAVELENGTH, Benchmark, capture_of, model_of
 from .score import answer_folder
@@ -32,7 +33,7 @@ Answers = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Question:
-    """A capture and the white capture of its camera."""
+    """A capture to be answered, with the white capture of its camera."""
 
     capture: Capture
     white: Capture
@@ -41,17 +42,17 @@ class Question:
 
     @property
     def camera(self) -> PlenopticCamera:
-        """The camera."""
+        """Camera of the capture."""
         return self.capture.camera
 
     @cached_property
     def light_field(self) -> xr.DataArray:
-        """The decoded light field."""
+        """Light field decoded from the capture."""
         return decode(self.capture, white=self.white)
 
 
 def _plain(question: Question) -> Answers:
-    """Answer as if all were in focus: what every method should exceed."""
+    """Return answers as if everything were in focus, which every method should exceed."""
     lf = question.light_field
     central = view(lf, u=0.0, v=0.0).values
     return {
@@ -62,7 +63,7 @@ def _plain(question: Question) -> Answers:
 
 
 def _ray(question: Question) -> Answers:
-    """Answer by rays: agreement of views, refocusing by the footprints of lenses, interpolated views."""
+    """Return answers by rays: depth by agreement of views, refocusing by footprints of lenses, interpolated views."""
     lf, radius = question.light_field, question.camera.aperture_radius
     found = depth_map(lf, micro_images=micro_images(question.capture, white=question.white))
     views = [lf.interp(u=x * radius, v=y * radius, kwargs={"fill_value": None}).values for x, y in PUPIL_POINTS]
@@ -75,7 +76,7 @@ def _ray(question: Question) -> Answers:
 
 
 def _finer(picture: np.ndarray) -> np.ndarray:
-    """Interpolate a picture to `FINER` pixels a bin, by cubic splines between the middles of pixels."""
+    """Return a picture interpolated to `FINER` pixels per bin by cubic splines."""
     across = (np.arange(FINER * picture.shape[1]) + 0.5) / FINER - 0.5
     down = (np.arange(FINER * picture.shape[0]) + 0.5) / FINER - 0.5
     return np.asarray(scipy.ndimage.map_coordinates(picture, np.meshgrid(down, across, indexing="ij"), mode="nearest"))
@@ -85,22 +86,12 @@ def _images(capture: Capture, **options: Any) -> np.ndarray:
     return np.stack([each.image for each in reconstruct(capture, DISTANCES, **options)])
 
 
-def _by_white(question: Question, method: str) -> Answers:
+def _by_waves(question: Question, *, method: str) -> Answers:
     """Refocus capture and white capture by waves and divide; that takes less than the correction of displacements."""
     options = {"method": method, "wavelength": WAVELENGTH}
     if method not in question.of_white:
         question.of_white[method] = _images(question.white, **options)
     return {"refocus": _images(question.capture, **options) / question.of_white[method]}
-
-
-def _coherent(question: Question) -> Answers:
-    """Refocus by one coherent wave."""
-    return _by_white(question, "coherent")
-
-
-def _partial(question: Question) -> Answers:
-    """Refocus by four coherent waves of every second lens."""
-    return _by_white(question, "partial")
 
 
 def _deconvolved(question: Question) -> Answers:
@@ -111,8 +102,9 @@ def _deconvolved(question: Question) -> Answers:
 BASELINES: dict[str, Callable[[Question], Answers]] = {
     "plain": _plain,
     "ray": _ray,
-    "coherent": _coherent,
-    "partial": _partial,
+    "coherent": functools.partial(_by_waves, method="coherent"),
+    # Four coherent waves, of every second lens.
+    "partial": functools.partial(_by_waves, method="partial"),
     "deconvolved": _deconvolved,
 }
 """Baselines by name."""

@@ -102,8 +102,8 @@ def score_answers(
 
       mitsuba-plenoptic benchmark score bench answers/ray answers/mine -o scores.json
     """
-    from ...io.files import require_writable
-    from ...report.stage_store import write_json
+    from ...io.checkpoints import write_json
+    from ...runtime.files import require_writable
     from .benchmark import Benchmark, score, table
 
     require_writable(output, ".json")
@@ -123,7 +123,7 @@ def score_answers(
 
 
 def _rows(lines: list[TableLine], names: list[str]) -> list[str]:
-    """Lay the table out in columns."""
+    """Return the lines of a table, laid out in columns."""
     from .benchmark import TASKS
 
     texts = [["task", "captures", "cameras", *names]]
@@ -136,7 +136,7 @@ def _rows(lines: list[TableLine], names: list[str]) -> list[str]:
 
 
 def _without_nan(value: Any) -> Any:
-    """Replace what is not defined by null, as JSON has no NaN."""
+    """Return a value with undefined numbers replaced by null, as JSON has no NaN."""
     if isinstance(value, dict):
         return {name: _without_nan(each) for name, each in value.items()}
     if isinstance(value, list):

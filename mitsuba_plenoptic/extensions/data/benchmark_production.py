@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...io.files import write_text
 from ...report.images import enlarge, shrink, write_png
-from ...runtime.batches import BatchMap
-from ...runtime.jobs import Progress
+from ...runtime.batches import BatchMap, Progress
+from ...runtime.files import write_text
 from .contents import (
     CAPTURES,
     DISTANCES,
@@ -36,7 +35,7 @@ def make_benchmark(
     batch_map: BatchMap | None = None,
     progress: Progress | None = None,
 ) -> Benchmark:
-    """Make a benchmark, or resume making it; the bits are the same.
+    """Make a benchmark, or resume an interrupted production with the same bits.
 
     Parameters
     ----------
@@ -185,7 +184,7 @@ def describe_benchmark(folder: Path, recipe: Recipe, made: DataSet) -> None:
 
 
 def _sentence(scene: str) -> str:
-    """Return what a scene shows, in a few words."""
+    """Return the content of a scene in a few words."""
     return str(SCENES[scene].__doc__).partition("\n")[0].removeprefix("Show ").rstrip(".")
 
 

@@ -75,7 +75,7 @@ FINER = 2
 
 @dataclass(frozen=True)
 class Size:
-    """How large the captures are.
+    """Numbers of lenses and pixels of a benchmark's captures.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class BenchmarkRecipe(Recipe):
     """A benchmark that can be made again, bit for bit: all scenes, each by all cameras, in this order."""
 
     def plan(self, index: int) -> SamplePlan:
-        """Return which scene and camera a sample has."""
+        """Return the plan of a sample: its scene and its camera."""
         number, which = divmod(index, len(self.content["cameras"]))
         name, size = self.content["scenes"][number], Size(**self.content["size"])
         parameters = dict(self.content["cameras"][which])
@@ -122,7 +122,7 @@ class BenchmarkRecipe(Recipe):
 def benchmark_recipe(
     seed: int = 0, scenes: Iterable[str] = tuple(SCENES), size: Size = SIZES["full"]
 ) -> BenchmarkRecipe:
-    """Choose a benchmark's seed, scenes and size.
+    """Return the recipe of a benchmark by seed, scenes and size.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def benchmark_recipe(
 
 
 def make_entry(recipe: Recipe, index: int) -> Sample:
-    """Render a sample of the benchmark: captures, noise, ground truth, and the pictures that are to be found."""
+    """Return a sample of the benchmark: captures, exposed captures, ground truth, and the true pictures."""
     plan = recipe.plan(index)
     made = make_sample(recipe, index)
     arrays, captures = dict(made.arrays), dict(made.facts["captures"])
@@ -192,7 +192,7 @@ def make_entry(recipe: Recipe, index: int) -> Sample:
 
 
 def view_image(scene: Any, camera: PlenopticCamera, point: tuple[float, float], spp: int) -> np.ndarray:
-    """Render the sharp view from a point of the pupil, in which the plane in focus lies as in the central one."""
+    """Return the sharp view from a point of the pupil, in which the plane in focus lies as in the central view."""
     size = np.array(camera.bin_count)
     x, y = (coordinate * camera.aperture_radius for coordinate in point)
     width, height = size * camera.bin_size(camera.focus_distance)
@@ -207,7 +207,7 @@ def view_image(scene: Any, camera: PlenopticCamera, point: tuple[float, float], 
 
 
 class Benchmark(DataSet):
-    """A benchmark in its folder.
+    """A benchmark, read from its folder.
 
     Parameters
     ----------

@@ -15,23 +15,23 @@ import numpy as np
 import yaml
 
 from ...errors import naming
-from ...io.files import remove_leftovers, write_text
+from ...io.checkpoints import locked
 from ...report.images import shrink, write_png
 from ...runtime.backend import set_variant
-from ...runtime.batches import BatchMap
-from ...runtime.jobs import Progress
+from ...runtime.batches import BatchMap, Progress
+from ...runtime.files import remove_leftovers, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (
     CARD,
     CHECKSUMS,
+    LOCK,
     MANIFEST,
     PREVIEW,
+    DataFolder,
     DataSet,
-    Layout,
     checksum,
     claim,
-    locked,
     open_shard,
     read_sample,
     recorded_checksums,
@@ -46,7 +46,7 @@ Maker = Callable[[Recipe, int], Sample]
 
 @dataclass(frozen=True)
 class SampleTask:
-    """Renders one sample and writes it to a file of its own, in this process or in another."""
+    """Task that renders one sample and writes the sample's file, in this process or another."""
 
     recipe: Recipe
     index: int
@@ -56,11 +56,11 @@ class SampleTask:
 
     @property
     def samples(self) -> int:
-        """Of fields: above these a sample travels alone."""
+        """Nominal number of fields, so large that a sample is a batch by itself."""
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
-        """Return the function that does it, and returns the sample's index."""
+        """Return the function that renders and writes the sample and returns its index."""
         return partial(_make, self.recipe, self.index, self.path, self.make)
 
 
@@ -114,7 +114,7 @@ def make_dataset(
     folder = Path(folder).absolute()
     set_variant(recipe.variant)
     _try_scenes(recipe)
-    with locked(folder):
+    with locked(folder / LOCK, f"{folder}: another process is making this data set"):
         layout = claim(folder, recipe)
         _produce(recipe, layout, batch_map, progress, make)
         describe(folder, recipe, DataSet(folder))
@@ -123,7 +123,7 @@ def make_dataset(
 
 
 def _produce(
-    recipe: Recipe, layout: Layout, batch_map: BatchMap | None, progress: Progress | None, make: Maker
+    recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, progress: Progress | None, make: Maker
 ) -> None:
     # Whatever is there is compared with its digests before anything of it is dropped.
     finished = {
@@ -162,7 +162,7 @@ def _produce(
     shutil.rmtree(layout.sample(0).parent)
 
 
-def _as_recorded(layout: Layout, number: int, recorded: Mapping[str, str]) -> bool:
+def _as_recorded(layout: DataFolder, number: int, recorded: Mapping[str, str]) -> bool:
     """Return whether a shard has the checksum that an earlier run wrote, if one did."""
     path = layout.shard(number)
     expected = recorded.get(path.relative_to(layout.folder).as_posix())
@@ -190,8 +190,8 @@ def _try_scenes(recipe: Recipe) -> None:
             return
 
 
-def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
-    """Remove what processes that were killed left behind, and samples that are in shards already."""
+def _clear(layout: DataFolder, finished: Mapping[int, set[int]]) -> None:
+    """Remove files of killed processes, and files of samples that shards already contain."""
     for path in (layout.sample(0).parent, layout.shard(0).parent):
         for leftover in path.glob(".*"):
             shutil.rmtree(leftover, ignore_errors=True)
@@ -203,8 +203,8 @@ def _clear(layout: Layout, finished: Mapping[int, set[int]]) -> None:
         layout.sample(index).unlink(missing_ok=True)
 
 
-def _pack(layout: Layout, number: int, there: set[int]) -> None:
-    """Put the samples of a shard into its file, with those that are in it."""
+def _pack(layout: DataFolder, number: int, there: set[int]) -> None:
+    """Write the samples of a shard into one file, next to the samples that the file already has."""
     path = layout.shard(number)
 
     def samples() -> Iterator[Sample]:
@@ -283,7 +283,7 @@ Software: {software}; source of mitsuba_plenoptic {version}.
 
 
 def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
-    """Write the data card as Markdown."""
+    """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
     for name, array in sorted(made[0].arrays.items()):
         base = name.removeprefix("views_")
@@ -313,7 +313,7 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
     write_text(path, text)
 
 
-def write_checksums(path: Path, layout: Layout) -> None:
+def write_checksums(path: Path, layout: DataFolder) -> None:
     """Write the SHA-256 of every file of a data set, in the form that ``sha256sum -c`` reads."""
     files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
     files += [layout.shard(index) for index in range(layout.shards)]

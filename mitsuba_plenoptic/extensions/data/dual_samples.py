@@ -77,7 +77,7 @@ def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return a camera with the same lenses and a small pupil, whose image below each lens is as large as before.
+    """Return a camera with the same lenses and a smaller pupil, whose images behind lenses keep their size.
 
     Lenses that are aligned to chief rays stand where the smaller pitch puts them that suits the recorded ones best.
     """

@@ -29,7 +29,7 @@ _DARKEST, _BRIGHTEST = 0.02, 0.95
 
 
 def random_diffuse(random: np.random.Generator, plain: float, width: float) -> dict[str, Any]:
-    """Describe a diffuse surface with a random pattern for ``mi.load_dict``.
+    """Return a diffuse surface with a random pattern, as ``mi.load_dict`` takes it.
 
     Band-limited noise or a checkerboard; in variants of three channels between two random colours.
     """
@@ -68,7 +68,7 @@ _BEHIND = 1.02
 
 @dataclass(frozen=True)
 class Illumination:
-    """Illumination of generated scenes."""
+    """Lights of generated scenes: a sky, and a lamp near the camera."""
 
     # Radiance from everywhere, from 0 to 1e6.
     sky: float = 0.5
@@ -81,7 +81,7 @@ class Illumination:
         refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
-        """Describe the lights for ``mi.load_dict``; the lamp stands next to or above the camera, at random."""
+        """Return the lights as ``mi.load_dict`` takes them; the lamp stands beside or above the camera, at random."""
         angle = random.uniform(0, 2 * math.pi)
         position = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
         squared = float(np.sum(np.square(position - [0, 0, distance])))
@@ -92,10 +92,10 @@ class Illumination:
 
 
 class SceneGenerator(Protocol):
-    """Makes random scenes before a camera."""
+    """Generator of random scenes before a camera."""
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
-        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+        """Return a scene without a sensor, as ``mi.load_dict`` takes it; a camera at the origin looks along +z."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Shapes:
         return float(near), float(far)
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
-        """Describe a scene for ``mi.load_dict``, without a sensor; a camera at the origin looks along +z."""
+        """Return a scene without a sensor, as ``mi.load_dict`` takes it; a camera at the origin looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])
         wall = _BEHIND * far
@@ -183,7 +183,7 @@ class Shapes:
         lens: float,
         random: np.random.Generator,
     ) -> dict[str, Any]:
-        """Describe one shape; `lens` is the angle between neighbouring lenses, as tangent."""
+        """Return one shape as ``mi.load_dict`` takes it; `lens` is the tangent of neighbouring lenses' angle."""
         size = float(size)
         towards = mi.ScalarTransform4f().translate(position.tolist())
         # Mitsuba takes the axis of a rotation as it is: one that is not of length 1 shears.

@@ -18,7 +18,7 @@ from .contents import CAPTURES, Benchmark, capture_of, central_truth
 
 
 def export_hci(made: Benchmark, folder: str | Path, capture: str = "ray") -> list[Path]:
-    """Write the light fields that are decoded from captures of a kind, each to a folder of its own.
+    """Write the light fields decoded from captures of one kind, a folder for each; return the folders.
 
     In mirrors the depth is that of the mirror image. Views at the rim of the pupil, which it covers in part, are left
     out: there are as many as fit into the pupil as a square.

@@ -26,13 +26,13 @@ from ...errors import (
     short_repr,
 )
 from ...io.captures import MODELS
-from ...io.files import read_yaml
 from ...io.truth_files import QUANTITIES, require_quantities
 from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
-from ...light.scene_unit import UNITS
+from ...light.scene import UNITS
 from ...presets import PRESETS
 from ...runtime.backend import DEFAULT_VARIANT
+from ...runtime.files import read_yaml
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs
@@ -52,7 +52,7 @@ _WAVE = ("spp", "wavelength", "method", "accuracy")
 
 @dataclass(frozen=True)
 class Source:
-    """One kind of scenes."""
+    """One entry of a recipe's list of scenes."""
 
     generator: str | None
     # Instead of it, the path of a scene file or the name of a built-in scene.
@@ -132,7 +132,7 @@ class Recipe:
     content: Mapping[str, Any]
 
     def plan(self, index: int) -> SamplePlan:
-        """Draw what varies for a sample.
+        """Return the plan of a sample: everything that varies, drawn at random.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
-    """Make a recipe of plain values; scene files that it names lie in the folder.
+    """Return the recipe that plain values describe; scene files named there lie in the folder.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def _layout(value: Any) -> tuple[int, int]:
 
 
 def _source(number: int, entry: Any, folder: Path) -> Source:
-    """Make one entry of the list of scenes."""
+    """Return one entry of the list of scenes."""
     name = f"scenes: entry {number + 1}"
     refuse_if(
         not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry),
@@ -307,7 +307,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
 
 
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
-    """Parse a section whose names are known."""
+    """Return the parsed values of a section whose names are known."""
     section = content.get(name, {})
     refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
     _require_names(name, section, known)
@@ -333,7 +333,7 @@ def generator(seed: int, index: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Between:
-    """A uniform or log-uniform value between two bounds; with a step, a multiple of it above the lower bound."""
+    """A uniform or log-uniform value between two bounds, with a step a multiple of the step above the lower bound."""
 
     low: float
     high: float
@@ -343,7 +343,7 @@ class Between:
     step: float | None = None
 
     def draw(self, random: np.random.Generator) -> float:
-        """Draw a value."""
+        """Return a random value between the bounds."""
         if self.step is not None:
             value = self.low + self.step * random.integers(math.floor((self.high - self.low) / self.step + 1e-9) + 1)
             return int(value) if float(value).is_integer() else float(value)
@@ -354,17 +354,17 @@ class Between:
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of several values, all as probable."""
+    """One of several values, with equal probabilities."""
 
     values: tuple[Any, ...]
 
     def draw(self, random: np.random.Generator) -> Any:
-        """Draw a value."""
+        """Return one of the values at random."""
         return self.values[int(random.integers(len(self.values)))]
 
 
 def parse(name: str, value: Any) -> Any:
-    """Turn what a recipe says about a value into a `Between`, a `OneOf`, or the value itself."""
+    """Return the `Between`, `OneOf` or plain value that an entry of a recipe describes."""
     if not isinstance(value, Mapping):
         return value
     if set(value) == {"one_of"}:
@@ -394,7 +394,7 @@ def parse(name: str, value: Any) -> Any:
 
 
 def draw(values: Mapping[str, Any], seed: int, index: int, prefix: str) -> dict[str, Any]:
-    """Draw all values of a section for one sample."""
+    """Return values drawn at random for one sample, by their names in a section."""
     return {
         name: value.draw(generator(seed, index, f"{prefix}.{name}")) if isinstance(value, (Between, OneOf)) else value
         for name, value in values.items()

@@ -28,7 +28,7 @@ EXPOSED = "_exposed"
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One sample.
+    """One sample: its arrays, its camera and everything drawn for it.
 
     Attributes
     ----------
@@ -50,11 +50,11 @@ class Sample:
 
     @property
     def camera(self) -> PlenopticCamera:
-        """The camera."""
+        """Camera of the sample."""
         return PlenopticCamera.from_dict(self.facts["camera"])
 
     def capture(self, model: str, *, exposed: bool = False) -> Capture:
-        """Return a capture, for `decode`, `reconstruct` and all else.
+        """Return a capture of the sample, as `decode` and `reconstruct` take it.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class Sample:
         return self.capture_called(model + EXPOSED * exposed, model)
 
     def capture_called(self, name: str, model: str) -> Capture:
-        """Return the capture of a name; by waves of version 1.0 or earlier, with the lens model that these had."""
+        """Return the capture of a name; wave captures of version 1.0 or earlier get the `lens_model` of their waves."""
         about, camera = self.facts["captures"][name], self.camera
         if model == "wave" and is_of_1_0(self.facts):
             camera = camera_of_waves(camera, about["wavelength"], about["metadata"])
@@ -74,7 +74,7 @@ class Sample:
 
     @property
     def truth(self) -> GroundTruth:
-        """The ground truth, for `decode`."""
+        """Ground truth of the sample, as `decode` takes it."""
         views = {name.removeprefix(VIEWS): array for name, array in self.arrays.items() if name.startswith(VIEWS)}
         return GroundTruth(
             camera=self.camera,
@@ -86,7 +86,7 @@ class Sample:
 
 
 def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
-    """Make or load the scene of a sample, seen by its camera."""
+    """Return the scene of a sample, loaded or generated, with the sample's camera."""
     source = recipe.scenes[plan.source]
     if plan.maker:
         # The scene's own random numbers, whatever else is drawn.
@@ -99,7 +99,7 @@ def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
 
 
 def make_sample(recipe: Recipe, index: int) -> Sample:
-    """Render a sample; its bits depend on the recipe and its index alone.
+    """Return a rendered sample, whose bits depend on the recipe and the index alone.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class Frame:
         contrast: float = 0.8,
         period: float | None = None,
     ) -> Shapes:
-        """Describe a diffuse surface `size` wide, with noise of details of about a lens, or stripes of a period."""
+        """Return a diffuse surface `size` wide with noise as fine as a lens, or with stripes of a period."""
         lenses = size / self.width(distance) * self.lenses
         texels = int(np.clip(_PER_LENS * lenses, 16, _MOST_TEXELS))
         detail = random.uniform(0.6, 1.6) * texels / lenses
@@ -80,18 +80,18 @@ class Frame:
         tall: float = 1.0,
         **pattern: Any,
     ) -> Shapes:
-        """Describe a rectangle that faces the camera; x, y and half its width as fractions of the field at z."""
+        """Return a rectangle that faces the camera; x, y and half the width are fractions of the field at z."""
         field = self.width(z)
         place = mi.ScalarTransform4f().translate([x * field, y * field, z]).rotate([0, 1, 0], 180)
         surface = self.pattern(random, 2 * half * max(tall, 1.0) * field, z, **pattern)
         return {"type": "rectangle", "to_world": place.scale([half * field, tall * half * field, 1]), "bsdf": surface}
 
     def wall(self, random: np.random.Generator, z: float = FAR, **pattern: Any) -> Shapes:
-        """Describe a wall behind everything, wider than any point of a pupil sees."""
+        """Return a wall behind all objects, wider than the view from any point of a pupil."""
         return self.card(random, 0, 0, z, 1.5, **pattern)
 
     def ball(self, x: float, y: float, z: float, radius: float, bsdf: Shapes) -> Shapes:
-        """Describe a sphere, its place and radius as fractions of the field at z."""
+        """Return a sphere, with position and radius as fractions of the field at z."""
         field = self.width(z)
         # Its poles, where patterns shrink, are above and below.
         place = mi.ScalarTransform4f().translate([x * field, y * field, z]).rotate([1, 0, 0], 90)
@@ -132,7 +132,7 @@ def _slant(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _balls(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a field of textured spheres."""
+    """Return a field of textured spheres."""
     places = zip(_places(random, 12, 0.5), _depths(random, 12), random.uniform(0.06, 0.14, 12), strict=True)
     balls = {
         f"ball_{k}": frame.ball(x, y, z, float(r), frame.pattern(random, 4 * r * frame.width(z), z))
@@ -188,7 +188,7 @@ MIRROR, MIRRORED = 224.0, 26.0
 
 
 def _mirror(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a plane mirror at 45 degrees that fills a part of the field, with a panel and two cards in it.
+    """Return a plane mirror at 45 degrees in part of the field, with a panel and two cards seen in it.
 
     It shows the panel, which is parallel to the axis, in a plane across it, as far behind the mirror's middle.
     """
@@ -236,7 +236,7 @@ def _plain(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _repeated(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show checks of a period of a few lenses, which look alike at several depths."""
+    """Return checks with a period of a few lenses, which look alike at several depths."""
     shapes = {"wall": frame.wall(random, period=float(random.uniform(2.5, 4)))}
     for k, ((x, y), z) in enumerate(zip(_places(random, 4, 0.4), _depths(random, 4), strict=True)):
         shapes[f"card_{k}"] = frame.card(random, x, y, z, 0.18, period=float(random.uniform(2, 5)))
@@ -254,8 +254,8 @@ def _lamps(frame: Frame, random: np.random.Generator) -> Shapes:
     return shapes
 
 
-def _white(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a wall that shines evenly."""
+def _luminous(frame: Frame, random: np.random.Generator) -> Shapes:
+    """Return an evenly luminous wall."""
     black = {"type": "diffuse", "reflectance": 0.0}
     return {"wall": frame.wall(random) | {"bsdf": black, "emitter": {"type": "area", "radiance": 1.0}}}
 
@@ -279,18 +279,18 @@ _LIGHT = {"lamps": Illumination(0.15, 0.1), WHITE: Illumination(1.0, 0.0)}
 
 @dataclass(frozen=True)
 class SceneMaker:
-    """Makes one scene of the benchmark, the same for all cameras."""
+    """Maker of one scene of the benchmark, which is the same for all cameras."""
 
     name: str
     seed: int
     frame: Frame
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> Shapes:
-        """Describe it for ``mi.load_dict``; what is given, which depends on the sample, changes nothing."""
+        """Return the scene as ``mi.load_dict`` takes it; camera and light of the sample do not change the objects."""
         own = np.random.default_rng(self.seed)
         return {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 8},
             **_LIGHT.get(self.name, Illumination(0.5, 0.4)).emitters(own, (NEAR + FAR) / 2),
-            **(_white if self.name == WHITE else SCENES[self.name])(self.frame, own),
+            **(_luminous if self.name == WHITE else SCENES[self.name])(self.frame, own),
         }

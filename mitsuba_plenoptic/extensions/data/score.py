@@ -18,7 +18,7 @@ import xarray as xr
 
 from ...errors import naming, refuse_if, refusing, require_choice
 from ...io.exr import read_exr_parts
-from ...io.files import require_file, require_size
+from ...runtime.files import require_file, require_size
 from .contents import CAPTURES, FINER, PUPIL_POINTS, Benchmark, central_truth
 from .dataset import Sample
 
@@ -45,7 +45,7 @@ def inner(size: int) -> slice:
 
 
 def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
-    """Score a depth map of the central view; unknown depths, NaN or infinite, are bad.
+    """Return the scores of a central view's depth map; unknown depths, NaN or infinite, are bad.
 
     Outside of mirrors and glass: fractions of bad bins, the relative root mean square error and the fraction of the
     depths that are known. In plane mirrors: fractions of bins that are more than 3 % off the mirror image, and off the
@@ -77,7 +77,7 @@ def _fraction(mask: np.ndarray, region: np.ndarray) -> float:
 
 
 def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
-    """Score pictures: means of the peak signal-to-noise ratio in decibels and of the structural similarity.
+    """Return means over pictures of the peak signal-to-noise ratio in decibels and of the structural similarity.
 
     Values are cut to 0 to 1, so that highlights do not outweigh all else, and NaN counts as 0. Pictures of less than 7
     pixels have no structural similarity.
@@ -101,7 +101,7 @@ def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
 
 @dataclass(frozen=True)
 class ScoredTask:
-    """What is to be found of a capture."""
+    """A task of the benchmark: what is to be found in a capture, and how answers are scored."""
 
     # In a few words, for the data card.
     words: str
@@ -163,12 +163,12 @@ def read_answer(path: Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def answer_folder(folder: Path, made: Benchmark, index: int, capture: str) -> Path:
-    """Return where the answers of a capture lie."""
+    """Return the folder of the answers to a capture."""
     return folder.joinpath(*made.name(index), capture)
 
 
 def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
-    """Score a submission.
+    """Return the scores of a submission.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
 
 
 def _answer(path: Path) -> Path:
-    """Return the file of an answer, of any of the formats; refuse where there is none."""
+    """Return the file of an answer in any of the formats; refuse a missing file."""
     found = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).exists()]
     refuse_if(len(found) > 1, f"{path}: there are {len(found)} answers: {', '.join(each.name for each in found)}")
     return found[0] if found else require_file(path.with_suffix(".npy"))
@@ -232,7 +232,7 @@ def _answer(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class TableLine:
-    """A line of the table: a task on captures of a kind and cameras of a split, by each submission."""
+    """A line of the table: one task, one kind of capture and one split, with the score of each submission."""
 
     task: str
     capture: str
@@ -244,7 +244,7 @@ class TableLine:
 
 
 def table(scored: Mapping[str, Sequence[dict[str, Any]]]) -> list[TableLine]:
-    """Average the scores of submissions by their names, and rank them on each task, kind of capture and split."""
+    """Return mean scores of submissions with their ranks, for each task, kind of capture and split."""
     lines = []
     keys = {(row["task"], row["capture"], row["split"]) for rows in scored.values() for row in rows}
     order = list(TASKS), list(CAPTURES), ["training", "held_out"]
@@ -263,6 +263,6 @@ def table(scored: Mapping[str, Sequence[dict[str, Any]]]) -> list[TableLine]:
 
 
 def _mean(values: Sequence[float]) -> float:
-    """Return the mean of the values that are defined, NaN if there is none."""
+    """Return the mean of the defined values, NaN if none is defined."""
     known = [value for value in values if not math.isnan(value)]
     return float(np.mean(known)) if known else math.nan

@@ -7,12 +7,10 @@ one. The same samples give the same bytes.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import logging
 import os
-import sys
 import warnings
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -24,31 +22,28 @@ from numpy.typing import NDArray
 
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
 from ...io.captures import MODELS
-from ...io.checkpoints import digest, flattened
-from ...io.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
+from ...io.checkpoints import digest, flattened, write_json
 from ...io.versions import KEY, is_of_1_0, stamped
-from ...report.stage_store import scene_fingerprint, write_json
+from ...report.stage_store import scene_fingerprint
+from ...runtime.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
 from ...runtime.limits import require_memory, software
 from .recipe import Recipe
 from .sample import Sample
-
-if sys.platform != "win32":
-    import fcntl
 
 MANIFEST, CARD, PREVIEW, CHECKSUMS = "dataset.json", "README.md", "preview.png", "checksums.sha256"
 
 LARGEST_LIST = 2**27
 """Bytes of the manifest or of the checksums, at most: of a million shards."""
 
-_LOCK = ".lock"
+LOCK = ".lock"
 
 _GROWING = "recipe.count"
 """The entry that may differ, if it grows."""
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Files of a data set."""
+class DataFolder:
+    """The folder of a data set: names of the files of its samples."""
 
     folder: Path
     count: int
@@ -60,11 +55,11 @@ class Layout:
         return -(-self.count // self.samples_per_shard)
 
     def shard(self, number: int) -> Path:
-        """Return the file of a shard."""
+        """Return the path of a shard."""
         return self.folder / "shards" / f"shard-{number:05d}.h5"
 
     def members(self, number: int) -> range:
-        """Return the samples of a shard."""
+        """Return the range of indices of a shard's samples."""
         first = number * self.samples_per_shard
         return range(first, min(first + self.samples_per_shard, self.count))
 
@@ -74,7 +69,7 @@ class Layout:
 
 
 def facts_of(recipe: Recipe) -> dict[str, Any]:
-    """Return what the bits of a data set depend on, in plain JSON values."""
+    """Return everything that determines the bits of a data set, as plain JSON values."""
     scenes = {
         f"scene {index + 1}": scene_fingerprint(source.scene, {})
         for index, source in enumerate(recipe.scenes)
@@ -98,37 +93,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return dict(content)
 
 
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Make the folder of a data set and keep other processes from making it, too.
-
-    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock.
-    """
-    path = folder / _LOCK
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file = path.open("w")
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}") from None
-    with file:
-        try:
-            if sys.platform != "win32":
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # The process that had it may have removed the file between the two calls.
-            mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
-        except (BlockingIOError, FileNotFoundError):
-            mine = False
-        except OSError as error:
-            raise InputError(f"{folder}: it cannot be locked: {error.strerror}") from None
-        refuse_if(not mine, f"{folder}: another process is making this data set; wait until it has ended")
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-
-
-def claim(folder: Path, recipe: Recipe) -> Layout:
-    """Find that a folder is empty, or that it holds samples of the same recipe, and write its manifest."""
+def claim(folder: Path, recipe: Recipe) -> DataFolder:
+    """Return the folder of a data set after writing its manifest; refuse a folder of another recipe."""
     facts = facts_of(recipe)
     if (folder / MANIFEST).exists():
         found = read_manifest(folder)
@@ -146,11 +112,11 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
             found["count"] > recipe.count,
             f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow",
         )
-    elif any(path.name != _LOCK for path in folder.iterdir()):
+    elif any(path.name != LOCK for path in folder.iterdir()):
         raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
     sizes = {"count": recipe.count, "samples_per_shard": recipe.samples_per_shard}
     write_json(folder / MANIFEST, {**sizes, "name": recipe.name, **facts})
-    layout = Layout(folder, recipe.count, recipe.samples_per_shard)
+    layout = DataFolder(folder, recipe.count, recipe.samples_per_shard)
     for part in (layout.shard(0), layout.sample(0)):
         part.parent.mkdir(exist_ok=True)
     return layout
@@ -158,13 +124,14 @@ def claim(folder: Path, recipe: Recipe) -> Layout:
 
 def recorded_checksums(folder: Path) -> dict[str, str]:
     """Return the checksums that were written for a data set, by file; an empty dictionary if there are no checksums."""
-    path = folder / CHECKSUMS
-    if not path.exists():
-        return {}
     try:
-        pairs = [line.partition("  ") for line in read_text(path, LARGEST_LIST).splitlines()]
+        return _checksums(folder)
     except InputError:
         return {}
+
+
+def _checksums(folder: Path) -> dict[str, str]:
+    pairs = [line.partition("  ") for line in read_text(folder / CHECKSUMS, LARGEST_LIST).splitlines()]
     return {name: expected for expected, _, name in pairs}
 
 
@@ -193,22 +160,18 @@ def write_samples(path: Path, samples: Iterable[Sample]) -> None:
     with atomic_output(path) as temporary, Sink(temporary, "w+") as sink:
         with h5py.File(sink, "w") as file:
             for sample in samples:
-                _write_sample(file, sample)
+                arrays: dict[str, Any] = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
+                arrays[_FACTS] = _as_bytes(sample.facts)
+                arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
+                group = file.create_group(group_name(sample.index))
+                for name, array in arrays.items():
+                    group.create_dataset(name, data=array)
                 sink.check(path)
         sink.check(path)
 
 
-def _write_sample(file: Any, sample: Sample) -> None:
-    group = file.create_group(group_name(sample.index))
-    arrays: dict[str, NDArray[Any]] = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
-    arrays[_FACTS] = _as_bytes(sample.facts)
-    arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
-    for name, array in arrays.items():
-        group.create_dataset(name, data=array)
-
-
 def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
-    """Return JSON of any length: attributes of HDF5 end at 64 KiB."""
+    """Return a text as an array of bytes, since attributes of HDF5 hold at most 64 KiB."""
     return np.frombuffer(json.dumps(values, sort_keys=True).encode(), np.uint8)
 
 
@@ -255,7 +218,7 @@ def read_sample(
 
 
 def whole_samples(path: Path) -> set[int]:
-    """Return the indices of the undamaged samples in a file, if there is one, and name the damaged ones in the log."""
+    """Return the indices of undamaged samples in a file, if the file exists, and log the damaged ones."""
     if not path.exists():
         return set()
     found = set()
@@ -272,7 +235,7 @@ def whole_samples(path: Path) -> set[int]:
 
 
 def _remark(folder: Path, manifest: dict[str, Any]) -> None:
-    """Say of a data set of version 1.0 or earlier how its wave captures are read."""
+    """Log how the wave captures of a data set of version 1.0 or earlier are read."""
     recipe = manifest.get("recipe")
     models = recipe.get("models", MODELS) if isinstance(recipe, dict) else ()
     if is_of_1_0(manifest) and "wave" in models:
@@ -284,7 +247,7 @@ def _remark(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 class DataSet:
-    """A data set in its folder: ``dataset[17]`` is a `Sample`.
+    """A data set in a folder; ``dataset[17]`` is a `Sample`.
 
     Samples are read when they are asked for. It may be pickled and used in forked processes; each opens the files anew.
 
@@ -305,7 +268,7 @@ class DataSet:
         self.folder = Path(folder)
         self.manifest = read_manifest(self.folder)
         self.fields = None if fields is None else tuple(fields)
-        self._layout = Layout(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
+        self._layout = DataFolder(self.folder, self.manifest["count"], self.manifest["samples_per_shard"])
         self._files: dict[int, Any] = {}
         self._process = os.getpid()
         _remark(self.folder, self.manifest)
@@ -319,7 +282,7 @@ class DataSet:
         return self._layout.count
 
     def __getitem__(self, index: int) -> Sample:
-        """Read a sample by its index."""
+        """Return the sample with an index."""
         if index >= len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)
@@ -334,16 +297,15 @@ class DataSet:
         return {**self.__dict__, "_files": {}}
 
     def damaged(self) -> list[str]:
-        """Compare all files with their checksums, and return the names of those that differ or are missing.
+        """Return the names of files that are missing or differ from their checksums.
 
         Raises
         ------
         InputError
             If there are no checksums.
         """
-        lines = read_text(self.folder / CHECKSUMS, LARGEST_LIST).splitlines()
         found = []
-        for expected, _, name in (line.partition("  ") for line in lines):
+        for name, expected in _checksums(self.folder).items():
             # No name in the file leads out of the folder.
             path = self.folder / name
             inside = path.resolve().is_relative_to(self.folder.resolve())

@@ -18,7 +18,7 @@ except ImportError:
 
 
 class TorchDataset(torch.utils.data.Dataset):
-    """A data set of tensors for ``torch.utils.data.DataLoader``: each item is a dictionary of them.
+    """Data set for ``torch.utils.data.DataLoader``, whose items are dictionaries of tensors.
 
     Colour channels come first, as in PyTorch's convolutions: (3, rows, columns). Everything else is as in `Sample`.
     What is unknown stays NaN, and depths of what is infinitely far stay infinite. Batches need arrays of one size,
@@ -38,7 +38,7 @@ class TorchDataset(torch.utils.data.Dataset):
         return len(self.samples)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Read a sample: its arrays as tensors, and its index as ``index``."""
+        """Return the arrays of a sample as tensors, and its index as ``index``."""
         sample = self.samples[index]
         tensors: dict[str, Any] = {
             name: torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0)) if array.ndim == 3 else array)

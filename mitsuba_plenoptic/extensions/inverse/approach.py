@@ -19,7 +19,7 @@ from .point_rays import RayModels, check_numbers, vector_of
 
 
 def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
-    """Return a camera with the pitches, the angle and the offset of its microlens array taken from a white capture.
+    """Return the camera with pitches, angle and offset of the microlens array found from a white capture.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
 
 
 def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
-    """Return the camera whose nearest lenses are at these positions."""
+    """Return the camera whose nearest lenses are at given positions."""
     lattice = camera.lattice
     i, j = lattice.cell(*position.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
@@ -100,7 +100,7 @@ def coarse_fit(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlenopticCamera:
-    """Find a camera from which `fit` converges, where the start is some percent off in every length.
+    """Return a camera from which `fit` converges, for a start that is some percent off in every length.
 
     A fit does not converge if the spots of the model do not overlap those of a capture. Here both are blurred, at first
     so that they overlap and then less and less, and the least squares of their differences are found with the fast ray

@@ -42,38 +42,38 @@ class LinearFunction:
 
     @property
     def T(self) -> LinearFunction:
-        """The transpose."""
+        """Transpose of this function."""
         return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the result from that of an array, or refuse it before anything is computed."""
+        """Return the shape of the result for arrays of a given shape; refuse a wrong one before computing."""
         return *_batch(self.takes, given, self.before), *self.after
 
 
 class Value(Protocol):
-    """The value of a function at some arrays, and its derivatives there."""
+    """Value of a function at given arrays, with its derivatives at these arrays."""
 
     value: Array
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the value with those of the arrays; None stands for an array that does not change."""
+        """Return the change of the value for changes of the arrays; None stands for an array that does not change."""
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradient by each array that needs it, of its shape."""
+        """Return the gradient by each array that needs one, in the shape of the array."""
 
 
 class SmoothFunction(Protocol):
-    """A function of arrays with derivatives."""
+    """A function of arrays that has derivatives."""
 
     def at(self, *given: Array) -> Value:
-        """Return its value, and what its derivatives need."""
+        """Return the value of the function at given arrays, with the data for its derivatives."""
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the value from that of the first array, or refuse it before anything is computed."""
+        """Return the shape of the value for a first array of a given shape; refuse a wrong one before computing."""
 
 
 class Latest:
-    """A function that remembers its latest value with what the derivatives need."""
+    """A function that keeps its latest value, with the data that derivatives need."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Latest:
         self._value: Value | None = None
 
     def at(self, given: Sequence[Any]) -> Value:
-        """Return the value at some arrays."""
+        """Return the value of the function at given arrays, computed only if they differ from the latest arrays."""
         # Another thread may have this function forget its value meanwhile.
         known, value = self._given, self._value
         if value is None or len(known) != len(given) or not all(map(self._equal, given, known)):
@@ -100,7 +100,7 @@ class Latest:
         return value
 
     def forget(self) -> None:
-        """Free the latest value; whoever asks for it again has it computed again."""
+        """Free the latest value; a later request computes it again."""
         self._given, self._value = [], None
 
 
@@ -132,7 +132,7 @@ def points(operator: CaptureOperator) -> LinearFunction:
 
 
 def _images(operator: CaptureOperator, weights: Array) -> Array:
-    """Apply the operator to weights."""
+    """Return images, the operator applied to weights."""
     made = [np.moveaxis(operator.forward(columns), -1, 0) for columns in _columns(operator, weights)]
     before, after = _axes(operator)
     # In the order of memory that the layers of networks are fast with.
@@ -140,24 +140,24 @@ def _images(operator: CaptureOperator, weights: Array) -> Array:
 
 
 def _products(operator: CaptureOperator, images: Array) -> Array:
-    """Apply the operator's transpose to images."""
+    """Return weights, the operator's transpose applied to images."""
     made = [operator.adjoint(channels).T for channels in _channels(operator, images)]
     after, before = _axes(operator)
     return np.concatenate(made).reshape(*images.shape[: -len(before)], *after)
 
 
 def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
-    """Return weights as the operator takes them."""
+    """Return weights, one column for each capture, in the layout of the operator."""
     return _split("weights", weights, _axes(operator)[0], operator)
 
 
 def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
-    """Return images as the operator takes them."""
+    """Return images, one for each capture, in the layout of the operator."""
     return _split("images", images, _axes(operator)[1], operator)
 
 
 def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
-    """Return the last axes of weights, and those of images."""
+    """Return the shapes that weights and images have in their last axes."""
     count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
     if spectrum is None:
         return (count,), shape
@@ -196,7 +196,7 @@ class CameraCapture:
         return CameraValue(self._make(camera), camera, self._names, weights, values)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of images from that of weights."""
+        """Return the shape of images for weights of a given shape."""
         before, after = self._last_axes
         return *_batch("weights", given, before), *after
 
@@ -221,7 +221,7 @@ class CameraValue:
         self.value = _images(operator, weights)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the images; see `Value`."""
+        """Return the change of the images for changes of parameters and weights; see `Value`."""
         of_weights, *of_values = changes
         total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
         named = {name: each for name, each in zip(self._names, of_values, strict=True) if each is not None}
@@ -232,7 +232,7 @@ class CameraValue:
         return total + np.concatenate(made).reshape(total.shape)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradients; see `Value`."""
+        """Return the gradients by parameters and weights; see `Value`."""
         names = [name for name, one in zip(self._names, needed[1:], strict=True) if one]
         total: dict[str, Any] = dict.fromkeys(names, 0.0)
         if names:
@@ -270,21 +270,21 @@ _NAMES = "captures", "images"
 
 @dataclass(frozen=True, eq=False)
 class Refocused:
-    """Refocusing that is not linear."""
+    """Refocusing as a function of captures that is not linear: by waves or by deconvolution."""
 
     by: CoherentRefocus | DeconvolvedRefocus
 
     def at(self, *given: Array) -> RefocusedValue:
-        """Refocus captures."""
+        """Return refocused captures, with their derivatives."""
         return RefocusedValue(self.by, *given)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of images from that of captures, or refuse it."""
+        """Return the shape of refocused images for captures of a given shape; refuse a wrong shape."""
         return *_batch(_NAMES[0], given, self.by.camera.shape), *self.by.shape
 
 
 class RefocusedValue:
-    """Refocused captures, and their derivatives."""
+    """Refocused captures, with their derivatives by the captures."""
 
     def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
         def image(given: Array) -> Array:
@@ -295,7 +295,7 @@ class RefocusedValue:
         self.value = _together(image, _NAMES[0], self._axes[0], captures)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the images; see `Value`."""
+        """Return the change of the refocused images for a change of the captures; see `Value`."""
         (change,) = changes
         if change is None:
             return np.zeros(self.value.shape)

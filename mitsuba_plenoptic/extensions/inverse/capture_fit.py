@@ -187,7 +187,7 @@ class Model(Protocol):
 def _model_of(
     model: str, camera: PlenopticCamera, views: list[View], wavelength: float, accuracy: float
 ) -> Callable[[PlenopticCamera], Model]:
-    """Return what makes the model of a camera near the first."""
+    """Return a function that makes the model of captures for a camera near the first one."""
     if require_choice("model", model, MODELS) == "wave":
         return partial(WaveModel, views=views, wavelength=wavelength, accuracy=accuracy)
     refuse_if(accuracy, f"accuracy = {accuracy:g}: it is for fits by the wave model; leave it out")
@@ -231,7 +231,7 @@ class _Trials:
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
-        """Save the parameters in a checkpoint, and return those that it has of the same fit, or the start."""
+        """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or the start."""
         self._checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:

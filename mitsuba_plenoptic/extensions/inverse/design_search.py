@@ -24,15 +24,15 @@ class Figure(Protocol):
     """The figure of merit, to be as large as possible."""
 
     def value(self, camera: PlenopticCamera) -> float:
-        """Return it for a camera."""
+        """Return the figure of merit of a camera."""
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return it, and its derivatives by parameters of the camera, as `CaptureOperator.gradient` has them."""
+        """Return the figure of merit of a camera and its derivatives, named as by `CaptureOperator.gradient`."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """The result of a search.
+    """Camera and figure of merit that a search has found.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def maximise(
 
 
 def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
-    """Return the parameters that vary: those of which there are bounds."""
+    """Return the vector of the varied camera parameters, which are those with bounds."""
     named: list[str] = []
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])

@@ -18,7 +18,7 @@ from ...cli.inputs import (
     parse_definitions,
     require_in_use,
 )
-from ...cli.stopping import Resume, existing_checkpoint, stopped_by_hand
+from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
 
@@ -91,11 +91,10 @@ def fit(
     import numpy as np
 
     from ...io.captures import read_capture
-    from ...io.checkpoints import SUFFIX, Checkpoint
-    from ...io.files import require_apart, require_writable
     from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
+    from ...runtime.files import require_apart, require_writable
     from . import fitting
     from .point_rays import vector_of
 
@@ -137,11 +136,10 @@ def fit(
             saturation=full if saturation is None else saturation,
         )
         views.append(view)
-    checkpoint = require_writable(output.with_name(output.name + SUFFIX))
-    with Checkpoint(checkpoint, existing_checkpoint(resume)) as steps:
+    with checkpoint_of(output, resume) as steps:
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
             # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
-            if afar and not (resume and checkpoint.exists()):
+            if afar and not (resume and steps.path.exists()):
                 first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,
@@ -171,8 +169,8 @@ def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tupl
 
 
 def _write(output: Path, found: Fit) -> None:
-    """Write the camera, and print what is known of it."""
-    from ...io.files import write_text
+    """Write the camera's file, and print parameters, deviations and warnings of the fit."""
+    from ...runtime.files import write_text
 
     write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():

@@ -39,7 +39,7 @@ _NEGATIVE = 6.0
 
 @dataclass(frozen=True)
 class PixelNoise:
-    r"""Noise of counted electrons, and of the dark.
+    r"""Noise of a detector: photon noise of counted electrons, and the variance of dark pixels.
 
     The variance of a pixel whose expected value is :math:`v` is :math:`(E v + d) / E^2`.
 
@@ -114,7 +114,7 @@ class Pixels:
 
 
 def by_model(view: View, default: PixelNoise | None) -> bool:
-    """Return whether the noise of a view, or which of its pixels count, depends on what a model expects."""
+    """Return whether the noise of a view, or its choice of pixels, depends on the model's expected image."""
     return view.saturation is not None or isinstance(default if view.noise is None else view.noise, PixelNoise)
 
 
@@ -138,7 +138,7 @@ def _pixels(view: View, expected: NDArray[np.float64], default: PixelNoise | Non
 
 
 def check_light(view: View, default: PixelNoise | None = None) -> None:
-    """Refuse a view that shows no light, or pixels further below zero than noise takes them."""
+    """Refuse a view without light, or with pixels further below zero than noise explains."""
     noise = default if view.noise is None else view.noise
     if isinstance(noise, PixelNoise):
         dark, least = (np.sqrt(max(noise.dark_variance, some)) / noise.electrons for some in (0.0, _LEAST_ELECTRONS))
@@ -240,7 +240,7 @@ class View:
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """Pixels that count by the mask and by what they show, (rows, columns)."""
+        """Mask of the pixels, (rows, columns), that neither `mask` nor saturation excludes."""
         used = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
         return used if self.saturation is None else used & (self.image < self.saturation)
 

@@ -43,7 +43,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class Fit:
-    """The result of a fit.
+    """Camera, parameters and deviations that a fit has found.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ def summary(
     pixels: Pixels,
     steps: int,
 ) -> Fit:
-    """Gather what a fit found; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
+    """Return the result of a fit; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
     for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
         refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
@@ -150,14 +150,14 @@ def summary(
 
 
 def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
-    """Return how far parameters move from a bound, against the slope, until the sum of squares is larger by 1."""
+    """Return the distance of parameters from their bound at which the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(which)])
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))
 
 
 def steps_along(found: Fit) -> NDArray[np.float64]:
-    """Return a step of its deviation along each direction, at most a unit of `Fit.scales`; (directions, parameters)."""
+    """Return a step of one deviation, at most a unit of `Fit.scales`, along each direction, (directions, numbers)."""
     lengths = np.fmin([direction.deviation for direction in found.directions], 1.0)
     parts = np.array([list(direction.parts.values()) for direction in found.directions])
     return np.asarray(lengths[:, None] * parts * list(found.scales.values()))

@@ -43,7 +43,7 @@ __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
 def forward(operator: CaptureOperator, weights: Any) -> Any:
-    """Capture points with weights: `CaptureOperator.forward`, differentiable any number of times.
+    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times.
 
     A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
     compute them in each direction.
@@ -69,7 +69,7 @@ def forward(operator: CaptureOperator, weights: Any) -> Any:
 
 
 def adjoint(operator: CaptureOperator, images: Any) -> Any:
-    """Weigh images by the point spreads: `CaptureOperator.adjoint`, differentiable any number of times.
+    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def capture(
 
 
 def refocus(by: Refocus, captures: Any) -> Any:
-    """Refocus captures, differentiably: with the ray model any number of times, with others once.
+    """Return refocused captures; differentiable any number of times with the ray model, once with other methods.
 
     The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
     those of all captures of the latest batch.
@@ -160,7 +160,7 @@ def refocus(by: Refocus, captures: Any) -> Any:
 
 
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
-    """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
+    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
 
     Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
     The scene keeps the values; its derivatives give it those of their image again.
@@ -224,7 +224,7 @@ def _latest(function: SmoothFunction) -> Latest:
 
 
 def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
-    """Return a function of NumPy's arrays from one of a list of them; `like` has the shapes and types of its results.
+    """Return `function`, which takes a list of NumPy arrays, as a function of arrays; `like` describes its results.
 
     JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
     """
@@ -238,7 +238,7 @@ def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
 
 
 def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
-    """Return what stands for an array of the same type."""
+    """Return a description of an array of the same type, with a given shape."""
     return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
 
 
@@ -268,7 +268,7 @@ def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], s
 
 
 def _one_by_one(primitive: Primitive) -> None:
-    """Let a primitive be mapped by ``jax.vmap``, which applies it to one row after the other."""
+    """Register a rule by which ``jax.vmap`` applies a primitive to one row after the other."""
 
     def batched(given: Sequence[Any], axes: Sequence[Any], **options: Any) -> Any:
         mapped = [k for k, axis in enumerate(axes) if axis is not None]
@@ -313,7 +313,7 @@ _smooth = _primitive(
 
 
 def _split(given: Sequence[Any], which: tuple[bool, ...]) -> tuple[Sequence[Any], list[Any]]:
-    """Return the arrays where derivatives are taken, and the changes of those that change, None for others."""
+    """Return the arrays at which derivatives are taken, and the change of each array, None where it is constant."""
     changes = iter(given[len(which) :])
     return given[: len(which)], [next(changes) if one else None for one in which]
 

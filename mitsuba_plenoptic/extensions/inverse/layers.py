@@ -99,7 +99,7 @@ def make_class() -> type:
     """Define the integrator for the active variant, to which its types are bound."""
 
     class LayersIntegrator(mi.ad.integrators.common.RBIntegrator):
-        """The radiance of layers along rays."""
+        """Radiance of layers along rays, as an integrator."""
 
         def __init__(self, layers: Layers) -> None:
             super().__init__(mi.Properties())
@@ -108,7 +108,7 @@ def make_class() -> type:
             self._textures = [mi.Texture2f(each, wrap_mode=dr.WrapMode.Clamp) for each in texels]
 
         def set_texels(self, values: list[Any]) -> None:
-            """Replace the texels of each plane, tensors as in `Layers.texels`, by which there are derivatives."""
+            """Replace the texels of all planes by tensors shaped as `Layers.texels`, which may carry gradients."""
             for texture, value in zip(self._textures, values, strict=True):
                 texture.set_tensor(value)
 

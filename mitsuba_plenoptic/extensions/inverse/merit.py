@@ -201,7 +201,7 @@ class _Move:
 
 
 class DepthInformation:
-    r"""How precisely noisy captures determine the depths of points whose other coordinates are unknown, too.
+    r"""Figure of merit: how precisely noisy captures determine the depths of points of unknown position and brightness.
 
     Of each point the position (X, Y, g) and the brightness w are unknown. With the expected counts of photons I and the
     background B of each pixel Fisher's information is
@@ -292,7 +292,7 @@ class DepthInformation:
     def _moved(
         self, camera: PlenopticCamera, cotangents: list[NDArray[np.float64]]
     ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield where points are, and the gradients by their spreads."""
+        """Yield positions of the points after small moves, and the gradients by their spreads."""
         image, *along, depth = cotangents
         yield self._spreads.points, image
         tilts = self._tilts(camera)
@@ -328,7 +328,7 @@ class DepthInformation:
         return [*moves, _Move(there, back, rate[:, None, None])]
 
     def _noise(self, expected: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the variances of the pixels."""
+        """Return the noise variance of each pixel for an expected image."""
         return np.maximum(expected, 0) + self._background
 
     def _covariance(self, expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,11 +18,11 @@ from ...camera.entry import Captures
 from ...camera.plenoptic_camera import require_known_to, require_no_glass, require_no_shape
 from ...camera.vector import CameraVector
 from ...errors import refuse_if, short_repr
-from ...lattice import Lattice, make_lattice
+from ...lattice import make_lattice
 from ...lenses.main_lens import MainLens
 from ...light.optical_system import OpticalSystem
 from ...light.sampling import check_memory, check_positions
-from ...optics import rays
+from ...light.walk import Passage, Walk
 from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH, check_names, light_slopes
 from ...points.operator import CaptureOperator
 from ...points.pupil_weights import PupilWeights
@@ -183,7 +183,7 @@ def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Bundles:
-    """The rays of a few points."""
+    """Rays from a few points through an even grid of the pupil to the detector."""
 
     camera: PlenopticCamera
     lens: MainLens
@@ -208,7 +208,7 @@ class _Bundles:
         radius = self._number(self.lens.pupil_radius)
         step = radius * (2 / (side - 2))
         pupil = tuple((Float64(part) + (0.5 - side / 2)) * step for part in (within % side, within // side))
-        light, point = self._lens.bind(self.points, which), tuple(value(part) for part in self.points.T)
+        light, point = self._walk.lens.bind(self.points, which), tuple(value(part) for part in self.points.T)
         power = light.amplitude(pupil, point) ** 2 * dr.clip(light.inside(pupil) / step + 0.5, 0, 1)
         if self.weights is not None:
             power *= Float64(self.weights.at(which, pupil[0], pupil[1], radius, step)[0])
@@ -218,8 +218,9 @@ class _Bundles:
         scales = _scales(self.camera, self.lens, self.points)
         on_array, on_detector = (value(abs(scale)) * step for scale in scales)
         for (i, j), fraction in self._lenses(position, on_array):
-            landed, shrunk = self._detector_position(pupil, position, i, j)
-            self._detect(image, landed, on_detector * shrunk, power * fraction)
+            landed, weight = self._walk.onto_detector(pupil, Passage(position, *self._walk.lens_at(i, j)))
+            # In a medium squares are smaller than by the reduced distance.
+            self._detect(image, landed, on_detector * weight**-0.25, power * fraction)
 
     @staticmethod
     def _number(value: Any) -> Any:
@@ -227,23 +228,24 @@ class _Bundles:
         return dr.opaque(array_module().Float64, float(value))
 
     @cached_property
-    def _lens(self) -> MainLens:
-        """Return the main lens, with opaque values if it is thin."""
-        return self.lens.opaque(self._number)
-
-    @cached_property
-    def _lattice(self) -> Lattice:
-        """Return the microlens array with opaque values."""
-        camera = self.camera
-        along, across = (self._number(pitch) for pitch in camera.mla_pitches)
-        offset = tuple(self._number(part) for part in camera.mla_offset)
-        return make_lattice(
-            camera.mla_lattice, (along, across), rotation=self._number(camera.mla_rotation), offset=offset
+    def _walk(self) -> Walk:
+        """The walk through elements of opaque values."""
+        camera, number = self.camera, self._number
+        lattice = make_lattice(
+            camera.mla_lattice,
+            tuple(map(number, camera.mla_pitches)),
+            rotation=number(camera.mla_rotation),
+            offset=tuple(map(number, camera.mla_offset)),
         )
+        lengths = drjit_array(array_module().Float64, np.array(camera.mla_focal_lengths))
+        dr.make_opaque(lengths)
+        medium = camera.mla_medium if camera.mla_medium == 1 else number(camera.mla_medium)
+        lens, z = self.lens.opaque(number), number(camera.detector_distance)
+        return Walk(camera, lens, lattice, lengths, z, medium)
 
     def _lenses(self, position: tuple[Any, Any], width: Any) -> list[tuple[tuple[Any, Any], Any]]:
         """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
-        lattice, plain = self._lattice, self.camera.lattice
+        lattice, plain = self._walk.lattice, self.camera.lattice
         cell = lattice.cell(*position)
         u, v = lattice.to_frame(position[0] - lattice.offset[0], position[1] - lattice.offset[1])
         u, v = u / lattice.pitches[0], v / lattice.row_distance
@@ -264,25 +266,6 @@ class _Bundles:
             found.append((lens, dr.maximum(1 - beyond / fade, 0)))
         whole = sum((fraction for _, fraction in found), 0.0)
         return [(lens, fraction / whole) for lens, fraction in found]
-
-    def _detector_position(
-        self, pupil: tuple[Any, Any], position: tuple[Any, Any], i: Any, j: Any
-    ) -> tuple[tuple[Any, Any], Any]:
-        """Return where rays through lenses hit the detector, and how much closer there than by the reduced distance."""
-        camera, lattice = self.camera, self._lattice
-        lengths = [self._number(length) for length in camera.reduced_focal_lengths]
-        f2 = lengths[0]
-        for number, length in enumerate(lengths[1:], 1):
-            f2 = dr.select(abs(lattice.lens_type(i, j) - number) < 0.5, length, f2)
-        b, z = self._number(self.lens.pupil_distance), self._number(camera.detector_distance)
-        slope = (position[0] - pupil[0]) / b, (position[1] - pupil[1]) / b
-        cx, cy = lattice.centre(i, j)
-        turn = (position[0] - cx) / f2, (position[1] - cy) / f2
-        chief = (cx / b, cy / b) if camera.lens_model == "ideal" else None
-        n = camera.mla_medium if camera.mla_medium == 1 else self._number(camera.mla_medium)
-        x, y = rays.into_medium(slope, turn, chief, n)
-        shrunk = rays.evenness(slope, (x, y), chief, n) ** -0.25 if camera.mla_medium != 1 else 1.0
-        return (position[0] + z * x, position[1] + z * y), shrunk
 
     def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
         """Add squares around positions on the detector to the pixels that they cover."""

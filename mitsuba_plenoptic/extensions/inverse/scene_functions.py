@@ -20,7 +20,7 @@ _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of 
 
 
 class Rendering:
-    """The image of a scene as a function of some of its parameters, given as tensors of NumPy or Dr.Jit."""
+    """Image of a scene as a function of some of its parameters, given as NumPy or Dr.Jit tensors."""
 
     def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
         # Each variant has a class of its own.
@@ -47,7 +47,7 @@ class Rendering:
             )
 
     def at(self, *given: Any) -> RenderedValue:
-        """Render the scene with some values."""
+        """Return the image of the scene with given parameter values."""
         return RenderedValue(self, given)
 
     def shape(self, _: Shape) -> Shape:
@@ -58,7 +58,7 @@ class Rendering:
         return int(rows), int(columns), int(film.bitmap().channel_count())
 
     def require_variant(self) -> None:
-        """Refuse another variant than that of the scene and the integrator, whose types have the same names."""
+        """Refuse an active variant that differs from the variant of the scene and the integrator."""
         for name, plugin in (("scene", self._scene), ("integrator", self._integrator)):
             own, active = plugin.variant_name(), mi.variant()
             refuse_if(own != active, f"{name}: it is of the variant {own}, but {active} is active; set {own}")
@@ -72,7 +72,7 @@ class Rendering:
         return made
 
     def put(self, typed: Sequence[Any]) -> None:
-        """Give the scene values."""
+        """Write parameter values into the scene."""
         for name, value in zip(self._expected, typed, strict=True):
             self.parameters[name] = value
         self.parameters.update()
@@ -92,7 +92,7 @@ class Rendering:
         return made
 
     def forward(self) -> Any:
-        """Return the change of the image with those of the scene."""
+        """Return the change of the image for the changes that the scene's parameters carry."""
         return self._integrator.render_forward(self._scene, self.parameters, *self._with_other_seed())
 
     def backward(self, gradient: Any) -> None:
@@ -100,12 +100,12 @@ class Rendering:
         self._integrator.render_backward(self._scene, self.parameters, gradient, *self._with_other_seed())
 
     def _with_other_seed(self) -> tuple[Any, int, int]:
-        """Return the sensor, the seed of derivatives, which is that of `mi.render`, and the samples per pixel."""
+        """Return the sensor, the seed with which `mi.render` renders derivatives, and the samples per pixel."""
         return self._scene.sensors()[0], mi.sample_tea_32(self._seed, 1)[0], self._spp
 
 
 class RenderedValue:
-    """The image of a scene, and its derivatives by some of its parameters.
+    """Image of a scene at given parameter values, with its derivatives by these values.
 
     Derivatives render again: they first give the scene the values that it had, which others may have replaced.
     """
@@ -119,7 +119,7 @@ class RenderedValue:
 
     @one_at_a_time
     def jvp(self, changes: Sequence[Any]) -> Any:
-        """Return the change of the image; see `Value`."""
+        """Return the change of the image for changes of the parameter values; see `Value`."""
         kept = [np.zeros(shape) if each is None else each for each, shape in zip(changes, self._shapes, strict=True)]
         with self._attached([each is not None for each in changes]) as values:
             dr.set_grad(values, self._rendering.typed(kept))
@@ -141,7 +141,7 @@ class RenderedValue:
 
     @contextmanager
     def _attached(self, which: Sequence[bool]) -> Iterator[list[Any]]:
-        """Give the scene the values, some of them with gradients, which it has no more at the end."""
+        """Put the values into the scene, the chosen ones with gradients, and detach them at the end."""
         self._rendering.require_variant()
         values = [type(each)(each) for each in self._typed]
         dr.enable_grad([each for each, one in zip(values, which, strict=True) if one])

@@ -44,7 +44,7 @@ __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
 def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
-    """Capture points with weights: `CaptureOperator.forward`, differentiable any number of times.
+    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times.
 
     A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
     compute them in each direction.
@@ -70,7 +70,7 @@ def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
 
 
 def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
-    """Weigh images by the point spreads: `CaptureOperator.adjoint`, differentiable any number of times.
+    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def capture(
 
 
 def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
-    """Refocus captures, differentiably: with the ray model any number of times, with others once.
+    """Return refocused captures; differentiable any number of times with the ray model, once with other methods.
 
     The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
     those of all captures of a batch.
@@ -161,7 +161,7 @@ def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
 def render(
     scene: Any, values: Mapping[str, torch.Tensor], *, integrator: Any = None, spp: int = 0, seed: int = 0
 ) -> torch.Tensor:
-    """Render a scene with some parameters: ``mi.render``, differentiable by these, once.
+    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
 
     Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
     The scene keeps the values; its derivatives give it those of their image again.
@@ -220,7 +220,7 @@ class _Linear(torch.autograd.Function):
 
 
 class _RowByRow(torch.autograd.Function):
-    """A function that ``torch.vmap`` applies to one row after the other."""
+    """Function for autograd that ``torch.vmap`` applies to one row after the other."""
 
     @classmethod
     def vmap(cls, info: Any, axes: tuple[int | None, ...], *given: Any) -> tuple[Any, Any]:
@@ -235,7 +235,7 @@ class _RowByRow(torch.autograd.Function):
 
 
 class _Smooth(_RowByRow):
-    """A function of arrays with derivatives, which are those at the arrays of the forward pass."""
+    """Function of arrays with derivatives taken at the arrays of the forward pass."""
 
     @staticmethod
     def forward(function: Latest, *given: torch.Tensor) -> torch.Tensor:
@@ -262,11 +262,11 @@ class _Smooth(_RowByRow):
 
 
 class _Once(_RowByRow):
-    """A derivative, which has none itself."""
+    """Derivative of a function, which cannot be differentiated again."""
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-        """Keep nothing."""
+        """Save nothing for the backward pass."""
 
     @staticmethod
     def backward(ctx: Any, *_: Any) -> Any:
@@ -278,7 +278,7 @@ class _Once(_RowByRow):
 
 
 class _Change(_Once):
-    """The change of a function's value with those of some of the arrays."""
+    """Change of a function's value for changes of some of its arrays."""
 
     @staticmethod
     def forward(function: Latest, which: frozenset[int], *tensors: torch.Tensor) -> torch.Tensor:
@@ -299,7 +299,7 @@ class _Gradients(_Once):
 
 
 def _where(which: Iterable[bool]) -> frozenset[int]:
-    """Return where something holds, as a set, into which PyTorch's transforms do not look."""
+    """Return the indices of true entries as a set, into which PyTorch's transforms do not look."""
     return frozenset(k for k, one in enumerate(which) if one)
 
 
@@ -309,7 +309,7 @@ def _latest(function: SmoothFunction) -> Latest:
 
 
 def _array(tensor: torch.Tensor) -> NDArray[Any]:
-    """Return the memory of a tensor, or a copy of it on the processor."""
+    """Return a tensor as a NumPy array: its own memory, or a copy on the processor."""
     given = _required(tensor).detach().cpu()
     # NumPy has no types for bfloat16 and for a quarter of the precision.
     known = given if given.dtype in (torch.float32, torch.float64) else given.float()
@@ -317,7 +317,7 @@ def _array(tensor: torch.Tensor) -> NDArray[Any]:
 
 
 def _required(value: Any) -> torch.Tensor:
-    """Return a tensor with values in memory, of floating point, which others would round results to; else refuse."""
+    """Return a tensor of floating point with values in memory; refuse whole numbers, which would round results."""
     refuse_if(not isinstance(value, torch.Tensor), f"{short_repr(value)}: it must be a tensor of PyTorch")
     refuse_if(
         not value.is_floating_point() or value.layout != torch.strided or value.is_meta,

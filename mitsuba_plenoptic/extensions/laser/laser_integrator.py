@@ -17,11 +17,11 @@ from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.spectrum import Spectrum
-from ...plugins.properties import DEFAULT_WAVELENGTH, put, read_plain, require_read
+from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
-from ...runtime.jobs import Job
+from ...runtime.batches import Job
 from .lit_points import LaserScene, LitPoints, named_lasers, without
 from .modes import mode_count
 from .realisations import coherent_capture
@@ -38,7 +38,7 @@ SOURCE = ("source_diameter", "source_distance", "bandwidth", "roughness")
 def make_class() -> type:
     """Define the plugin's class for the active Mitsuba variant, to which its types are bound."""
 
-    class PlenopticLaserIntegrator(mi.SamplingIntegrator):
+    class PlenopticLaserIntegrator(make_base()):  # type: ignore[misc]
         r"""Laser light: captures with speckle and fringes, together with all other light of the scene.
 
         .. pluginparameters::
@@ -127,36 +127,17 @@ def make_class() -> type:
                 )
             points = read_plain(props, "points_per_spot", POINTS_PER_SPOT)
             self.points_per_spot = require_number(f"{NAME}: points_per_spot", points, positive=True)
-            nested = [value for _, value in props.objects()]
-            refuse_if(len(nested) > 1, f"{NAME}: {len(nested)} nested plugins: it takes one integrator")
-            self.child = nested[0] if nested else mi.load_dict({"type": "path"})
-            require_read(props, NAME)
+            self.read_child(props)
             variant = mi.variant() or ""
             refuse_if(
                 "_mono" not in variant or mi.is_polarized,
                 f"{NAME}: variant {variant}: laser light has one wavelength; use llvm_ad_mono or cuda_ad_mono",
             )
 
-        def render(
-            self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
-        ) -> Any:
-            """Render the capture; `spp` is the count of samples per pixel of the nested integrator."""
-            if isinstance(sensor, int):
-                sensor = scene.sensors()[sensor]
-            seed = int(seed[0]) if hasattr(seed, "__len__") else int(seed)
-            film = self.record(scene, sensor, seed=seed, spp=spp or sensor.sampler().sample_count())
-            return film.develop() if develop else None
-
         def record(
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
-            """Compute the capture, and return the film that holds it; the job is that of the laser light."""
+            """Compute the capture, and return the film that holds it; `spp` is for the nested integrator."""
             refuse_if(noise, f"{NAME}: noise: it is not estimated; compare seeds")
             lasers = self._require(scene, sensor)
             with guards.watch():
@@ -168,15 +149,15 @@ def make_class() -> type:
             return sensor.film()
 
         def estimate(self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job) -> Cost:
-            """Refuse an estimate."""
+            """Refuse an estimate of the cost, which this integrator does not have."""
             raise InputError(f"{NAME}: its cost is not estimated; time a smaller detector")
 
         def spectrum_of(self, scene: Any, sensor: Any) -> Spectrum | None:
-            """Return None: the light has one wavelength."""
+            """Return None, as laser light has one wavelength."""
             return None
 
         def parameters(self) -> dict[str, Any]:
-            """Return the integrator's own parameters by name, as for ``mi.load_dict``."""
+            """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 "lasers": ", ".join(self.lasers),
                 "wavelength": self.wavelengths[0],
@@ -185,13 +166,8 @@ def make_class() -> type:
                 "points_per_spot": self.points_per_spot,
             }
 
-        def to_string(self) -> str:
-            """Describe the integrator."""
-            lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
-            return "\n".join(["PlenopticLaserIntegrator[", *lines, f"  child = {self.child}", "]"])
-
         def _require(self, scene: Any, sensor: Any) -> list[Any]:
-            """Return the lasers; refuse scenes and cameras for which the model does not hold."""
+            """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""
             with naming(NAME):
                 camera = regular_array(PlenopticCamera.from_sensor(sensor))
                 require_ideal(camera, in_full=True)
@@ -219,7 +195,7 @@ def make_class() -> type:
             return coherent_capture(operator, points.weights, modes=modes, seed=seed, job=job)[..., None]
 
         def _modes_of(self, camera: PlenopticCamera, points: LitPoints) -> int:
-            """Return the number of modes, of the source if one is given."""
+            """Return the number of modes: given directly, or computed for the size or spectrum of the source."""
             if self.modes is not None or not self.source:
                 return self.modes or 1
             distance = float(np.average(points.positions[:, 2], weights=points.weights))

@@ -62,7 +62,7 @@ _POINT_BYTES = 64.0
 
 @dataclass(frozen=True)
 class LitPoints:
-    """Points that reflect laser light."""
+    """Points of surfaces that reflect laser light, with their powers."""
 
     # Positions in the camera frame, (n, 3).
     positions: NDArray[np.float64]
@@ -80,7 +80,7 @@ class LaserScene:
     system: OpticalSystem
 
     def points(self, per_spot: float, seed: int) -> LitPoints:
-        """Find points with a given number of them in a square of side lambda b / D on the array."""
+        """Return lit points of the scene, with a given number in each square of side lambda b / D on the array."""
         lens, rng = self.system.lens, np.random.default_rng(seed)
         window = LensWindow.of(self.system)
         middle, half = (window.low + window.high) / 2, (window.high - window.low) / 2
@@ -136,7 +136,7 @@ class LaserScene:
         return positions, radiance[lit], hidden
 
     def _seen(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where chief rays through points (n, 2) of the array meet surfaces, lit or not."""
+        """Return the points at which chief rays through points (n, 2) of the array meet surfaces, lit or not."""
         hit = self._hit(place)
         return self._in_camera(hit)[hit.is_valid().numpy()]
 
@@ -191,7 +191,7 @@ class LaserScene:
         return found
 
     def _blur(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far from their chief rays the rays of points (n, 3) arrive on the array, by focus and wavefront.
+        """Return the distance on the array, in mm, between chief rays and other rays of points (n, 3).
 
         The displacement is linear in the inverse distance, so that its greatest length is below straight lines between
         the lengths at some distances.
@@ -208,7 +208,7 @@ class LaserScene:
         return np.interp(inverse, steps, [np.hypot(*each.T).max() for each in moved])
 
     def _radiance(self, hit: Any, seed: int) -> NDArray[np.float64]:
-        """Return the squared modulus of the sum of the lasers' fields, each with the phase of its path."""
+        """Return the radiance at hits: the squared modulus of the sum of the lasers' fields."""
         sampler = random_numbers(seed, dr.width(hit.t))
         context, bsdf, total = mi.BSDFContext(), hit.bsdf(), np.zeros(dr.width(hit.t), np.complex128)
         place = hit.p.numpy().T.astype(np.float64)
@@ -240,7 +240,7 @@ class LaserScene:
 
 
 def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
-    """Return the emitters with these ids; refuse those that are not lasers."""
+    """Return the emitters with given ids; refuse emitters that cannot be lasers."""
     known = {emitter.id(): emitter for emitter in scene.emitters()}
     found = []
     for name in names:

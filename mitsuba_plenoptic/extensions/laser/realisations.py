@@ -23,8 +23,7 @@ from ...points.coherent import CoherentFields
 from ...points.full_field import recorded_pixels
 from ...points.operator import CaptureOperator
 from ...runtime.backend import one_at_a_time
-from ...runtime.batches import Part, PartialSum
-from ...runtime.jobs import Job, SumTask
+from ...runtime.batches import Job, Part, PartialSum, SumTask
 
 _BRIGHTEST = 1e30
 """Largest power of a point, whose intensities are held in single precision."""
@@ -108,7 +107,7 @@ def coherent_capture(
 
 @dataclass(frozen=True)
 class _Realisation:
-    """One mode, as a batch."""
+    """One mode, as a batch of a computation."""
 
     fields: CoherentFields
     moduli: NDArray[np.float64]
@@ -121,7 +120,7 @@ class _Realisation:
         return math.prod(self.fields.grids.count)
 
     def prepare(self) -> Callable[[], Part]:
-        """Compute the whole batch."""
+        """Return a function that computes the whole batch."""
         waves = np.random.default_rng(self.seed).random(len(self.moduli))
         amplitudes = (self.moduli * np.exp(2j * math.pi * waves)).astype(np.complex64)
         image = self.fields.intensity(amplitudes) * np.float32(self.scale)
@@ -130,7 +129,7 @@ class _Realisation:
 
 
 class _Realisations:
-    """The mean of all modes, with the interface of `runtime.jobs.LongSum`."""
+    """The mean of all modes, with the interface of `runtime.batches.LongSum`."""
 
     channels = 1
     arrays: Any = np

@@ -37,7 +37,7 @@ def _on_chip(
     height: float,
     index: float = 1.5,
 ) -> dict[str, Any]:
-    """Return an on-chip-lens camera; `height` is the distance from its lenses to the photodiodes in the medium."""
+    """Return the parameters of an on-chip-lens camera; `height` is the distance in the medium to the photodiodes."""
     mla_distance = 1 / (1 / focal_length - 1 / focus_distance)
     return {
         "focal_length": focal_length,
@@ -58,7 +58,7 @@ _HEIGHTS = 20
 
 
 def _chief_rays(corner: float, mla_distance: float, height: float, index: float) -> tuple[float, ...]:
-    """Return image heights up to that of the corner and the chief-ray angles there in degrees, as for `mla_cra`.
+    """Return pairs of image height in mm, up to the corner, and chief-ray angle in degrees, as `mla_cra` takes them.
 
     Image heights are those of pixels; their lenses stand nearer to the axis by the way of the chief ray in the medium.
     """

@@ -44,8 +44,8 @@ def dual(
       mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
     """
     from ...io.captures import read_capture
-    from ...io.files import require_apart
     from ...report.output_files import require_picture_path, write_photodiodes
+    from ...runtime.files import require_apart
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)

@@ -23,7 +23,7 @@ from ...errors import (
     require_wavelength,
     short_repr,
 )
-from ...io.files import read_text
+from ...runtime.files import read_text
 
 if TYPE_CHECKING:
     from ...camera.geometry import CameraGeometry
@@ -127,7 +127,7 @@ class PhotodiodeResponse:
 
 
 def known_response(name: str, value: Any) -> PhotodiodeResponse | None:
-    """Return a response of photodiodes from any of its forms; None means that of the microlenses."""
+    """Return a response of photodiodes, given in any of its forms; None means that the microlenses refract light."""
     if value is None or isinstance(value, PhotodiodeResponse):
         return value
     if isinstance(value, (str, Path)):

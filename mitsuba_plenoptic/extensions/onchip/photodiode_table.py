@@ -38,7 +38,7 @@ class PhotodiodeTable:
         dr.make_opaque(self._table)
 
     def __call__(self, side: Pair, slope: Pair, wavelengths: Any) -> Any:
-        """Return the responses of pixels, given by column and row in their lens, to light of given slopes."""
+        """Return the responses of pixels, by column and row under their lens, to light of given slopes."""
         _, _, count, *sizes = self._shape
         places = [
             _between(_fraction(axis, dr.atan(t), dr), size)
@@ -64,12 +64,12 @@ class PhotodiodeTable:
 
 
 def _fraction(axis: Sequence[float], value: Any, module: Any) -> Any:
-    """Return the fractional index of values on a rising axis; those beyond its ends have the index of the end."""
+    """Return the fractional index of values on a rising axis, limited to the indices of its ends."""
     return sum(module.clip((value - low) / (high - low), 0, 1) for low, high in itertools.pairwise(axis))
 
 
 def _between(fraction: Any, size: int) -> list[tuple[Any, Any]]:
-    """Return the two indices around a fractional index, and their weights."""
+    """Return the two indices around a fractional index, with their weights."""
     if size == 1:
         return [(mi.UInt32(0), 1.0)]
     low = mi.UInt32(dr.minimum(dr.floor(fraction), size - 2))

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, short_repr
 from ...light.lens_kinds import chief_ray_shift
-from ...light.optical_system import OpticalSystem, RayPupil
+from ...light.optical_system import OpticalSystem
+from ...light.walk import Walk
 from ...optics.waves import in_millimetres
 from ...runtime.backend import drjit_array
 from ...runtime.limits import single_threaded_blas
@@ -152,22 +153,22 @@ class PlaneWaveResponses:
 
     @cached_property
     def system(self) -> OpticalSystem:
-        """The camera, bound to the wavelength; light up to the array follows the camera's own model of the lens."""
+        """Optical system of the camera at the wavelength; the main lens follows the camera's `lens_model`."""
         return OpticalSystem(self.camera, self.wavelength)
 
     @cached_property
     def count(self) -> int:
-        """Count of pixels across a lens."""
+        """Number of pixels across a lens."""
         return pixels_per_lens(self.camera)
 
     @cached_property
     def zones(self) -> Zones:
-        """The zones of the detector."""
+        """Zones of the detector with a table at each corner."""
         return Zones.of(self.camera, self.count)
 
     @property
     def reach(self) -> float:
-        """Largest difference of the direction cosines of the pupil's light from that of its centre."""
+        """Largest difference between direction cosines of the pupil's light and of the pupil's centre."""
         return float(self.system.lens.reach) / math.hypot(self.camera.pupil_distance, self.system.lens.reach)
 
     @property
@@ -187,7 +188,7 @@ class PlaneWaveResponses:
 
     @property
     def across(self) -> int:
-        """Nodes of the table from its middle to its edge in direction cosines."""
+        """Number of nodes of the table from its middle to its edge, along one direction cosine."""
         return math.ceil(self.reach / self.step) + 1
 
     def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
@@ -215,7 +216,7 @@ class PlaneWaveResponses:
         return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
     def _place(self, x: float, y: float) -> list[float]:
-        """Return the position of a lens."""
+        """Return the position x, y of a lens in mm."""
         return [float(c) for c in lens_centre(self.camera, x, y)]
 
     def chief(self, x: float, y: float) -> list[float]:
@@ -224,14 +225,14 @@ class PlaneWaveResponses:
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
     def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which pairs of direction cosines `along` the axes, from the chief ray's, pass the pupil to a lens."""
+        """Return a mask of pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
         chief, place = self.chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
         lens = self.system.lens
         slopes = (-sx / cosine, -sy / cosine)
         pupil = tuple(drjit_array(mi.Float, lens.pupil_point(c, t)) for c, t in zip(place, slopes, strict=True))
-        inner = RayPupil(self.system).inner(pupil, tuple(mi.Float(c) for c in place))
+        inner = Walk.of(self.camera, lens).inner(pupil, tuple(mi.Float(c) for c in place))
         square = sum(part.numpy().astype(float) ** 2 for part in inner)
         return np.asarray(square <= self.camera.pupil_radius**2).reshape(sx.shape)
 

@@ -14,18 +14,15 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lenses.main_lens import Pair
-from ...light.optical_system import RayPupil
-from ...light.signed_draws import chances_of
+from ...light.random_numbers import chances_of, even_words
+from ...light.walk import Walk
 from ...runtime.backend import drjit_array
 from .plane_waves import NEAR, lens_centre
 from .response_tables import PhotodiodeResponses, TableWindow
 
-_TURNS = tuple(int(step * 2**32) for step in 1.1673039782614187 ** -np.arange(1.0, 5.0))
-"""Steps, in units of 2^-32, of an additive sequence that fills four dimensions evenly."""
-
 
 class Aimed(NamedTuple):
-    """Rays that are drawn for lenses."""
+    """Rays drawn for lenses, with their weights."""
 
     pupil: Pair
     # Points on the array in the camera frame.
@@ -55,7 +52,7 @@ class Tables:
 
     @property
     def margin(self) -> int:
-        """Lenses around a lens whose rays it receives."""
+        """Number of lenses on each side of a lens from whose rays the lens receives light."""
         return self.plans[self._widest].far.lenses // 2
 
     def _packed(self, table: NDArray[np.float16]) -> Any:
@@ -65,18 +62,20 @@ class Tables:
         return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
 
     def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
-        """Return rays of lenses with the given lattice indices; those of both halves are independent."""
+        """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
         system = self.plans[0].system
-        # Integers keep the sequence exact for any count of samples.
-        words = [mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] for axis in range(4)]
-        random = [mi.Float((word + number * turn) >> 8) * 2.0**-24 for word, turn in zip(words, _TURNS, strict=True)]
+        words = [
+            mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] + number * step
+            for axis, step in enumerate(even_words(4))
+        ]
+        random = [mi.Float(word >> 8) * 2.0**-24 for word in words]
         chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = lens_centre(self.camera, *index)
         slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
         chief = [-system.lens.slope_to(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))
-        inner = RayPupil(system).inner(tuple(pupil), centre)
+        inner = Walk.of(system.camera, system.lens).inner(tuple(pupil), centre)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
         zone, drawn = self._zone(index, chances[0][:2]), mi.UInt32(0)
         near: list[Any] = []
@@ -155,7 +154,7 @@ class Tables:
         return dr.clip((mi.Float(index) - float(zones[0])) * float(scale), 0, len(zones) - 1)
 
     def _zone(self, index: Pair, chance: Pair) -> Any:
-        """Return one of the zones around lenses, at random."""
+        """Return one of the zones around each lens, drawn at random."""
         zones = self.plans[0].zones
         x, y = (
             mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
@@ -165,7 +164,7 @@ class Tables:
 
 
 def _quantiles_of(window: TableWindow) -> int:
-    """Return the count of quantiles from which cells of a window are drawn, more than it has cells."""
+    """Return the number of quantiles from which cells of a window are drawn, which exceeds the number of cells."""
     return 1 << math.ceil(math.log2(2 * window.lenses**2))
 
 

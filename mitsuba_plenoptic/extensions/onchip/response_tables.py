@@ -64,7 +64,7 @@ class TableWindow(NamedTuple):
 
     @property
     def across(self) -> int:
-        """Samples across the window, with those on both of its edges."""
+        """Number of samples across the window, both edges included."""
         return self.lenses * self.samples + 1
 
     @property
@@ -80,7 +80,7 @@ class TableWindow(NamedTuple):
 
 
 class ResponseTable(NamedTuple):
-    """Tables of W of all zones."""
+    """Tables of the response W for all zones."""
 
     # Index of each node of the square grid of direction cosines (n, n), rows along y, -1 where it is not used.
     nodes: NDArray[np.int32]
@@ -103,7 +103,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def near(self) -> TableWindow:
-        """The near window."""
+        """Near window of the table: 5 x 5 lenses, finely sampled."""
         return TableWindow(NEAR, 2 * math.ceil(_OVERSAMPLING * (2 * self._near_pairs + 1) / (2 * NEAR)))
 
     @property
@@ -114,23 +114,23 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def far(self) -> TableWindow:
-        """The far window."""
+        """Far window of the table: 25 lenses or more, coarsely sampled."""
         return TableWindow(NEAR * self.stride * self._finer, _FAR_SAMPLES)
 
     @property
     def _far_pairs(self) -> int:
-        """Pairs in the far table from equal directions to the largest difference that its samples resolve."""
+        """Number of pairs in the far table, from equal directions to the largest resolved difference."""
         resolved = math.floor((self.far.across / _OVERSAMPLING - 1) / 2)
         return min(resolved, math.floor(self.reach * self._finer / self.step) + 1)
 
     @property
     def nbytes(self) -> float:
-        """Approximate bytes of the tables."""
+        """Approximate size of the tables in bytes."""
         samples = self.near.across**2 + self.far.across**2
         return 2.0 * len(self.zones) * math.pi * self.across**2 * samples * self.count**2
 
     def require_memory(self, wavelengths: int) -> None:
-        """Refuse tables that are too large."""
+        """Refuse tables that would exceed the limit of memory."""
         memory = wavelengths * self.nbytes
         refuse_if(
             memory > _MOST_MEMORY,
@@ -141,7 +141,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @cached_property
     def table(self) -> ResponseTable:
-        """The tables of W. Their unit of x is a lens."""
+        """Tables of the response W, with x in units of a lens."""
         zones = [(x, y) for y in self.zones.y for x in self.zones.x]
         pupils = [_Pupil.of(self, x, y, self._finer) for x, y in zones]
         used = np.any([pupil.mass > 0 for pupil in pupils], axis=0)
@@ -183,7 +183,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         return ResponseTable(index, near, far, means)
 
     def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
-        """Return an earlier zone of which a zone is the mirror image, and the slices that mirror rows and columns."""
+        """Return an earlier zone that mirrors a zone, and the slices that mirror rows and columns."""
         columns = len(self.zones.x)
         row, column = divmod(number, columns)
         _, amplitude = self._orders
@@ -200,7 +200,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         return None
 
     def _displacement(self, number: int) -> NDArray[np.float64]:
-        """Return how far the pixels of a zone's lens are from it, x and y, in lenses."""
+        """Return the displacement x, y of the pixels of a zone's lens from the lens, in lenses."""
         row, column = divmod(number, len(self.zones.x))
         place = self.zones.x[column], self.zones.y[row]
         return np.array(displacement(self.camera, self.count, *place)) / self.camera.mla_pitch
@@ -208,7 +208,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
     def _mirrored(
         self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
     ) -> NDArray[np.float16]:
-        """Mirror values (nodes, y, x, photodiodes) in a window."""
+        """Return mirrored values (nodes, y, x, photodiodes) of a window."""
         for axis, flip in enumerate(flips, 1):
             if flip == _REVERSED:
                 values = np.take(values, window.mirrored, axis)
@@ -289,7 +289,7 @@ class _Pupil:
 
     @classmethod
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
-        """Sample the pupil as seen from a lens; the samples per step are a multiple of a given number."""
+        """Return the pupil, sampled as seen from a lens, with a multiple of a given number of samples per step."""
         n, step = 2 * plan.across + 1, multiple * math.ceil(_SUBSAMPLES / multiple)
         far = (2 * plan.across + plan.stride) * step
         along = (np.arange(-far, far) + 0.5) / step
@@ -314,7 +314,7 @@ class _Pupil:
 
     @cached_property
     def _solve(self) -> scipy.sparse.linalg.SuperLU:
-        """The factors of the matrix of the least-squares projection on the functions of the open nodes."""
+        """Factors of the matrix of the least-squares projection on the functions of the open nodes."""
         mass = self.mass.ravel()
         # The ridge holds coefficients to their local means; nodes that are not open have none.
         return scipy.sparse.linalg.splu(
@@ -339,7 +339,7 @@ class _Pupil:
 
 
 def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return matrices from samples of the far window to those of the near one (near.across, far.across).
+    """Return matrices from samples of the far window to samples of the near window, (near.across, far.across).
 
     The first folds the far window into the near one, and the second interpolates within the near one.
     """
@@ -360,7 +360,7 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDA
 
 
 def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:
-    """Return the matrix from samples within the near window to those of the far one at its resolution."""
+    """Return the matrix from samples within the near window to the same light at the resolution of the far window."""
     lag = np.arange(-pairs, pairs + 1)
     gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2
     far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(each.place, lag)) for each in (far, near))

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...lenses.main_lens import Pair
-from ...light.noise import Mended
-from ...light.optical_system import RayPupil
+from ...light.noise import Mended, means_of
 from ...light.phase_space import FINE
 from ...light.scene_light import SceneLight, require_finite
 from ...light.signed_capture import SignedCapture
 from ...light.signed_colours import Node, SignedColours, mixed
+from ...light.walk import walks_of
 from ...runtime.backend import drjit_array
 from ...runtime.batches import Box, Part, PartialSum
 from ...runtime.fft import busy_drjit
@@ -85,7 +85,7 @@ class LensCells(NamedTuple):
         return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
-        """Return the lattice indices of the lenses, row by row, and a number of each that no other lens has."""
+        """Return the lattice indices of the lenses, row by row, and a unique number for each lens."""
         lens = dr.arange(mi.UInt32, self.rows * self.columns)
         row = lens // dr.opaque(mi.UInt32, self.columns)
         x = mi.Int(lens - row * self.columns) + dr.opaque(mi.Int, self.left)
@@ -102,7 +102,7 @@ class LensRows:
 
     @property
     def samples(self) -> int:
-        """Count of pixels."""
+        """Number of pixels of these rows of lenses."""
         return self.sums.size
 
     def prepare(self) -> Callable[[], Part]:
@@ -111,7 +111,7 @@ class LensRows:
 
 
 class ResponseSum:
-    """A capture by the responses of photodiodes, computed by rows of lenses; a `runtime.jobs.LongSum`."""
+    """A capture by the responses of photodiodes, computed by rows of lenses; a `runtime.batches.LongSum`."""
 
     arrays: Any = np
 
@@ -130,14 +130,9 @@ class ResponseSum:
         self._camera, self._light, self._nodes, self._seed = camera, light, nodes, seed
         self._tables = Tables(camera, [node.plan for node in nodes])
         self._across = across = self._tables.count
-        self._pupils: dict[float, tuple[RayPupil, list[int]]] = {}
-        for number, node in enumerate(nodes):
-            pupil = RayPupil(node.plan.system)
-            self._pupils.setdefault(pupil.system.lens.refraction, (pupil, []))[1].append(number)
+        self._walks = walks_of(node.plan.system for node in nodes)
         # The images: the wavelength and the channel of each.
-        self._images = [
-            (n, channel) for _, numbers in self._pupils.values() for n in numbers for channel in nodes[n].channels
-        ]
+        self._images = [(n, channel) for _, numbers in self._walks for n in numbers for channel in nodes[n].channels]
         self.channels = max(channel for _, channel in self._images) + 1
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
@@ -159,7 +154,7 @@ class ResponseSum:
         self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
 
     def batches(self, first: int) -> Iterator[LensRows]:
-        """Trace the rays of the blocks from index `first`, and yield their pixels."""
+        """Yield the pixels of blocks from index `first` on, with their rays traced."""
         size, columns = self._across, self._columns[1] - self._columns[0]
         for number in range(first, len(self._blocks)):
             top, rows = self._blocks[number], int(self.items[number]) // columns
@@ -177,7 +172,7 @@ class ResponseSum:
             yield LensRows(box, np.ascontiguousarray(pixels.reshape(-1, rows * size, columns * size), np.float32))
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Return the sum of all blocks."""
+        """Return the image, the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     def probe(self) -> NDArray[np.float32]:
@@ -206,7 +201,7 @@ class ResponseSum:
         return min(seconds[1:]) * self._rounds * float(self.items.sum()), tables + _RAY_BYTES * _LANES
 
     def _traced(self, index: Pair, lens: Any, seed: int) -> Rays:
-        """Trace the rays of lenses with the given lattice indices and numbers."""
+        """Return traced rays of lenses with given lattice indices and numbers."""
         rays = self._rays
         dr.eval(index, lens)
         lane = dr.arange(mi.UInt32, dr.width(lens) * rays)
@@ -220,8 +215,8 @@ class ResponseSum:
         key = dr.opaque(mi.UInt32, seed & ~31)
         aimed = self._tables.draw(each, word, half, turn - half * (count // 2), key)
         lights, counted = [], mi.Float(0)
-        for pupil, numbers in self._pupils.values():
-            start, slope = pupil.trace(aimed.place, aimed.pupil, 0.0)
+        for walk, numbers in self._walks:
+            start, slope, _ = walk.through_pupil(aimed.pupil, aimed.place)
             seen = aimed.open & dr.all([dr.isfinite(value) for value in (*start, *slope)], axis=0)
             radiance = self._light(start, slope, seen, seed)
             counted = dr.select(seen, mi.Float(1), 0)
@@ -271,10 +266,7 @@ class ResponseSum:
             ]
             for parts in ([rays.counts], rays.sums)
         )
-        means = [
-            [dr.select(number > 0, light / number, 0) for light, number in zip(each, counts[0], strict=True)]
-            for each in sums
-        ]
+        means = [means_of(each, counts[0]) for each in sums]
         dr.eval(means, counts)
         near = self._near_sums(grid, rays, means, at)
         far = self._far_sums(grid, rays, means, seed)
@@ -289,9 +281,7 @@ class ResponseSum:
         dr.eval(result)
         return result
 
-    def _near_sums(
-        self, grid: LensCells, rays: Rays, means: list[list[Any]], at: Callable[[Any, Pair], Any]
-    ) -> list[Any]:
+    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair], at: Callable[[Any, Pair], Any]) -> list[Any]:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         tables, size = self._tables, self._across**2
         count = dr.opaque(mi.UInt32, self._rays)
@@ -313,7 +303,7 @@ class ResponseSum:
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
-    def _far_sums(self, grid: LensCells, rays: Rays, means: list[list[Any]], seed: int) -> list[Any]:
+    def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list[Any]:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables, size, margin = self._tables, self._across**2, self._tables.margin
         around = grid.within(margin)
@@ -391,7 +381,7 @@ class ResponseCapture(SignedCapture):
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
-        """Return no channels: the noise of few rays exceeds the light around, so that pixels remain as they are."""
+        """Return no channels to mend: noise of few rays exceeds the light around, so that negative pixels remain."""
         return {}
 
 

@@ -55,7 +55,7 @@ def psf_bank(
     method: str = "patch",
     size: int | None = None,
 ) -> xr.DataArray:
-    """Compute the point spreads of each photodiode over depth and field.
+    """Return the point spreads of each photodiode over depth and field.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequ
 def _reach(
     camera: PlenopticCamera, distances: Sequence[float], positions: NDArray[np.float64], wavelength: float
 ) -> float:
-    """Return how far on the array rays of points go aside from the chief rays at some positions."""
+    """Return the largest distance on the array between rays of points and chief rays at some positions, in mm."""
     camera = camera.replace(mla_cra=())
     lens, farthest = OpticalSystem(camera, wavelength).lens, 0.0
     for x, y in positions * camera.mla_distance / (camera.mla_distance + camera.reduced_distance):
@@ -154,7 +154,7 @@ def _reach(
 def _around(
     camera: PlenopticCamera, position: NDArray[np.float64], count: int
 ) -> tuple[PlenopticCamera, NDArray[np.float64], tuple[float, float]]:
-    """Return the camera that records the lenses around a position, the middle of its lens's pixels, and of this lens.
+    """Return the camera of the lenses around a position, the middle of the lens's pixels, and the lens's centre.
 
     Lenses that are aligned to chief rays are shifted all alike there.
     """

@@ -33,7 +33,7 @@ _NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
 def check_claims(
     experiment: Experiment, measured: dict[str, Any], seconds: dict[str, float], near: str, far: str
 ) -> list[Claim]:
-    """Compute the verdicts from the letters, their measurements by `measure`, and seconds on one core by method.
+    """Return verdicts on the paper's conclusions, from the letters, `measure`, and seconds on one core by method.
 
     Near and far are the ids of the nearest letter and of the farthest; each is out of focus where the other is sharp.
     """
@@ -58,7 +58,7 @@ def check_claims(
 
 
 def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict[str, Any]]:
-    """List our seconds next to the paper's, with their ratio where the detectors are alike."""
+    """Return our seconds next to the paper's, with their ratio where the detectors are alike."""
     same = experiment.camera.resolution == PAPER_RESOLUTION
     return [
         {

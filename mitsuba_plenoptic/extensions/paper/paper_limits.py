@@ -17,7 +17,7 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...prescription.lens_data import image_distance
-from ...refocus.ray import pupil_radius, ray_sums
+from ...refocus.ray_sums import pupil_radius, ray_sums
 from ...report.page import Claim
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY
 
@@ -38,7 +38,7 @@ _SAME = 1e-3
 
 @dataclass(frozen=True)
 class FocusedCamera:
-    """A camera by its virtual depth, with its samples across the field and the distances at which it has them."""
+    """A camera of a given virtual depth, with samples across the field and the range of distances that has them."""
 
     camera: PlenopticCamera
     virtual_depth: float
@@ -53,7 +53,7 @@ class FocusedCamera:
 
 
 def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedCamera]:
-    """Return focused cameras like an unfocused one, from fine to coarse, and then the unfocused one itself.
+    """Return focused cameras derived from an unfocused camera, from fine to coarse, and the unfocused camera.
 
     They have its main lens, pixels and plane in focus. Their samples are the finest in that plane; in their range
     lenses are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
@@ -75,7 +75,7 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
 
 
 def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: float, ray_seconds: float) -> list[Claim]:
-    """Compute the verdicts from the camera, and the seconds of the plain loop and of our rays on one core."""
+    """Return verdicts on limits, from the camera and from seconds of the plain loop and of our rays on one core."""
     return [
         _pixels_against_range(focused_cameras(camera, wavelength)),
         _deconvolution(camera, wavelength),
@@ -100,7 +100,7 @@ def _pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
 
 
 def deconvolved_fraction(camera: PlenopticCamera, wavelength: float) -> tuple[float, float]:
-    """Return the distance at which deconvolution resolves most of what the bare sensor would, and that fraction."""
+    """Return the distance at which deconvolution resolves most of the bare sensor's lines, and their fraction."""
     found = []
     for distance in np.geomspace(0.6 * camera.focus_distance, 3 * camera.focus_distance, 800).tolist():
         limit = design.resolution_limit(camera, distance, wavelength)
@@ -170,7 +170,7 @@ def plain_sums(
     radius: float,
     bins: np.ndarray,
 ) -> None:
-    """Add each pixel of an image to the bin that its ray meets, in one loop, as one would first write it.
+    """Add each pixel of an image to the bin that its ray meets, in one plain loop.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, FancyArrowPatch
 
 from ...camera import PlenopticCamera
+from ...light.walk import follow_back
 from ...optics import rays
 from ...prescription.lens_data import image_distance
 from ...report.framing import Canvas
@@ -23,7 +24,7 @@ _BEHIND = 0.08
 
 
 def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
-    """Follow rays from an object point (X, g) to the array.
+    """Return the rays from an object point (X, g) to the array.
 
     Returns
     -------
@@ -38,7 +39,7 @@ def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.nd
 
 
 def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance: float) -> np.ndarray:
-    """Follow the rays of pixels through the centre of a lens back to an object plane.
+    """Return the rays of pixels, through the centre of a lens, back to an object plane.
 
     Returns
     -------
@@ -46,7 +47,7 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
         For each pixel (z, x) at the detector, the centre of the lens, the main lens and the object plane.
     """
     b, z = camera.mla_distance, camera.detector_distance
-    P, place = rays.follow_back(pixels, lens, lens, distance, camera)
+    P, place = follow_back(pixels, lens, lens, distance, camera)
     along = np.broadcast_to([b + z, b, 0.0, -distance], (len(pixels), 4))
     across = [pixels, np.full_like(pixels, lens), P, -place * distance / b]
     return np.stack([along, np.stack(across, axis=-1)], axis=-1)
@@ -140,7 +141,7 @@ def _plot(
 
 
 def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Move the detector away from the array, so that the space between can be seen."""
+    """Return points with the detector moved away from the array, so that drawings show the space between."""
     moved = points.copy()
     behind = moved[:, 0] > camera.mla_distance
     moved[behind, 0] = _detector(camera)

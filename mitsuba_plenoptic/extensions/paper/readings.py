@@ -6,13 +6,13 @@ from typing import Any
 
 from ...errors import InputError
 from ...refocus import reconstruct
-from ...refocus.partitions import blocks, coloured, refocused, sublattice
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
-from ...report.stage_store import StageStore
+from ...report.stage_store import Stages
+from .partitions import blocks, coloured, refocused, sublattice
 
 
-def measure_readings(experiment: Experiment, store: StageStore, near: str, far: str) -> list[dict[str, Any]]:
+def measure_readings(experiment: Experiment, store: Stages, near: str, far: str) -> list[dict[str, Any]]:
     """Measure the nearest and the farthest shape, by ids, each refocused to where the other one is.
 
     Each row has the interference with four subsets, the quarters of the array or the best sublattice; the count of
@@ -30,7 +30,7 @@ def measure_readings(experiment: Experiment, store: StageStore, near: str, far: 
 
 
 def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict[str, Any]]:
-    """Measure some shapes, each at its distance; what can be is refocused to all distances at once."""
+    """Return measurements of shapes at their distances, refocused to all distances at once where possible."""
     capture, camera = experiment.wave, experiment.camera
 
     def images(distances: list[float], **options: Any) -> dict[float, Any]:

@@ -119,7 +119,7 @@ _REPEATS = 3
 
 
 def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
-    """Time the reconstruction of a capture's file at a distance on one processor core: seconds by method.
+    """Return seconds on one core by method, for the reconstruction of a capture's file at a distance.
 
     What counts is processor time, which does not grow with what else the machine does, and of several runs the
     shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
@@ -158,13 +158,13 @@ def _main() -> None:
 
 
 def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
-    """Return close-ups of the micro-images in the middle of some shapes, given as ids with titles."""
+    """Return close-ups of micro-images in the middle of shapes, which are given as ids with titles."""
     middles = {title: np.add(*experiment.boxes[name]) / 2 for name, title in letters.items()}
     return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
 
 
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
-    """Draw the paper's figure 2: the object and, by waves, the detector image, with micro-images close up.
+    """Draw the paper's figure 2: the object, its detector image by waves, and micro-images close up.
 
     These are of three shapes, given with titles by their ids.
     """
@@ -217,7 +217,7 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))
     images = [experiment.images[panel] for panel in panels]
-    peak = Brightness().white([window.of(image) for image in images])
+    peak = Brightness().peak([window.of(image) for image in images])
     edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
     tall = wide * window.aspect
     figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
-from ...io.captures import EXPOSED, RECORDED, Capture, recording_of, require_suitable_white
-from ...light.detector import MOSAICS, QUAD, filters, mosaic_of, require_demosaiced
+from ...io.captures import EXPOSED, RECORDED, Capture, recording_of
+from ...light.detector import MOSAICS, QUAD, filters, mosaic_of
 from ...views.lens_grid import lens_numbers
-from ...views.white_image import scaled_white, white_image
+from ...views.white_image import recorded_white, scaled_white, white_image
 
 METHODS = ("micro-images", "plain")
 
@@ -104,7 +104,7 @@ def demosaic(
 
 
 def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
-    """Return a mosaic of something white with each of its pixels divided by the mean of those of its filter."""
+    """Return a mosaic of a white capture, each pixel divided by the mean over pixels of the same filter."""
     own, image = filters(white.camera, mosaic), white.image
     means = np.bincount(own.ravel(), image.ravel(), minlength=3) / np.bincount(own.ravel(), minlength=3)
     refuse_if(not means.min() > 0, "white: the pixels of a filter are black")
@@ -115,13 +115,7 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     """Return the white image, (rows, columns, 3)."""
     if white is None:
         return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
-    require_demosaiced(white)
-    refuse_if(
-        white.image.shape[:2] != capture.image.shape,
-        f"white of shape {white.image.shape}: it must have the pixels of the capture",
-    )
-    require_suitable_white(white, [capture.camera])
-    image = np.atleast_3d(white.image)
+    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera])
     if capture.camera.lens_data.is_thin:
         image = scaled_white(image, white_image(capture.camera), capture.camera)
     return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
@@ -144,7 +138,7 @@ def _interpolate(
     lenses: NDArray[np.int64],
     reach: int,
 ) -> NDArray[np.float32]:
-    """Return all three channels (rows, columns, 3)."""
+    """Return an image (rows, columns, 3) with the missing channels of each pixel interpolated."""
     rows, columns = image.shape
     light, weight = np.zeros((2, rows, columns, 3), np.float32)
     for across, down, kernel in _shifts(reach):
@@ -161,5 +155,5 @@ def _interpolate(
 
 
 def _window(size: int, step: int) -> slice:
-    """Return the slice of an axis whose samples stay on it when they are shifted by -step."""
+    """Return the slice of an axis whose samples stay inside after a shift by -step."""
     return slice(max(0, step), size + min(0, step))

@@ -67,8 +67,8 @@ def demosaic(
       mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
     from ...io.captures import write_capture
-    from ...io.files import require_apart, require_writable
     from ...light.detector import mosaic_of
+    from ...runtime.files import require_apart, require_writable
     from .lytro_file import nearest_white
 
     require_writable(output, ".exr")

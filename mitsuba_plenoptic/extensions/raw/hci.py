@@ -16,9 +16,9 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number
-from ...io.files import atomic_output, read_text, write_text
 from ...io.pictures import read_picture
 from ...report.images import Brightness, write_png
+from ...runtime.files import atomic_output, read_text, write_text
 from ...runtime.limits import require_memory
 from ...views import disparity
 from ...views.coordinates import camera_of, light_field
@@ -93,7 +93,7 @@ def write_hci(
     version: str = "",
     white: float | None = None,
 ) -> int:
-    """Write a light field to a folder of the 4D Light Field Benchmark, and return how many views stand in a row.
+    """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
     The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
     pictures, by default that of any other picture.
@@ -103,7 +103,7 @@ def write_hci(
     middle = lf.sizes["v"] // 2
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-    white = Brightness().white([lf.values]) if white is None else white
+    white = Brightness().peak([lf.values]) if white is None else white
     folder.mkdir(parents=True, exist_ok=True)
     for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
         colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
@@ -128,7 +128,7 @@ def _write_parameters(
     views: int,
     ours: dict[str, str],
 ) -> None:
-    """Write the geometry of the cameras, of which `views` stand in a row, and what only this package reads."""
+    """Write the geometry of `views` cameras in a row, and entries that only this package reads."""
     columns, rows = camera.bin_count
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)

@@ -24,7 +24,7 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
-from ...io.files import atomic_output, h5py_module, require_file, stored_array
+from ...runtime.files import atomic_output, h5py_module, require_file, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ...views.coordinates import grid_of, light_field, require_light_field
 from ...views.lens_grid import LensGrid, bin_grid
@@ -153,7 +153,7 @@ def _check(shape: tuple[int, ...]) -> None:
 
 
 def _require_unpacked(path: Path) -> None:
-    """Refuse a file of version 5 whose packed variables would not fit into memory, whatever their structures say."""
+    """Refuse a file of version 5 with packed variables too large for memory, whatever sizes its structures state."""
     limit = int(memory_limit())
     left = limit
     with path.open("rb") as file:
@@ -237,7 +237,7 @@ def _to_model(grid: LensGrid) -> dict[str, Any]:
 
 
 def grid_of_model(model: dict[str, Any]) -> LensGrid | None:
-    """Turn a lenslet grid model into a grid, unless it describes the transposed image."""
+    """Return the grid of a lenslet grid model, None if the model describes the transposed image."""
     if str(model.get("Orientation", "horz")).lower() != "horz":
         return None
     rows = int(model["VMax"])

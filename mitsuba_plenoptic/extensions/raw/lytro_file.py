@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io.captures import RECORDED, Capture, recording_of
-from ...io.files import read_text, require_size
+from ...runtime.files import read_text, require_size
 from ...runtime.limits import require_memory
 
 CONTAINERS = (".lfp", ".lfr")
@@ -57,7 +57,7 @@ _MOST_SATURATED = 0.01
 
 @dataclass(frozen=True)
 class _Picture:
-    """What a file holds: the metadata of the frame, and its pixels, packed."""
+    """Content of a Lytro file: the metadata of the frame, and the packed pixels."""
 
     metadata: Any
     pixels: bytes
@@ -69,17 +69,17 @@ class _Picture:
         return found
 
     def number(self, name: str, **rules: Any) -> float:
-        """Return a number of the metadata."""
+        """Return a number of the metadata by its name."""
         return require_number(name, self.entry(name), **rules)
 
     @property
     def details(self) -> str:
-        """The entry that describes the pixels: first cameras have one of its own for it."""
+        """Entry of the metadata that describes the pixels; first cameras name it differently."""
         return "image.rawDetails" if _within(self.metadata, "image", "rawDetails") else "image"
 
     @property
     def steps(self) -> tuple[float, float]:
-        """Positions of zoom and focus."""
+        """Positions of zoom and focus, in steps."""
         return self.number("devices.lens.zoomStep"), self.number("devices.lens.focusStep")
 
 
@@ -117,7 +117,7 @@ def read_lytro(path: str | Path) -> Capture:
 
 
 def nearest_white(folder: str | Path, capture: Capture) -> Path:
-    """Choose the white picture of a folder that was taken with the zoom and focus nearest to those of a capture.
+    """Return the white picture of a folder whose zoom and focus are nearest to those of a capture.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
 
 
 def _brightness(path: Path) -> tuple[bool, float]:
-    """Return by what a white picture is better than another."""
+    """Return the key by which white pictures are ordered: unsaturated before saturated, then by brightness."""
     capture = read_lytro(path)
     saturated = recording_of(capture)["saturated_pixels"] / capture.image.size
     return saturated <= _MOST_SATURATED, float(capture.image.mean())
@@ -223,7 +223,7 @@ def _json(data: bytes) -> dict[str, Any]:
 
 
 def _within(found: Any, *names: str | int) -> Any:
-    """Return what lies within mappings and lists, by its names from the outside inwards; None if there is no such."""
+    """Return the value at a path of names in nested mappings and lists, None if the path does not exist."""
     for name in names:
         try:
             found = found[name]
@@ -262,7 +262,7 @@ def _capture_of(picture: _Picture) -> Capture:
 
 
 def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
-    """Unpack the digital numbers of the pixels."""
+    """Return the digital numbers of the pixels, unpacked."""
     packing = f"{picture.details}.pixelPacking"
     bits, order = picture.entry(f"{packing}.bitsPerPixel"), picture.entry(f"{packing}.endianness")
     refuse_if(
@@ -304,7 +304,7 @@ def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.
 
 
 def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
-    """Return the camera that the metadata describe; their lengths are metres."""
+    """Return the camera that metadata in metres describe."""
 
     def length(name: str, **rules: Any) -> float:
         return picture.number(f"devices.{name}", **rules) * _MILLIMETRES

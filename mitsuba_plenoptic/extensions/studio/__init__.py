@@ -1,8 +1,13 @@
-"""Extension `studio`: the viewer, previews, sweeps of parameters and run files."""
+"""Extension `studio`: the viewer, previews, sweeps of parameters, run files, and what notebooks show."""
 
 from ...extension import Extension
 
 EXTENSION = Extension(
     names={"viewer": ("Viewer", "view")},
     commands={"preview": "preview_command", "view": "view_command", "sweep": "sweep_command", "run": "run_command"},
+    displays={
+        "Capture": "thumbnails:show_capture",
+        "PlenopticCamera": "thumbnails:show_camera",
+        "Reconstruction": "thumbnails:show_reconstruction",
+    },
 )

@@ -39,7 +39,7 @@ _SHARP, _FOCUS = "#3fb4ff", "#ffb000"
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """What a camera sees without its microlenses.
+    """View of a scene by a camera without its microlenses, with the depths in it.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Preview:
 
     @property
     def distance(self) -> np.ndarray:
-        """Distances of what is seen along the axis; NaN where there is nothing."""
+        """Distances of the visible points along the axis; NaN where nothing is visible."""
         return np.asarray(self.points[..., 2])
 
     @property
@@ -77,7 +77,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposal for a scene: a camera's distance from lens to MLA, or a scale of the scene and a position for it.
+    """Proposed change: a distance from lens to MLA, or a scale of the scene and a position of the camera.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Proposal:
 
 
 def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
-    """See a scene as the camera has it or as a fit proposes.
+    """Return the preview of a scene, as the camera sees it or as a fit proposes.
 
     In place of the scene the camera is scaled.
     """
@@ -127,7 +127,7 @@ def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None)
 
 
 def framing_warnings(seen: Preview) -> list[str]:
-    """Describe what is poor about where the scene is, with fractions of the picture."""
+    """Return warnings about the position of a scene in the picture, with fractions of the picture."""
     view, distance = seen.view, seen.distance[np.isfinite(seen.distance)]
     if not distance.size:
         return ["nothing of the scene is in the picture"]
@@ -151,7 +151,7 @@ def framing_warnings(seen: Preview) -> list[str]:
 
 
 def propose(scene: Any, seen: Preview) -> Proposal:
-    """Propose a focus for the scene, or a scale and a position for it where the focus alone would not do."""
+    """Return a proposed focus for the scene, or a scale and a position where focusing does not suffice."""
     view, camera = seen.view, seen.view.camera
     if seen.filled >= _LITTLE_FILLED:
         near, far = _span(seen.distance)
@@ -189,13 +189,13 @@ def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _span(distance: np.ndarray) -> tuple[float, float]:
-    """Return the distances between which most of what is seen is."""
+    """Return the distances between which most of the visible scene lies."""
     known = distance[np.isfinite(distance)]
     return tuple(map(float, np.percentile(known, (5, 95)))) if known.size else (math.nan, math.nan)  # type: ignore[return-value]
 
 
 def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
-    """Draw each picture with what is in focus and sharp outlined, and the same from above."""
+    """Draw pictures with outlines of what is in focus and what refocusing makes sharp, and views from above."""
     canvas = Canvas(9.6, 4.9 * len(previews) + 0.1)
     for index, (title, seen) in enumerate(previews):
         top = 0.45 + 4.9 * index
@@ -204,7 +204,7 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
         axes = canvas.axes(0.2, top, width, height)
         what = f"What the main lens sees, {seen.view.focus_label}"
         heading = f"{title}: {what[0].lower()}{what[1:]}" if title else what
-        show(axes, seen.picture, heading, peak=Brightness().white([seen.picture]))
+        show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
         if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
             scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
         axes.set_frame_on(True)
@@ -214,7 +214,7 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
 
 
 def _outline(axes: Axes, seen: Preview) -> None:
-    """Outline what refocusing makes sharp, and what the picture has in focus."""
+    """Draw outlines around what is in focus, and around what refocusing makes sharp."""
     distance = seen.distance
     near, far = seen.view.sharp_range()
     in_focus = seen.view.is_focused(distance)
@@ -224,7 +224,7 @@ def _outline(axes: Axes, seen: Preview) -> None:
 
 
 def _draw_from_above(axes: Axes, seen: Preview) -> None:
-    """Draw what is seen from above, between the borders of the field."""
+    """Draw the visible points from above, between the borders of the field."""
     view, focus = seen.view, seen.view.focus
     points = seen.points[np.isfinite(seen.distance)][::7]
     near, far = view.sharp_range()

@@ -57,9 +57,9 @@ def preview(
       mitsuba-plenoptic preview beads
     """
     from ...camera import PlenopticCamera
-    from ...io.files import require_writable
     from ...light.render_capture import estimate_capture, plenoptic_sensor
     from ...optics.guards import PhysicsError
+    from ...runtime.files import require_writable
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"), ".png", ".pdf")
     with progress_bar("Previewing") as progress:

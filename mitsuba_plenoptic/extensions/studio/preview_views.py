@@ -26,7 +26,7 @@ _FAR = 1e5
 
 @dataclass(frozen=True)
 class PreviewView(ABC):
-    """What a camera sees; distances are from the main lens, behind an objective from the native object plane."""
+    """View of a camera without microlenses; distances are from the main lens or from the native object plane."""
 
     camera: PlenopticCamera
 
@@ -50,7 +50,7 @@ class PreviewView(ABC):
 
     @abstractmethod
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Take a picture of a scene whose lengths are `scale` times as large, from another pose if one is given."""
+        """Return a picture of the scene, whose lengths are scaled by `scale`, optionally from another pose."""
 
     @abstractmethod
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
@@ -61,31 +61,31 @@ class PreviewView(ABC):
 
     @abstractmethod
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
-        """Return whether the picture blurs what is there by less than a bin of reconstructions."""
+        """Return a mask of distances that the picture blurs by less than a bin of reconstructions."""
 
     @abstractmethod
     def field(self, distance: float) -> tuple[float, float]:
         """Return width and height of the field at a distance."""
 
     def field_in_units(self) -> str:
-        """Write width and height of the field in the plane in focus, with their unit."""
+        """Return width and height of the field in the plane in focus as text with unit."""
         width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
         return f"{width:.4g} x {height:.4g} {self.unit}"
 
     @abstractmethod
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Return from which to which distance to draw the field, with what is at some distances."""
+        """Return the range of distances over which the field is drawn, given the distances of visible points."""
 
     @abstractmethod
     def ticks(self, reach: float) -> dict[float, str]:
         """Return the distances to mark on a drawing as far as `reach`, with their names."""
 
     def in_units(self, distance: float) -> str:
-        """Write a distance with its unit."""
+        """Return a distance as text with its unit."""
         return "infinity" if math.isinf(distance) else f"{self._digits(distance)} {self.unit}"
 
     def between(self, near: float, far: float) -> str:
-        """Write a range of distances with its unit."""
+        """Return a range of distances as text with unit."""
         return f"{self._digits(near)} to {self.in_units(far)}"
 
     def _digits(self, distance: float) -> str:
@@ -108,7 +108,7 @@ class LensView(PreviewView):
         return min(distance, _FAR * camera.focal_length)
 
     def in_units(self, distance: float) -> str:
-        """Write a distance with its unit; the distance that represents infinity is named so."""
+        """Return a distance as text with its unit, or the word for infinity."""
         return super().in_units(math.inf if distance >= _FAR * self.camera.focal_length else distance)
 
     def field_in_units(self) -> str:
@@ -124,14 +124,14 @@ class LensView(PreviewView):
         return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Take the picture with Mitsuba's thin lens."""
+        """Return the picture by Mitsuba's thin lens."""
         lens = {"aperture_radius": self.camera.aperture_radius / scale, "focus_distance": self.focus / scale}
         return photograph(
             scene, photographic_sensor(scene, self.camera, size, type="thinlens", **lens, **_posed(pose)), spp
         )
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return the rays of Mitsuba's pinhole."""
+        """Return the rays of Mitsuba's `perspective` sensor."""
         near = 1e-6 * self.focus / scale
         pinhole = photographic_sensor(scene, self.camera, size, type="perspective", near_clip=near, **_posed(pose))
         x, y = _pixel_centres(size)
@@ -146,13 +146,13 @@ class LensView(PreviewView):
         return np.asarray(blur <= camera.mla_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return what grows with the distance."""
+        """Return width and height of the field at a distance, which grow with the distance."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size
 
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Draw from the lens on."""
+        """Return the range from the lens to the farthest visible point."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
     def ticks(self, reach: float) -> dict[float, str]:
@@ -161,14 +161,14 @@ class LensView(PreviewView):
 
 
 class MicroscopeView(PreviewView):
-    """The view through an objective, as a microscope without an array has it: by telecentric rays from the stop."""
+    """View through an objective without microlenses, by telecentric rays from the stop."""
 
     unit = "um"
     per_millimetre = 1e3
 
     @property
     def focus(self) -> float:
-        """The native object plane."""
+        """Distance of the native object plane, which is in focus: 0."""
         return 0.0
 
     @property
@@ -177,11 +177,11 @@ class MicroscopeView(PreviewView):
         return "in focus in the native object plane"
 
     def sharp_range(self) -> tuple[float, float]:
-        """Return `design.depth_of_field`."""
+        """Return the range of depths that `design.depth_of_field` states."""
         return design.depth_of_field(self.camera)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Average the radiance over the stop, and over each pixel in the native object plane."""
+        """Return the picture through an objective: the radiance averaged over the stop and over each pixel."""
         integrator = scene.integrator()
         # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
         integrator = getattr(integrator, "child", integrator)
@@ -205,7 +205,7 @@ class MicroscopeView(PreviewView):
         return total
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return rays along the axis."""
+        """Return rays parallel to the axis."""
         return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)), scale, pose)
 
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
@@ -214,19 +214,19 @@ class MicroscopeView(PreviewView):
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return the same for all depths."""
+        """Return width and height of the field, the same at every depth."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.bin_size(0)
         return columns * bin_size, rows * bin_size
 
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Draw as far before the native object plane as beyond it."""
+        """Return a range that reaches as far before the native object plane as beyond it."""
         reach = np.abs([end for end in self.sharp_range() if math.isfinite(end)] + [*distances])
         half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
         return -half, half
 
     def ticks(self, reach: float) -> dict[float, str]:
-        """Mark the native object plane, and the ends of the depth of field where there is room."""
+        """Return marks at the native object plane and, where there is room, at the ends of the depth of field."""
         ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
         return {**ends, 0.0: "native plane"}
 
@@ -249,12 +249,12 @@ class MicroscopeView(PreviewView):
 
 
 def view_of(camera: PlenopticCamera) -> PreviewView:
-    """Return how a camera sees."""
+    """Return the view of a camera: through a thin lens, or through an objective."""
     return LensView(camera) if camera.objective is None else MicroscopeView(camera)
 
 
 def _posed(pose: Any) -> dict[str, Any]:
-    """Return the position of a sensor, the scene's own by default."""
+    """Return the entries of a sensor that state its pose, the scene's own pose by default."""
     return {} if pose is None else {"to_world": pose}
 
 

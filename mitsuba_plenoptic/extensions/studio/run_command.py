@@ -38,17 +38,16 @@ def run(
 
       mitsuba-plenoptic run run.yaml
     """
-    from ...io.files import files_used, read_yaml
+    from ...io.checkpoints import finished_step, lock_of, locked, note_step
     from ...io.versions import VERSION, is_of_1_0
-
-    # Brings libraries that take a while to load.
-    from ...report.stage_store import StepLog
+    from ...runtime.files import files_used, read_yaml
 
     commands = step_commands()
     parameters = parameters_of(commands)
     steps = read_run_file(file, parameters)
-    log = StepLog(file.absolute().with_suffix(".steps.json"))
-    with contextlib.chdir(file.parent), resumable():
+    log = file.absolute().with_suffix(".steps.json")
+    alone = locked(lock_of(log), f"{file}: another process is running it")
+    with contextlib.chdir(file.parent), alone, resumable():
         # All are parsed before the first is run, which may take long.
         contexts, by_waves = [], False
         for number, step in enumerate(steps, 1):
@@ -68,13 +67,13 @@ def run(
             label = f"step {number} of {len(steps)}, {step.command}"
             with _naming_step(file, number, step, parameters[step.command]):
                 settings = _settings(step, parameters[step.command])
-                if log.is_finished(settings):
+                if finished_step(log, settings):
                     typer.echo(f"{label}: up to date")
                     continue
                 typer.echo(label)
                 with context, files_used() as used:
                     commands[step.command].invoke(context)
-                log.note(settings, used)
+                note_step(log, settings, used)
 
 
 _LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "method"}
@@ -82,7 +81,7 @@ _LIGHT = {"render": "model", "sweep": "model", "fit": "model", "reconstruct": "m
 
 
 def _is_by_waves(context: Any) -> bool:
-    """Return whether a step, as it is parsed, is by waves, or one whose recipe may be."""
+    """Return whether a parsed step computes by waves, or has a recipe that may."""
     name = context.info_name
     chosen = context.params[_LIGHT[name]] if name in _LIGHT else "wave" if name == "dataset" else "ray"
     if chosen is None:
@@ -122,7 +121,7 @@ def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
 
 
 def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return all that a step depends on but the files that it reads; of a scene the files that it names, too."""
+    """Return everything that a step depends on except the files it reads; for scenes, the files they name as well."""
     # Brings libraries that take a while to load.
     from ...report.stage_store import scene_fingerprint
 

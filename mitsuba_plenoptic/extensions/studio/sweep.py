@@ -27,14 +27,14 @@ from ...errors import (
 )
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
-from ...io.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
 from ...light.render_capture import is_wave_capture, refuse_by_rays, render_capture
 from ...prescription.lens_data import image_distance
 from ...refocus import METHODS
 from ...report.experiment import load_with_sensor, refocused
-from ...report.stage_store import Progress, StageOptions, StageStore, scene_fingerprint, software
+from ...report.stage_store import Progress, StageOptions, Stages, scene_fingerprint, software
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
 from ...runtime.batches import BatchMap
+from ...runtime.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
 
 __all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
 
@@ -47,7 +47,7 @@ _MOST_POINTS = 100_000
 
 
 def read_grid(path: Path) -> dict[str, list[Any]]:
-    """Read a grid from YAML: names, each with a list of numbers, or with one."""
+    """Return a grid read from YAML: names, each with a number or a list of numbers."""
     content = read_yaml(path)
     refuse_if(
         not isinstance(content, dict),
@@ -57,7 +57,7 @@ def read_grid(path: Path) -> dict[str, list[Any]]:
 
 
 def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """Turn texts ``name=1,2,3`` into a grid."""
+    """Return the grid that texts such as ``name=1,2,3`` describe."""
     grids = []
     for text in texts:
         name, equals, values = text.partition("=")
@@ -67,7 +67,7 @@ def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
 
 
 def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
-    """Join grids that have no name in common."""
+    """Return the union of grids that have no name in common."""
     merged: dict[str, list[Any]] = {}
     for grid in grids:
         for name in grid:
@@ -77,7 +77,7 @@ def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
 
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
-    """Return a grid, neither empty nor too large, with its values as finite numbers of which none comes twice."""
+    """Return a grid with finite values, none of them twice; refuse an empty or a too large one."""
     checked: dict[str, tuple[float, ...]] = {}
     for name, values in grid.items():
         refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
@@ -135,9 +135,9 @@ class SweepSettings:
 
 
 class Points:
-    """The points of a grid: captures, and of each the reconstructions."""
+    """Points of a grid, with a capture and its reconstructions for each."""
 
-    def __init__(self, settings: SweepSettings, grid: Grid, store: StageStore) -> None:
+    def __init__(self, settings: SweepSettings, grid: Grid, store: Stages) -> None:
         self.settings, self.store = settings, store
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
@@ -147,7 +147,7 @@ class Points:
             yield dict(zip(self.axes, values, strict=True))
 
     def parameters(self, point: dict[str, float]) -> dict[str, str]:
-        """Values for the scene's parameters."""
+        """Return the scene parameters of a grid point as texts."""
         varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
         for name in varied:
             refuse_if(
@@ -156,7 +156,7 @@ class Points:
         return {**self.settings.parameters, **varied}
 
     def check(self, **for_waves: Any) -> None:
-        """Make every camera once, before the work, and see that they record images of one size.
+        """Make every camera once before the work; refuse cameras whose images differ in size.
 
         Ray captures take none of the options `for_waves`; None means not given.
         """
@@ -184,7 +184,7 @@ class Points:
                 )
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
-        """Yield each capture with its reconstructions, from the store where they are there."""
+        """Yield each capture with its reconstructions, read from the store where they exist."""
         method = {"method": self.settings.method}
         for point in self:
             capture, key = self._capture(point, batch_map)
@@ -236,7 +236,7 @@ _UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromk
 
 
 class SweepFile:
-    """The dataset in its file, image by image."""
+    """Dataset of a sweep in its file, written image by image."""
 
     def __init__(self, file: Any, settings: SweepSettings, grid: Grid, first: Capture) -> None:
         self.variables = file.variables
@@ -280,7 +280,7 @@ class SweepFile:
         self.distances = grid.get(DISTANCE, ())
 
     def put(self, index: tuple[Any, ...], capture: Capture, images: list[np.ndarray]) -> None:
-        """Write one capture and its reconstructions."""
+        """Write one capture with its reconstructions into the file."""
         at = () if self._scalar else tuple(int(i) for i in index)
         self.variables["capture"][(*at, ...)] = capture.image
         self.variables["pixel_size"][at] = capture.camera.pixel_size
@@ -297,7 +297,7 @@ def sweep(
     batch_map: BatchMap | None = None,
     stages: StageOptions | None = None,
 ) -> xr.Dataset:
-    """Render, and reconstruct where distances are given, every point of a grid.
+    """Return the dataset of captures and, where distances are given, reconstructions at every point of a grid.
 
     Each point is stored in a folder next to the output, ``out.points`` for ``out.nc``: a sweep that was stopped, or
     whose grid has grown, computes only what is missing. The dataset is written point by point, so that memory does
@@ -336,7 +336,7 @@ def sweep(
 def prepare(
     settings: SweepSettings, grid: Grid, output: Path, stages: StageOptions | None, **for_waves: Any
 ) -> Callable[[BatchMap | None], xr.Dataset]:
-    """Check a sweep, so that workers need not be started in vain, and return the function that computes it on them.
+    """Check a sweep before workers are started; return the function that computes it on workers.
 
     `for_waves` are the options, by name, that ray captures do not take; None means not given.
     """
@@ -344,7 +344,7 @@ def prepare(
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
     set_variant(settings.variant)
-    store = StageStore(output.with_suffix(".points"), stages)
+    store = Stages(output.with_suffix(".points"), stages)
     points = Points(settings, grid, store)
     points.check(**for_waves)
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.choices import METHODS
 from ...cli.inputs import (
     CameraFile,
     Definitions,
@@ -28,6 +27,7 @@ from ...cli.judging import one_of
 from ...cli.stages import stage_lines
 from ...cli.stopping import Resume
 from ...errors import refuse_if
+from ...refocus_options import METHODS
 
 if TYPE_CHECKING:
     pass

@@ -44,7 +44,7 @@ def view(
 
       mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
-    from ...io.files import require_apart, require_writable
+    from ...runtime.files import require_apart, require_writable
     from .viewer import Recording
     from .viewer import view as make_page
     from .viewer_sources import read_source

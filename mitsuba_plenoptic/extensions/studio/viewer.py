@@ -14,10 +14,10 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
 from ...io.captures import Capture
-from ...io.files import write_text
 from ...refocus import Reconstruction
 from ...report.images import Brightness, encode, shrink
 from ...report.page import scene_name, template
+from ...runtime.files import write_text
 from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
 from ...views.coordinates import DIMS, light_field, require_light_field, view_steps
 from ...views.lens_grid import bin_grid
@@ -41,7 +41,7 @@ _SURE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A light field with its name on the page, and the raw picture that it was decoded from, where there is one."""
+    """A light field with its name on the page and, if known, the raw picture from which it was decoded."""
 
     name: str
     light_field: xr.DataArray
@@ -60,7 +60,7 @@ class Recording:
 
 
 def _through(camera: PlenopticCamera) -> str:
-    """Describe a camera in a few words."""
+    """Return a camera's description in a few words."""
     columns, rows = camera.lens_count
     lattice = "" if camera.mla_lattice == "square" else f"{camera.mla_lattice} "
     lens = f"f/{camera.f_number:.3g}" if camera.lens_data.converges else camera.lens_data.label
@@ -170,7 +170,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
     )
     shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
-    white = Brightness().white(shown or [np.asarray(depths[0]["image"])])
+    white = Brightness().peak(shown or [np.asarray(depths[0]["image"])])
     # Alike for both, so that they have the same views.
     wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
     thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]
@@ -196,7 +196,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
-    """Sort sources into light fields, planes from near to far as distance, image and method, and depth maps."""
+    """Return light fields, planes from near to far (distance, image and method), and depth maps among sources."""
     recordings: list[Recording] = []
     planes: list[tuple[float, np.ndarray, str]] = []
     depths: list[xr.Dataset] = []
@@ -225,7 +225,7 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
 
 
 def _names(recordings: list[Recording]) -> list[str]:
-    """Name light fields differently."""
+    """Return different names for light fields."""
     names = [one.name for one in recordings]
     return [f"{name} {index}" if names.count(name) > 1 else name for index, name in enumerate(names, 1)]
 
@@ -233,7 +233,7 @@ def _names(recordings: list[Recording]) -> list[str]:
 def _recording(
     one: Recording, name: str, lf: xr.DataArray, white: float, bits: int, count: int
 ) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the views that are left, the raw picture and the geometry of a light field, with facts about them."""
+    """Return views, raw picture and geometry of a light field for the page, with sentences about them."""
     whole = one.light_field
     full = max(float(lf.max()), white)
     left_out = "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
@@ -256,7 +256,7 @@ def _recording(
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
-    """Leave out views until so few samples are left."""
+    """Return a light field with so few views that a limit of samples is kept."""
     count = most = min(lf.sizes["v"], lf.sizes["u"])
     each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     if lf.size <= samples:
@@ -291,7 +291,7 @@ def _geometry(lf: xr.DataArray) -> dict[str, Any]:
 
 
 def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
-    """Return the raw picture with the positions of its micro-images and bins, and a fact about it."""
+    """Return the raw picture with the positions of micro-images and bins, and a sentence about it."""
     factor = math.ceil(math.sqrt(image.size * count / _RAW_BYTES))
     small = shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
     full = min(max(float(small.max()), white), _WIDE * white)
@@ -319,7 +319,7 @@ def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple
 
 
 def _bins(lf: xr.DataArray) -> dict[str, Any] | None:
-    """Return where bins are on the raw picture, None where that is unknown."""
+    """Return the positions of bins on the raw picture, None where they are unknown."""
     if not lf.attrs.get("camera") or not lf.attrs.get("grid"):
         return None
     bins = bin_grid(camera_of(lf))
@@ -327,7 +327,7 @@ def _bins(lf: xr.DataArray) -> dict[str, Any] | None:
 
 
 def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[dict[str, Any]]:
-    """Return images with their distances."""
+    """Return images with their distances, as the page takes them."""
     full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
     bits = 16 if full > _WIDE * white else 8
     return [
@@ -352,7 +352,7 @@ def _depth(found: xr.Dataset) -> dict[str, Any]:
 
 
 def _plain(distance: Any) -> Any:
-    """Write distances for JSON: what is infinite as a text, what is unknown as None."""
+    """Return distances as JSON values: infinity as a text, unknown ones as None."""
     values = [
         None if math.isnan(value) else "inf" if math.isinf(value) else float(f"{value:.6g}")
         for value in np.atleast_1d(distance).tolist()

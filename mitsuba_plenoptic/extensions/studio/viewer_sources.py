@@ -12,10 +12,10 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_number
-from ...io.captures import read_capture
+from ...io.captures import Capture, read_capture
 from ...io.exr import read_attributes, read_exr, read_exr_parts
 from ...io.pictures import read_picture
-from ...views.light_field_files import open_light_field
+from ...views.light_field_files import open_light_field, read_recording
 from .viewer import Recording, decoded
 
 
@@ -27,7 +27,7 @@ def read_source(
     linear: bool = False,
     camera: PlenopticCamera | None = None,
 ) -> Recording | xr.DataArray | xr.Dataset:
-    """Read a source of the viewer.
+    """Return the recording, focal stack or depth map that a source of the viewer contains.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ def read_source(
         capture = capture if camera is None else replace(capture, camera=camera)
         lens = capture.camera.lens_data
         if not lens.is_thin and not lens.images_stop and views is None:
-            lf = decoded(capture, None if white is None else _white(white, linear))
+            reference = None if white is None else read_recording(white, linear)
+            lf = decoded(capture, reference.image if isinstance(reference, Capture) else reference)
             return Recording.of(capture, path.stem, lf)
     lf = open_light_field(path, white=white, views=views, linear=linear, camera=camera)
     if path.suffix.lower() == ".exr":
@@ -63,11 +64,6 @@ def read_source(
 
 
 _PICTURES = (".png", ".tif", ".tiff")
-
-
-def _white(path: str | Path, linear: bool) -> np.ndarray:
-    """Read a white image."""
-    return read_capture(path).image if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
 
 def _stack(path: Path) -> xr.DataArray:

@@ -41,7 +41,7 @@ _LEAST_FALL = 0.99
 
 @dataclass(frozen=True, eq=False)
 class CorrectedObject:
-    """An object and its wavefronts.
+    """An object and the wavefronts that were found together with it.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def deconvolve_zones(
     accuracy: float = 0.01,
     iterations: int = 200,
 ) -> CorrectedObject:
-    """Find the weights of the points of each zone, whose wavefronts are known.
+    """Return the weights of the points of zones with known wavefronts.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def digital_adaptive_optics(
     iterations: int = 10,
     progress: Callable[[int, int], None] | None = None,
 ) -> CorrectedObject:
-    """Find an unknown object and the unknown wavefront of each zone of the field from one capture.
+    """Return an unknown object and the unknown wavefront of each zone of the field, found from one capture.
 
     Parameters
     ----------
@@ -222,12 +222,12 @@ class _ZoneSum:
             self._matrices.append(matrix)
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the pixels of some weights."""
+        """Return the image of given weights."""
         total = sum(matrix @ own for matrix, own in zip(self._matrices, values, strict=True))
         return np.asarray(total, np.float32).reshape(self._search.image.shape)
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
-        """Return for each point the pixels weighted by its light."""
+        """Return, for each point, the sum of pixels weighted by the point's light."""
         return [matrix.T @ image.ravel() for matrix in self._matrices]
 
     def improve(self, state: State | None, noise: PixelNoise, iterations: int, *, accelerate: bool) -> PlaneEstimates:

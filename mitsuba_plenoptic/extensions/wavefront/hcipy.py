@@ -33,7 +33,7 @@ __all__ = ["CameraOptics", "phase_screen"]
 
 
 class CameraOptics(hcipy.OpticalElement):
-    """A camera as an optical element, from a wavefront on the pupil of its main lens to the powers of its pixels.
+    """Camera as an optical element of HCIPy: from a wavefront on the pupil of the main lens to the powers of pixels.
 
     The aperture is that of the wavefront: the camera's `aperture_radius` is not applied, but should be about as large,
     as it determines the sampling. A star off axis is a tilt of the wavefront. Aberrations of the camera are added.

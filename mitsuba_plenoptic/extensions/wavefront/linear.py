@@ -65,7 +65,7 @@ class InteractionMatrix:
         wavelength: float = 633.0,
         accuracy: float = 0.01,
     ) -> InteractionMatrix:
-        """Compute the matrix of a camera for known points.
+        """Return the matrix of a camera for known points.
 
         Parameters
         ----------

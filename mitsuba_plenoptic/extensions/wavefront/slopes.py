@@ -53,7 +53,7 @@ class Slopes:
 
 
 def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
-    """Measure slopes in the views of a capture: for each pupil point the centroid of the lenses lit from there.
+    """Return slopes from the views of a capture: for each pupil point, the centroid of the lenses lit from there.
 
     The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where it stays
     within one, and coarse pixels make them some percent too small. They serve as a start for `fit_wavefronts`.
@@ -96,7 +96,7 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
 def spot_slopes(
     image: Any, *, pixels_per_lens: int, pixel_size: float, focal_length: float, magnification: float = 1.0
 ) -> Slopes:
-    """Measure slopes in a capture of a Shack-Hartmann sensor: the place of each lens's spot.
+    """Return slopes from the positions of the spots in a capture of a Shack-Hartmann sensor.
 
     From the phase of the first Fourier coefficient of the lens's pixels, to which even light adds nothing. Centroids
     read some percent too little, as the borders of cells cut the tails of spots off; of two pixels a lens they are
@@ -160,7 +160,7 @@ def _sums(spots: Array, factors: NDArray[Any]) -> NDArray[Any]:
 
 
 def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Array:
-    """Fit Zernike terms to slopes by least squares, each slope weighted by its light.
+    """Return Zernike terms fitted to slopes by least squares, weighted by their light.
 
     Slopes that are means over squares count as means over the part of the square in the pupil; squares outside do not
     count.
@@ -202,7 +202,7 @@ _POINTS = 16
 
 
 def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the slopes of the terms as `slopes` states them, and which of its squares are in the pupil."""
+    """Return the slopes of the terms as means over the squares of `slopes`, and a mask of the squares in the pupil."""
     if slopes.width == 0:
         return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
     step = ((np.arange(_POINTS) + 0.5) / _POINTS - 0.5) * slopes.width
@@ -221,7 +221,7 @@ def mode_slopes(pupil: Array, radius: float, modes: int) -> Array:
 
 
 def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
-    """Return (rows, columns, 2) the centre of each pixel's lens, and the pupil point that it sees through it."""
+    """Return, (rows, columns, 2), the centre of each pixel's lens, and the pupil point seen through this centre."""
     b, z = camera.mla_distance, camera.reduced_distance
     detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
     chief = rays.chief_point(detector, b, z)

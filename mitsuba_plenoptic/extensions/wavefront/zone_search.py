@@ -62,7 +62,7 @@ _RINGS, _SPOKES = 8, 32
 
 @dataclass(frozen=True)
 class Zone:
-    """A part of the field over which the wavefront is the same.
+    """Part of the field over which the wavefront is equal.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def fit_wavefronts(
     noise: Any = COUNTS,
     accuracy: float = 0.01,
 ) -> list[Fit]:
-    """Find the wavefront of each zone of the field from one capture of known points.
+    """Return the fitted wavefront of each zone of the field, found from one capture of known points.
 
     The positions of the points are known, their total light in each zone is not. Tilts are thus measured against the
     positions, and defocus against the distances.
@@ -187,7 +187,7 @@ def fit_wavefronts(
 
 
 def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
-    """Return how far from the recorded lenses the nearest ray of a zone arrives, behind the camera's own wavefront."""
+    """Return the distance between the recorded lenses and the nearest ray of a zone behind the camera's wavefront."""
     lens = main_lens(camera)
     radius, angle = np.linspace(0, lens.pupil_radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
@@ -199,7 +199,7 @@ def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
 
 
 class Search:
-    """A capture, and what a camera is expected to record of zones."""
+    """A capture, and the captures of zones that a camera is expected to record."""
 
     def __init__(self, camera: PlenopticCamera, image: Any, wavelength: float, noise: Any, accuracy: float) -> None:
         refuse_if(noise is None, "noise: give that of the capture")
@@ -210,7 +210,7 @@ class Search:
         self.wavelength, self.accuracy = wavelength, accuracy
 
     def operator(self, camera: PlenopticCamera, points: Array) -> CaptureOperator:
-        """Return the operator of some points."""
+        """Return the capture operator of given points."""
         return CaptureOperator(camera, points, wavelength=self.wavelength, accuracy=self.accuracy)
 
     def expected(self, camera: PlenopticCamera, zone: Zone) -> Array:
@@ -225,7 +225,7 @@ class Search:
         return Pixels.of([self._view], expected[None], None).weight[0]
 
     def light(self, expected: Sequence[Array], sum_before: Array) -> Array:
-        """Return the weight of each zone by which their sum is nearest to the capture, by its noise."""
+        """Return the weight of each zone that brings the zones' sum nearest to the capture, in units of its noise."""
         weight = 1 / self.deviations(np.maximum(sum_before, 0)).ravel()
         rows = np.stack([each.ravel() * weight for each in expected], 1)
         found, *_ = np.linalg.lstsq(rows, self.image.ravel() * weight, rcond=None)
@@ -261,7 +261,7 @@ class Search:
 
 
 def known_zones(zones: Any) -> list[Zone]:
-    """Return zones as a list, or refuse them."""
+    """Return zones as a list; refuse anything else."""
     some = [zones] if isinstance(zones, Zone) else list(zones) if isinstance(zones, Iterable) else []
     refuse_if(
         not some or not all(isinstance(zone, Zone) for zone in some), "zones: give at least one Zone, and no other"
@@ -281,7 +281,7 @@ def terms_of(camera: PlenopticCamera, count: int) -> Array:
 
 
 def _start(camera: PlenopticCamera, image: Array, zone: Zone, modes: int) -> PlenopticCamera:
-    """Return the camera where the search of a zone starts, from the image of its pixels."""
+    """Return the camera at which the search of a zone starts, found from the pixels of the zone's image."""
     if camera.wavefront:
         return camera.replace(wavefront=tuple(terms_of(camera, max(modes, len(camera.wavefront))).tolist()))
     slopes = view_slopes(camera, image, zone.weights @ zone.points)

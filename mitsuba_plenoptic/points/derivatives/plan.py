@@ -17,8 +17,7 @@ from ...light.optical_system import OpticalSystem
 from ...light.sampling import MEMORY_LIMIT
 from ...optics import guards
 from ...runtime.backend import backend
-from ...runtime.batches import BatchMap, PartialSum, Threads, add
-from ...runtime.jobs import Job, SumTask
+from ...runtime.batches import BatchMap, Job, PartialSum, SumTask, Threads, add
 from ...runtime.limits import largest_fitting, memory_limit, single_threaded_blas
 from ..accuracy import derivative_band_for, derivatives_share
 from ..mixing import WavelengthPlans, groups, mix
@@ -132,7 +131,7 @@ class DerivativePlan(PatchPlan):
         return gradients
 
     def _shifted(self, names: Iterable[str]) -> bool:
-        """Return whether copies shift with some parameters."""
+        """Return whether copies of spreads shift when some parameters change."""
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingParameters | None:
@@ -157,7 +156,7 @@ class DerivativePlan(PatchPlan):
     def lit(
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64], moving: NDArray[np.bool_]
     ) -> tuple[Fields, list[SpreadCopies]]:
-        """Describe those spreads of a chunk that have any weight, and their copies; `moving` is as from there."""
+        """Return the spreads of a chunk with a nonzero weight, and their copies; `moving` marks moving patterns."""
         used, copies = [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             used.append(pattern)
@@ -182,7 +181,7 @@ class DerivativePlan(PatchPlan):
         return VjpBatch(fields, copies, self._finer, offset, self._tile(samples, box), summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes that derivatives take, of all channels in all directions, or refuse them."""
+        """Return the bytes that derivatives of all channels in all directions take; refuse too many."""
         return super().check_memory(batch_map, self._kept(channels))
 
     def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
@@ -199,7 +198,7 @@ class DerivativePlan(PatchPlan):
 
 
 class JvpSum:
-    """Changes of a sum in several directions, batch by batch, with the interface of `runtime.jobs.LongSum`."""
+    """Changes of a sum in several directions, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
         self._plan, self._weights, self._directions = plan, weights, directions

@@ -62,7 +62,7 @@ _BLOCK = 2**18
 
 @dataclass(frozen=True)
 class SpreadCopies(Copies):
-    """Where and how strongly a point spread is recorded, and how its copies change."""
+    """Positions and weights of the copies of a point spread, and the changes of the copies."""
 
     places: NDArray[np.float64]  # shifts on the microlens array in millimetres, (copies, 2)
     moving: bool  # whether the motion of the lattice against the points is included
@@ -117,7 +117,7 @@ def _factors(fields: Fields, parameters: VaryingParameters) -> PatchFactors:
 
 
 def _moved_lattice(fields: Fields, parameters: VaryingParameters | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
-    """Return the changes of the factors of a batch as the lattice moves along its own x, and along its y."""
+    """Return the changes of a batch's factors as the lattice moves along its x axis, and along its y axis."""
     if parameters is None or not any(own.moving for own in copies):
         return []
     moves = []
@@ -198,7 +198,7 @@ def _add(
 
 @dataclass(frozen=True)
 class VjpResult:
-    """Cotangents of a batch's factors, and sums of its point spreads."""
+    """Cotangents of a batch's factors, with sums of the batch's point spreads."""
 
     factors: Parts
     products: NDArray[np.float64]  # gradient times the effect of a moved lattice on the spreads, laid out as A, (2, 2)
@@ -222,7 +222,7 @@ class VjpBatch(FieldBatch):
         return partial(_vjp, self, PatchBatch(self.fields, np.ones(len(self.copies))), lattice)
 
     def gather(self, result: VjpResult, parameters: VaryingParameters) -> None:
-        """Add the gradients that follow to those of the parameters."""
+        """Add the gradients of a batch to those of the parameters."""
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(part):

@@ -28,7 +28,7 @@ from ...runtime.batches import Box
 
 @dataclass(frozen=True)
 class CellSet:
-    """Cells, row by row: each row is a run without gaps."""
+    """Cells in rows, each of which is a run without gaps."""
 
     top: int
     first: NDArray[np.int64]
@@ -39,7 +39,7 @@ class CellSet:
 
     @cached_property
     def start(self) -> NDArray[np.int64]:
-        """Index of each row's first cell."""
+        """Index of the first cell of each row."""
         return np.concatenate([[0], np.cumsum(self.count)[:-1]]).astype(np.int64)
 
     @cached_property
@@ -75,7 +75,7 @@ class BinCells:
 
     @property
     def camera(self) -> PlenopticCamera:
-        """The camera in the frame of its lattice."""
+        """Camera in the frame of its lattice."""
         return self.grid.camera
 
     @cached_property
@@ -94,7 +94,7 @@ class BinCells:
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
-        """The same vectors in samples of the grid."""
+        """Vectors of the lattice in samples of the grid."""
         return self._steps @ self.grid.lens_samples
 
     @property
@@ -158,7 +158,7 @@ class BinCells:
         return result
 
     def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
-        """Return for each row of cells the first cell's index, the count, and the overlap of its strip with the box."""
+        """Return, per row of cells, the first cell's index, the count, and the overlap of its strip with the box."""
         width, height = self.size
         strips = []
         for row, (number, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
@@ -185,7 +185,7 @@ def to_bins(
     distance: float,
     oversample: int,
 ) -> NDArray[np.float32]:
-    """Interpolate between the centres of bins; where the two grids are one, nothing changes."""
+    """Return values at the centres of bins, interpolated from cells; unchanged where both grids are equal."""
     across, down = (count * oversample for count in camera.bin_count)
     made = bins_matrix(cells, lit, camera, distance, oversample) @ values.ravel()
     return made.astype(np.float32).reshape(down, across)

@@ -28,8 +28,8 @@ from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
+from ...runtime.batches import Job
 from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
-from ...runtime.jobs import Job
 from .kernels import StoredResponse, require_response_memory
 from .variation import TotalVariation
 
@@ -91,7 +91,7 @@ class FourierResponse(StoredResponse):
         return [(rows, columns)] * self._count
 
     def variation(self) -> TotalVariation:
-        """Return the total variation of its planes."""
+        """Return the total variation of the response's planes."""
         return TotalVariation.of_grids(self.shapes)
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
@@ -99,11 +99,11 @@ class FourierResponse(StoredResponse):
         return np.ascontiguousarray(values[::-1, ::-1])
 
     def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
-        """Apply the transpose of `to_image`."""
+        """Return the transpose of `to_image`, applied to an image."""
         return np.ascontiguousarray(image[::-1, ::-1], np.float32)
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Record planes."""
+        """Return the image that planes record."""
         libraries, (rows, columns) = backend(), self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
         with resting_drjit():
@@ -115,7 +115,7 @@ class FourierResponse(StoredResponse):
             return np.ascontiguousarray(libraries.to_host(irfft(found, columns, axis=1)[:, :width]))
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to an image."""
         libraries, columns, result = backend(), self._size[1], []
         width, height = self._camera.bin_count
         with resting_drjit():

@@ -67,7 +67,7 @@ class StoredResponse:
             self._folder.cleanup()
 
     def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
-        """Write arrays of one type into a file of the folder, if there is one, and return them as read from there.
+        """Return arrays of one type as read from a file of the folder, unchanged without a folder.
 
         The system holds what is read in memory as long as there is room for it.
         """
@@ -234,7 +234,7 @@ class PlaneResponse:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone: its blocks, and on the backend's device the steps of each, its members and where their light is from."""
+    """A zone on the backend's device: its blocks, their steps, its members, and the cells that light them."""
 
     blocks: list[SampleBlock]
     steps: list[Any]

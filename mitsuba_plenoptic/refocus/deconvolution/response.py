@@ -20,7 +20,8 @@ from ...camera.plenoptic_camera import require_no_shape
 from ...design import resolution_limit
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
-from ...optics.rays import cosines_to_slopes, into_medium
+from ...light.walk import Passage, Walk
+from ...optics.rays import cosines_to_slopes
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
 from ...points.patch_factors import Fields
@@ -29,8 +30,7 @@ from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
-from ...runtime.batches import Box, Part
-from ...runtime.jobs import Job
+from ...runtime.batches import Box, Job, Part
 from .cells import BinCells, bins_matrix, to_bins
 from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation
@@ -107,7 +107,7 @@ def bin_weight(cells: BinCells) -> float:
 
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:
-    """Return a distance; infinity is so far that light is collimated."""
+    """Return a finite distance; for infinity, one so far that light is collimated."""
     return min(distance, _INFINITY * camera.focal_length)
 
 
@@ -133,7 +133,7 @@ def ray_grid(camera: PlenopticCamera) -> Grid:
 
 @dataclass(frozen=True)
 class RayBatch:
-    """The rays of one bin."""
+    """Rays of one bin, as a batch."""
 
     cells: BinCells
     distance: float
@@ -141,7 +141,7 @@ class RayBatch:
 
     @property
     def samples(self) -> int:
-        """Count of rays."""
+        """Number of rays."""
         return _RAYS**2
 
     def prepare(self) -> Callable[[], Part]:
@@ -163,8 +163,8 @@ def _pairs() -> NDArray[np.float64]:
 def _trace(batch: RayBatch) -> Part:
     """Trace the rays of a bin, and distribute each to the four samples around it."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
-    lens, light, lattice = grid.lens, grid.lens.bind(np.empty((0, 3))), camera.lattice
-    pairs, b, z = _pairs(), camera.mla_distance, camera.detector_distance
+    lens, light, walk = grid.lens, grid.lens.bind(np.empty((0, 3))), Walk.of(camera, grid.lens)
+    pairs, b = _pairs(), camera.mla_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
@@ -175,16 +175,10 @@ def _trace(batch: RayBatch) -> Part:
     else:
         slopes = cosines_to_slopes(*light.cosines(pupil, point))
         m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
-    index = lattice.cell(*m)
-    centre = lattice.centre(*index)
-    offset = [position - c for position, c in zip(m, centre, strict=True)]
-    passes = lattice.in_aperture(*offset)
-    types = lattice.lens_type(*index).astype(int) if len(camera.mla_focal_lengths) > 1 else 0
-    f2 = np.array(camera.reduced_focal_lengths)[types]
-    before, chief = ((P[0] / b, P[1] / b) for P in (np.subtract(pupil, m), np.negative(centre)))
-    behind = into_medium(before, (-offset[0] / f2, -offset[1] / f2), chief, camera.mla_medium)
-    landed = np.stack([x - z * t for x, t in zip(m, behind, strict=True)], axis=-1)
-    position = ((landed - grid.origin) / grid.pitch)[passes]
+    centre, f2 = walk.lens_at(*camera.lattice.cell(*m))
+    passes = camera.lattice.in_aperture(m[0] - centre[0], m[1] - centre[1])
+    landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), centre, f2))
+    position = ((np.stack(landed, axis=-1) - grid.origin) / grid.pitch)[passes]
     below = np.floor(position).astype(np.int64)
     low = below.min(0)
     columns, rows = (below.max(0) - low + 2).tolist()
@@ -264,7 +258,7 @@ class Response(StoredResponse):
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
 
     def _on_disk(self, kernels: list[Kernel]) -> list[Kernel]:
-        """Return kernels whose matrices are read from the folder, if there is one."""
+        """Return kernels whose matrices are read from the folder, or unchanged without a folder."""
         matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
         stored = iter(self._stored(matrices, f"{len(self.planes)}"))
         return [
@@ -275,7 +269,7 @@ class Response(StoredResponse):
     def _kernels(
         self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
     ) -> list[Kernel]:
-        """Compute the kernel of each zone from the spreads of the cell in its middle.
+        """Return the kernel of each zone, computed from the spreads of the cell in its middle.
 
         A zone may be one batch, so that only the batches of all zones together keep all cores busy.
         """
@@ -307,7 +301,7 @@ class Response(StoredResponse):
         return middle
 
     def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
-        """Cut the cells into zones; if each zone has its own kernel, into so large ones that the kernels fit."""
+        """Return the cells of each zone; zones with separate kernels are so large that all kernels fit into memory."""
         width, rows = _ZONE, len(self._sampled.count)
         widest = max(rows, int(self._sampled.count.max()))
         while True:
@@ -317,7 +311,7 @@ class Response(StoredResponse):
             width *= 2
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
-        """Estimate the bytes of one kernel of a plane, with all of its blocks."""
+        """Return the approximate bytes of one kernel of a plane with all of its blocks."""
         camera, grid = self.cells.camera, self.cells.grid
         samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
         across, down = (samples / size + 2 for size in self.cells.size)
@@ -339,7 +333,7 @@ class Response(StoredResponse):
         return [plane.shape for plane in self.planes]
 
     def variation(self) -> TotalVariation:
-        """Return the total variation of its planes."""
+        """Return the total variation of the response's planes."""
         return TotalVariation.of_cells(self.cells, [plane.lit for plane in self.planes])
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
@@ -348,13 +342,13 @@ class Response(StoredResponse):
         return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
 
     def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
-        """Apply the transpose of `to_image`."""
+        """Return the transpose of `to_image`, applied to an image."""
         lit, distance = self.planes[plane].lit, self._distances[plane]
         matrix = bins_matrix(self.cells, lit, self._camera, distance, self.cells.oversample)
         return (matrix.T @ image.ravel()).astype(np.float32).reshape(self.shapes[plane])
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Record planes."""
+        """Return the image that planes record."""
         width, height = self.cells.size
         libraries = backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
@@ -364,7 +358,7 @@ class Response(StoredResponse):
         return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Apply the transpose of `forward`."""
+        """Return the transpose of `forward`, applied to an image."""
         libraries = backend()
         sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
         samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))
@@ -372,7 +366,7 @@ class Response(StoredResponse):
 
 
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
-    """Return whether spreads a lens apart are equal: with an objective, or for rays in air without aberrations."""
+    """Return whether spreads a lens apart are equal: with an objective, or by rays in air without aberrations."""
     without = camera.mla_medium == 1 and not any(camera.wavefront)
     by_rays = wavelength is None and camera.lens_model == "ideal" and without
     return by_rays or not camera.lens_data.converges

@@ -27,7 +27,7 @@ each step (Green 1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microsco
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -35,7 +35,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import refuse_if, refusing
-from ...io.checkpoints import Checkpoint
 
 Values = list[NDArray[np.float32]]
 """Radiance of the bins of each plane."""
@@ -58,7 +57,7 @@ class Linear(Protocol):
     """From the radiance of bins to pixels, and the transpose."""
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the pixels of some bins."""
+        """Return the pixels that bins light."""
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
         """Return for each bin the pixels weighted by its light."""
@@ -66,7 +65,7 @@ class Linear(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PlaneEstimates:
-    """The result of an iteration."""
+    """Planes that an iteration has found, with facts about it."""
 
     values: Values
     seen: Values
@@ -79,12 +78,12 @@ class Penalty(Protocol):
     """A demand on the radiance of bins besides that it explains the image."""
 
     def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
-        """Return its derivatives by the bins; those that are not inside do not count."""
+        """Return the derivatives of the penalty by the bins, 0 for bins that are not inside."""
 
 
 @dataclass
 class State:
-    """The state of an iteration: all data on which its next steps depend."""
+    """State of an iteration: all data on which its next steps depend."""
 
     found: Values
     last: Values
@@ -169,7 +168,7 @@ class RichardsonLucyStep:
         return [np.where(mask, level, np.float32(0)) for mask in self.inside]
 
     def ratio(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the image over what it should be."""
+        """Return the recorded image over the model's image."""
         return np.asarray(self.given / (np.maximum(model, 0) + self.shift))
 
     def scaled(self, point: Values, back: Values) -> Values:
@@ -199,7 +198,7 @@ def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """One channel of one plane."""
+    """Result for one channel of one plane."""
 
     image: NDArray[np.float32]
     iterations: int
@@ -207,51 +206,49 @@ class Solved:
     stopped: bool
 
 
-class SolverCheckpoint:
-    """The results of earlier processes in a checkpoint, and those that this one adds."""
+@dataclass
+class Work:
+    """The state of a deconvolution: the channels and planes that are solved, and the iteration of the next ones.
 
-    def __init__(self, checkpoint: Checkpoint | None, facts: dict[str, Any]) -> None:
-        self._checkpoint = checkpoint
-        arrays = (checkpoint.begin_arrays(**facts) if checkpoint else None) or {}
+    A checkpoint holds the arrays of it.
+    """
+
+    solved: list[Solved] = field(default_factory=list)
+    state: State | None = None
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Work:
+        """Take the work from its arrays by name; it is empty without any."""
         with refusing("checkpoint: it is damaged:", KeyError, ValueError):
-            self.solved = [
+            solved = [
                 Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
                 for index, (done, left, stopped) in enumerate(arrays.get("solved", np.zeros((0, 3))))
             ]
-            self._state = _state(arrays) if "misfits" in arrays else None
+            if "misfits" not in arrays:
+                return cls(solved)
+            planes = range(sum(name.startswith("found.") for name in arrays))
+            found, last = ([arrays[f"{name}.{plane}"] for plane in planes] for name in ("found", "last"))
+            done, momentum = arrays["counts"].astype(int).tolist()
+            return cls(solved, State(found, last, momentum, done, arrays["misfits"].tolist()))
 
-    def state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
-        """Return, only once, the saved state of the unfinished iteration; refuse one with bins of other shapes."""
-        state, self._state = self._state, None
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays of the work by name."""
+        counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
+        images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
+        arrays: dict[str, NDArray[Any]] = {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
+        if self.state is None:
+            return arrays
+        planes = {"found": self.state.found, "last": self.state.last}
+        arrays |= {f"{name}.{plane}": part for name, parts in planes.items() for plane, part in enumerate(parts)}
+        counted = np.array([self.state.done, self.state.momentum], np.float64)
+        return arrays | {"misfits": np.array(self.state.misfits), "counts": counted}
+
+    def take_state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
+        """Return, only once, the state of the unfinished iteration; refuse one with bins of other shapes."""
+        state, self.state = self.state, None
         for values in [] if state is None else [state.found, state.last]:
             refuse_if(
                 [part.shape for part in values] != list(shapes),
                 "checkpoint: it is damaged: its bins are not those of this reconstruction",
             )
         return state
-
-    def keep(self, state: State) -> None:
-        """Save the state if the checkpoint is due."""
-        if self._checkpoint:
-            self._checkpoint.save_arrays(lambda: self._solved_arrays() | _arrays(state))
-
-    def _solved_arrays(self) -> dict[str, NDArray[Any]]:
-        counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
-        images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
-        return {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
-
-
-def _arrays(state: State) -> dict[str, NDArray[Any]]:
-    """Name the arrays of a state."""
-    counts = np.array([state.done, state.momentum], np.float64)
-    found: dict[str, NDArray[Any]] = {"misfits": np.array(state.misfits), "counts": counts}
-    named = {"found": state.found, "last": state.last}
-    return found | {f"{name}.{plane}": part for name, parts in named.items() for plane, part in enumerate(parts)}
-
-
-def _state(arrays: dict[str, NDArray[Any]]) -> State:
-    """Take a state from its arrays."""
-    planes = sum(name.startswith("found.") for name in arrays)
-    found, last = ([arrays[f"{name}.{plane}"] for plane in range(planes)] for name in ("found", "last"))
-    done, momentum = arrays["counts"].astype(int).tolist()
-    return State(found, last, momentum, done, arrays["misfits"].tolist())

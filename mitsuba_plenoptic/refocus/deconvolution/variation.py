@@ -35,7 +35,7 @@ class Noise:
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Return the noise from `photons` if given, or else from the metadata that `expose` has stored."""
+        """Return the noise from `photons` if given, otherwise from the metadata that `expose` stored."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
         return None if exposure is None else cls._exposed(exposure)
@@ -57,7 +57,7 @@ class Noise:
         return self.dark * self.electrons
 
     def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
-        """Return the squared residual over what noise alone would make of it, pixels weighted by their variances.
+        """Return the squared residual, weighted by the pixels' variances, over its expectation for noise alone.
 
         Pearson's statistic, of expectation 1; pixels that should be all but dark count less than it would have them,
         since a single photon of light that the model does not know would outweigh all else.
@@ -68,9 +68,6 @@ class Noise:
         return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)
 
 
-MOST = 0.25
-"""Largest weight: steps stay positive, as the gradient is at most 3.42."""
-
 _SMOOTH = 1e-3
 """Largest step between bins, over their mean, that counts as even."""
 
@@ -80,19 +77,19 @@ Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
 
 
 class TotalVariation:
-    """The variation of some planes."""
+    """Total variation of planes."""
 
     def __init__(self, differences: Sequence[Differences]) -> None:
         self._differences = differences
 
     @classmethod
     def of_cells(cls, cells: BinCells, lit: Sequence[CellSet]) -> TotalVariation:
-        """Return that of bins that are gathered in cells, the cells of each plane."""
+        """Return the total variation of bins that are grouped in the cells of each plane."""
         return cls([_differences(cells, some) for some in lit])
 
     @classmethod
     def of_grids(cls, shapes: Sequence[tuple[int, int]]) -> TotalVariation:
-        """Return that of planes of upright square bins, (rows, columns)."""
+        """Return the total variation of planes of upright square bins, (rows, columns)."""
         known = {shape: _grid_differences(shape) for shape in set(shapes)}
         return cls([known[shape] for shape in shapes])
 

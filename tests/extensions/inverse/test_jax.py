@@ -9,7 +9,7 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, scattered, small_camera
+from wave_cases import WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, StoredOperator, load_scene
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
@@ -19,6 +19,9 @@ bridge = importlib.import_module("mitsuba_plenoptic.jax")
 
 CAMERA = small_camera(2)
 POINTS = scattered(3, image=0.05)
+
+FAST = small_camera(2, aperture_radius=10.0)
+"""A camera whose stigmatic lens and parabolic phase make captures that differ by half."""
 
 
 def computing(camera):
@@ -85,6 +88,15 @@ def test_cameras():
     difference = (figure(start + 0.02, weights) - figure(start - 0.02, weights)) / 0.04
     assert float(by_distance) == pytest.approx(float(difference), rel=2e-3)
     assert float((by_weights * weights).sum()) == pytest.approx(float(value), rel=1e-5)
+
+
+@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
+def test_captures_are_by_the_cameras_lens_model(lens_model):
+    camera = FAST.replace(lens_model=lens_model)
+    capture = bridge.capture(computing, camera, {"mla_distance": np.array(FAST.mla_distance)}, np.ones(3))
+    assert error(np.asarray(capture), computing(camera).forward(np.ones(3))) < 1e-5
+    other = FAST.replace(lens_model={"ideal": "parabolic", "parabolic": "ideal"}[lens_model])
+    assert error(np.asarray(capture), computing(other).forward(np.ones(3))) > 0.3
 
 
 OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, DeconvolvedRefocus: {"iterations": 3}}

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, scattered, small_camera
+from wave_cases import WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene, volume_points
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
@@ -21,6 +21,9 @@ forward_ad = importlib.import_module("torch.autograd.forward_ad")
 
 CAMERA = small_camera(2)
 POINTS = scattered(3, image=0.05)
+
+FAST = small_camera(2, aperture_radius=10.0)
+"""A camera whose stigmatic lens and parabolic phase make captures that differ by half."""
 
 # Of central differences, and relative differences: derivatives and captures cut light at different angles.
 # By the array's parameters derivatives are right to some percent, and the sum changes little with `mla_offset`.
@@ -158,6 +161,19 @@ def test_exchange_with_other_libraries_by_dlpack():
     owned[:] = 2
     torch.testing.assert_close(bridge.forward(operator, weights), 2 * image)
     assert np.from_dlpack(image).__array_interface__["data"][0] == image.data_ptr()
+
+
+@pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
+def test_captures_are_by_the_cameras_lens_model(lens_model):
+    camera = FAST.replace(lens_model=lens_model)
+    capture = (
+        bridge.capture(computing, camera, {"mla_distance": torch.tensor(FAST.mla_distance)}, torch.ones(3))
+        .detach()
+        .numpy()
+    )
+    assert error(np.asarray(capture), computing(camera).forward(np.ones(3))) < 1e-5
+    other = FAST.replace(lens_model={"ideal": "parabolic", "parabolic": "ideal"}[lens_model])
+    assert error(np.asarray(capture), computing(other).forward(np.ones(3))) > 0.3
 
 
 # -- forward mode ------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from mitsuba_plenoptic.extensions.paper.paper_limits import (
     focused_cameras,
     run_plain_sums,
 )
-from mitsuba_plenoptic.refocus.ray import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
 
 PAPER, WAVELENGTH = PlenopticCamera(), 633.0
 

@@ -27,7 +27,7 @@ from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
-from mitsuba_plenoptic.report.stage_store import StageOptions, StageStore, scene_fingerprint
+from mitsuba_plenoptic.report.stage_store import StageOptions, Stages, scene_fingerprint
 
 
 def files(folder):
@@ -171,7 +171,7 @@ def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, mo
 
     def run(folder, settings=settings, **options):
         progress = []
-        store = StageStore(folder, StageOptions(lambda *told: progress.append(told), **options))
+        store = Stages(folder, StageOptions(lambda *told: progress.append(told), **options))
         with pytest.raises(StoppedError):
             run_experiment(settings, store)
         # What was done when the capture began.
@@ -203,8 +203,18 @@ def test_a_scenes_fingerprint_knows_its_files(tmp_path):
 def test_a_store_keeps_facts_from_one_run_to_the_next(tmp_path):
     made = []
     for inputs, runs in (({"a": 1}, 1), ({"a": 1}, 1), ({"a": 2}, 2)):
-        facts = StageStore(tmp_path).facts("facts", inputs, lambda _: made.append(1) or {"answer": 42})
+        facts = Stages(tmp_path).facts("facts", inputs, lambda _: made.append(1) or {"answer": 42})
         assert facts == {"answer": 42} and len(made) == runs
+
+
+def test_a_stage_that_another_process_makes_is_refused(tmp_path):
+    def make(_):
+        with pytest.raises(InputError, match=r"facts\.json: another process is making this stage; wait until it has"):
+            Stages(tmp_path).facts("facts", {}, lambda _: {})
+        return {"answer": 42}
+
+    assert Stages(tmp_path).facts("facts", {}, make) == {"answer": 42}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["facts.json", "stages.json"]
 
 
 def test_photographs_are_aligned_with_each_other(tiny):

@@ -61,7 +61,7 @@ _HALF = 13
         "refocused at 210, 240, 280 mm (dB)": "{psnr_db[0]:.1f}, {psnr_db[1]:.1f}, {psnr_db[2]:.1f}",
     },
     (at_most("largest", "limit"),),
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     quick={"spp": 16, "reference_spp": 16, "lattices": ("square",)},
 )  # fmt: skip
 def lattices(
@@ -145,7 +145,7 @@ def chart_capture(name: str, model: str, spp: int) -> Capture:
         "camera": "{camera}", "scene": "{scene}", "bins per lens": "{bins_per_lens}", "PSNR (dB)": "{psnr_db:.1f}",
         "correlation": "{correlation:.4f}", "scale": "{scale:.3f}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     quick={"spp": 2, "reference_spp": 16, "cameras": ("keplerian",)},
 )  # fmt: skip
 def focused_agreement(
@@ -176,7 +176,7 @@ def focused_agreement(
         "samples per lens": "{samples:.1f}", "expected": "{expected:.1f}", "MTF50 (lp/mm)": "{mtf50:.1f}",
         "edge width (um)": "{edge:.0f}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     quick={"spp": 2, "cameras": ("keplerian",)},
 )  # fmt: skip
 def focused_resolution(

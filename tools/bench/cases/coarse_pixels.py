@@ -44,7 +44,7 @@ def _camera(f_number: float, pixels: int, film: int, lattice: str) -> PlenopticC
         "memory above that of rays (GiB)": "{memory:.2f}",
     },
     (at_most("ratio", "limit"), at_most("memory", _MOST_MEMORY)),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"films": (100,), "f_numbers": (5.6,), "samples": (8,)},
 )  # fmt: skip
 def cost(

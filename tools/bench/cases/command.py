@@ -32,7 +32,7 @@ STARTS: dict[str, tuple[list[str], dict[str, str], float | None]] = {
     "Processor time of a new process, over that of one that imports Mitsuba alone",
     {"what": "{what}", "seconds": "{seconds:.2f}", "over `import mitsuba`": "{ratio:.1f}"},
     (at_most("ratio", "limit"),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"runs": 1, "names": ("--help",)},
 )
 def start(*, runs: int = 7, names: tuple[str, ...] = tuple(STARTS)) -> Iterator[Row]:

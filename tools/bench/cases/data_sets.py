@@ -35,7 +35,7 @@ COMPARED = 6
     "data-set",
     "A data set made by worker processes, killed when a third and two thirds of it are there, resumed, compared bit by "
     "bit and read by PyTorch",
-    page="docs/numbers.md",
+    page="docs/datasets.md",
     quick={"count": 4, "size": 64},
 )
 def data_set(output: Path, *, count: int = 100, size: int = 512, workers: int = 2) -> Iterator[Row]:

@@ -68,7 +68,7 @@ ARRIVES = 0.01
         at_most("clean", "most"),
         at_most("noisy", "most_noisy"),
     ),
-    page="docs/numbers.md",
+    page="docs/deconvolution.md",
     quick={"planes": (13.0,), "relative": (JUDGED,), "accuracy": 0.05, "iterations": 50},
 )  # fmt: skip
 def contrasts(
@@ -101,7 +101,7 @@ def contrasts(
         "d (mm)": "{d:+g}", "response": "{response}", "contrast": "{contrast:.2f}", "error": "{error:.2f}",
         "left of the capture": "{residual:.2%}", "brightest bin": "{most:.2f}",
     },
-    page="docs/numbers.md",
+    page="docs/deconvolution.md",
     quick={"accuracy": 0.05, "iterations": 50},
 )  # fmt: skip
 def wrong_responses(
@@ -200,7 +200,7 @@ def arriving(images: np.ndarray) -> float:
     {"distance (mm)": "{distance:g}", "period (lenses)": "{period:.2f}", "method": "{method}",
      "contrast": "{contrast:.2f}", "error": "{error:.2f}"},
     (at_most("error", "most"), at_least("error", "least")),
-    page="docs/numbers.md",
+    page="docs/deconvolution.md",
     quick={"periods": (1.3,), "iterations": 10, "distances": (253.0,)},
 )  # fmt: skip
 def fine_lines(

@@ -55,7 +55,7 @@ def window(distance: float, where: tuple[float, float]) -> PlenopticCamera:
         "power": "{power:.4f}", "left of the capture": "{residual:.2%}",
     },
     (at_most("place", 0.1), at_most("power_off", 0.03)),
-    page="docs/numbers.md",
+    page="docs/deconvolution.md",
     quick={"planes": (13.0,), "windows": ("middle",), "iterations": 30},
 )  # fmt: skip
 def points(*, planes: tuple[float, ...] = PLANES, windows: tuple[str, ...] = (), iterations: int = 60) -> Iterator[Row]:
@@ -115,7 +115,7 @@ OVERSAMPLE = 4
         "steps": "{iterations}", "left of the capture": "{residual:.0%}", "s": "{seconds:.0f}",
     },
     (at_least("psnr", "least"), at_most("edge", "widest")),
-    page="docs/numbers.md",
+    page="docs/deconvolution.md",
     quick={"letters": ("#",), "iterations": 5, "reference_spp": 16, "size": 1024},
 )  # fmt: skip
 def letters(
@@ -196,7 +196,7 @@ def edge_width(image: np.ndarray, reference: np.ndarray) -> float:
 @case(
     "deconvolution.time",
     "Deconvolution of the paper's camera: planning, the response and its adjoint, and memory, in a process of its own",
-    page="docs/numbers.md",
+    page="docs/deconvolution.md",
     quick={"resolution": 512, "runs": 1},
 )
 def times(*, distance: float = 253.0, oversample: int = 4, resolution: int = 4096, runs: int = 3) -> Iterator[Row]:

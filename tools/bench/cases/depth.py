@@ -59,7 +59,7 @@ TUNING = {"letters": (HALF, 195, 310), "made 1": ({}, 195, 310), "made 2": ({}, 
         "confidence: rate, by tenths of the bins": "{tenths}", "worst tenth": "{worst:.2f}", "chance": "{chance:.2f}",
     },
     (at_most("sure_median", 0.005), at_most("sure_high", 0.02), at_most("all_worst", NEAR_RATE)),
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     quick={"scenes": ("made 3",), "spp": 4},
 )  # fmt: skip
 def maps(*, spp: int = 16, tuning: bool = False, scenes: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -202,7 +202,7 @@ Result = dict[str, np.ndarray]
         at_most("worst_apart", 0.2),
         at_most("all_apart", 0.1),
     ),
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     pivot=Pivot("{scene}", "{camera}", "{stated_percent}, {sure_percent}", lambda row: row["camera"] != "all"),
     quick={"scenes": ("two planes",), "cameras": ("square",)},
 )  # fmt: skip

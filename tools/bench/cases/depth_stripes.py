@@ -26,7 +26,7 @@ PHOTONS = (0, 500)
         "right of these sure": "{sure_right:.0%}", "confidence: rate (bins)": "{tenths}",
     },
     (at_least("sure_right", 0.85),),
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     pivot=Pivot(
         "{scene}", "{camera}", "{stated_percent}, {right_percent}, {sure_percent}", lambda row: row["camera"] != "all"
     ),

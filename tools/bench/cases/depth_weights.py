@@ -46,7 +46,7 @@ Observed = tuple[np.ndarray, np.ndarray]
         "confidence: rate, by tenths of the bins": "{tenths}", "worst tenth": "{worst:.2f}", "weights": "{weights}",
         "-log likelihood per bin": "{loss:.4f}", "of the weights in use": "{used:.4f}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/depth.md",
     quick={"cameras": ("square",), "scenes": 4},
 )  # fmt: skip
 def weights(*, captures: str = "", cameras: tuple[str, ...] = (), scenes: int = 20) -> Iterator[Row]:

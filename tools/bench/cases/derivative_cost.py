@@ -41,7 +41,7 @@ MODES: dict[str, Callable[[CaptureOperator, Any, Any], object]] = {
         "time (s)": "{seconds:.2f}", "memory (GiB)": "{memory:.2f}", "over that of the image": "{memory_ratio:.2f}",
     },
     (at_most("reverse_ratio", 4.0), at_most("reverse_memory", 3.0)),
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     quick={"pixels": 128, "points_per_lens": 16},
 )  # fmt: skip
 def letters(*, pixels: int = 256, points_per_lens: int = 64, accuracy: float = 0.01, runs: int = 2) -> Iterator[Row]:
@@ -79,7 +79,7 @@ def _measured(mode: str, file: Path, camera: PlenopticCamera, accuracy: float, r
     "derivative-cost.unshared",
     "Forward and reverse mode over the image, on one thread, nothing shared: processor time, and NumPy's memory",
     {"accuracy": "{accuracy:g}", "mode": "{mode}", "time": "{time:.1f}", "memory": "{memory:.1f}"},
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     quick={"points": 16, "runs": 1},
 )
 def unshared(*, points: int = 128, runs: int = 3) -> Iterator[Row]:
@@ -111,7 +111,7 @@ def unshared(*, points: int = 128, runs: int = 3) -> Iterator[Row]:
     "derivative-cost.torchoptics",
     "One point's light through one lens to a plane, and the gradient of the power there by the focal length, on one "
     "thread: ours on a patch, against the autograd of torchoptics in its own double precision",
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     needs=("torchoptics",),
     quick={"runs": 1},
 )

@@ -124,7 +124,7 @@ def _grown(grids: FieldGrids, factor: float) -> FieldGrids:
     "Derivatives of captures against central differences of the full field, relative L2 over the detector",
     TABLE,
     JUDGED,
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     pivot=Pivot("{case}", "{parameter}", "{error:.2%}"),
     quick={"parameters": ("mla_pitch",), "cases": ("square, off axis, near",)},
 )
@@ -156,7 +156,7 @@ def against_full_field(*, parameters: tuple[str, ...] = (), cases: tuple[str, ..
     "nearly cancel, against central differences of the full fields",
     TABLE,
     JUDGED,
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     quick={"across": 2, "parameters": ("mla_pitch",)},
 )
 def walls(*, across: int = 12, parameters: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -181,7 +181,7 @@ def walls(*, across: int = 12, parameters: tuple[str, ...] = ()) -> Iterator[Row
     "Derivatives of a white capture inside its micro-images, where it stays white: RMS over the largest at their edges",
     TABLE,
     JUDGED,
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     quick={"per_lens": 2},
 )
 def whites(*, per_lens: int = WHITE_PER_LENS) -> Iterator[Row]:
@@ -210,7 +210,7 @@ def whites(*, per_lens: int = WHITE_PER_LENS) -> Iterator[Row]:
     "Reverse against forward mode of captures and their derivatives: <A x, y> and <x, A' y>, over |A x| |y|",
     TABLE,
     JUDGED,
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
     quick={"cases": ("square, off axis, near",)},
 )
 def adjoints(*, cases: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -242,7 +242,7 @@ def adjoints(*, cases: tuple[str, ...] = ()) -> Iterator[Row]:
         "full field off the sums": "{full_field[0]:.2%}, {full_field[1]:.2%}, {full_field[2]:.2%}",
     },
     (at_most("image", 0.002), at_most("least", "limit")),
-    page="docs/numbers.md",
+    page="docs/derivatives.md",
 )  # fmt: skip
 def wavelength(*, points: int = 1) -> Iterator[Row]:
     """Measure up to three points before square arrays, by central differences of 0.02 nanometres."""

@@ -59,7 +59,7 @@ def _contrast(values: np.ndarray, places: np.ndarray) -> float:
         "misfit per pixel, 1 is noise": "{misfit:.2f}", "turns": "{turns}",
     },
     (at_least("correlation", "least"),),
-    page="docs/numbers.md",
+    page="docs/theory/wavefront_reconstruction.md",
     quick={"modes": 5, "turns": 1, "iterations": 5, "lenses": 12},
 )  # fmt: skip
 def digital_optics(

@@ -120,7 +120,7 @@ def disparities(
         "residual": "{residual:.1%}",
     },
     (at_most("off", 0.03),),
-    page="docs/numbers.md",
+    page="docs/howto/dual_pixel.md",
     quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 1},
 )  # fmt: skip
 def depth(
@@ -161,7 +161,7 @@ def depth(
         "bias of waves (lenses)": "{bias:.2f} +- {deviation:.2f}", "of the defocus": "{defocus:.0%}",
         "of the depth": "{depth:.1%} +- {depth_deviation:.1%}",
     },
-    page="docs/numbers.md",
+    page="docs/howto/dual_pixel.md",
     quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 2},
 )  # fmt: skip
 def matching(
@@ -200,7 +200,7 @@ def matching(
         "waves over rays": "{ratio:.2f}", "light": "{light:.3f}",
     },
     (at_most("off", 0.04),),
-    page="docs/numbers.md",
+    page="docs/howto/dual_pixel.md",
     quick={"f_numbers": (1.8,)},
 )  # fmt: skip
 def spreads(*, f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0), blur: float = 5.0, size: int = 25) -> Iterator[Row]:

@@ -63,7 +63,7 @@ LONG = 30.0
         "estimated GiB": "{estimated_memory:.2f}",
     },
     (at_most("off", "most_off"),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     pivot=Pivot("{method}", "{camera}", "{seconds:.3g} s, {memory:.1f} GiB"),
     quick={"f_numbers": (10.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip
@@ -84,7 +84,7 @@ def fast_cameras(
     "that of their Fourier transforms alone, and what finer sampling changes (L2)",
     {"camera": "{camera}", "method": "{method}", "over transforms": "{ratio:.2f}", "change": "{change:.2%}"},
     (at_most("ratio", "most"), at_most("change", 0.01)),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"f_numbers": (10.0,), "lenses": 8},
 )
 def fast_sampling(*, f_numbers: tuple[float, ...] = (2.8, 5.6, 10.0), lenses: int = 100) -> Iterator[Row]:

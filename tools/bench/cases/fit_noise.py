@@ -70,7 +70,7 @@ Array = NDArray[np.float64]
         at_most("last", 0.05),
         at_most("far", 0.05),
     ),
-    page="docs/numbers.md",
+    page="docs/fitting.md",
     quick={"lenses": 4, "seeds": 2, "far": 0, "derivatives": 0.05},
 )  # fmt: skip
 def noise(

@@ -29,7 +29,7 @@ WAVELENGTH = 633.0
         "chi-square per pixel": "{chi_square:.3f}",
     },
     (at_most("square_off", 0.25), at_most("bound_off", 0.2)),
-    page="docs/numbers.md",
+    page="docs/fitting.md",
     quick={"seeds": 1, "points": 2, "accuracy": 0.1},
 )  # fmt: skip
 def spread(

@@ -43,7 +43,7 @@ _Point = tuple[float, float, float]
         "": "{unit} at {points}",
     },
     (at_most("exponent", "most"),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"sizes": (512, 1024), "runs": 1, "only": ("ray capture",)},
 )  # fmt: skip
 def growth(

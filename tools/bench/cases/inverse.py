@@ -29,7 +29,7 @@ def _camera(pixels: int) -> PlenopticCamera:
     "inverse.lsqr",
     "Least squares with SciPy's lsqr: steps with stored point spreads, their computation included, against steps that "
     "compute them",
-    page="docs/numbers.md",
+    page="docs/howto/inverse_problems.md",
     quick={"pixels": 64},
 )
 def least_squares(*, points: int = 25, pixels: int = 256, steps: int = 60, computed: int = 3) -> Iterator[Row]:
@@ -61,7 +61,7 @@ def least_squares(*, points: int = 25, pixels: int = 256, steps: int = 60, compu
 @case(
     "inverse.training",
     "A training step of a small network on captures by stored spreads in PyTorch: its time, and the part of captures",
-    page="docs/numbers.md",
+    page="docs/howto/inverse_problems.md",
     quick={"pixels": 64, "batch": 4, "across": 4},
     needs=("torch",),
 )

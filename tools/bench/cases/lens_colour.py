@@ -166,7 +166,7 @@ def cameras(names: tuple[str, ...], aperture: float, resolution: int) -> dict[st
         "traced": "{traced[0]:+.3f}, {traced[1]:+.3f}", "off": "{off:.3f}", "s": "{seconds:.1f}",
     },
     (at_most("off", 0.1),),
-    page="docs/numbers.md",
+    page="docs/howto/colour.md",
     variant="llvm_ad_rgb",
     quick={"names": ("singlet",), "resolution": 512, "spp": 1024, "models": ("ray",)},
 )  # fmt: skip
@@ -194,7 +194,7 @@ def lateral(
     "lens-colour.pictures",
     "Pictures of one scene in white light through three lenses, by both models, side by side",
     {"lens": "{lens}", "capture": "{model}", "s": "{seconds:.1f}"},
-    page="docs/numbers.md",
+    page="docs/howto/colour.md",
     variant="llvm_ad_spectral",
     quick={"resolution": 512, "spp": 4, "names": ("thin lens",)},
 )

@@ -82,7 +82,7 @@ def width(profile: np.ndarray, bin_size: float) -> float:
         "s a step": "{step:.3g}", "s planning": "{planning:.3g}", "GiB": "{memory:.2f}",
     },
     (at_most("width", "widest"), at_most("error", 0.25), at_most("memory", 8.0)),
-    page="docs/numbers.md",
+    page="docs/microscope.md",
     quick={"planes": 1, "lenses": 9, "iterations": 10},
 )  # fmt: skip
 def deconvolved_beads(*, planes: int = 4, lenses: int = 21, iterations: int = 30) -> Iterator[Row]:
@@ -124,7 +124,7 @@ def deconvolved_beads(*, planes: int = 4, lenses: int = 21, iterations: int = 30
 @case(
     "microscope.steps",
     "A step of Richardson and Lucy, a projection forward and one back, against pyolaf's with as many samples",
-    page="docs/numbers.md",
+    page="docs/microscope.md",
     needs=("pyolaf",),
     quick={"planes": 1, "lenses": 9},
 )
@@ -234,7 +234,7 @@ def seen(plane: Reconstruction, bead: np.ndarray, power: float, light_of_bin: fl
     "microscope.fourier",
     "The Fourier microscope's deconvolution: its response against exact spreads, and a known volume of beads, also "
     "with 2000 photons in the brightest pixel, stopped by the method itself",
-    page="docs/numbers.md",
+    page="docs/microscope.md",
     quick={"planes": 2, "beads": 1, "iterations": 10},
 )
 def fourier(

@@ -54,7 +54,7 @@ def debye(objective: Objective, radius: np.ndarray, depth: float) -> np.ndarray:
         "relative L2": "{error:.4%}",
     },
     (at_most("error", 1e-3),),
-    page="docs/numbers.md",
+    page="docs/microscope.md",
     quick={"count": 2},
 )  # fmt: skip
 def objectives(*, count: int = 18) -> Iterator[Row]:
@@ -163,7 +163,7 @@ class Peer:
         "ours": "{ours:.2%}", "ours without its obliquity": "{plain:.2%}", "ours from each": "{each}",
     },
     (at_most("judged", 0.02),),
-    page="docs/numbers.md",
+    page="docs/microscope.md",
     needs=("pyolaf",),
     quick={"finest": 5},
 )  # fmt: skip

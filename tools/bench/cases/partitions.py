@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mitsuba_plenoptic import Capture, load_scene, read_capture, reconstruct
-from mitsuba_plenoptic.refocus.partitions import blocks, coloured, refocused, sublattice
+from mitsuba_plenoptic.extensions.paper.partitions import blocks, coloured, refocused, sublattice
 from mitsuba_plenoptic.report.experiment import bounding_boxes
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.metrics import interference, shape_window
@@ -62,7 +62,7 @@ class Refocused:
         "partition": "{kind}", "propagations": "{propagations}", "g (mm)": "{distance:g}", "letter": "{letter}",
         "interference": "{shown}",
     },
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{kind}, {propagations}", "{letter} at {distance:g} mm", "{shown}"),
     quick={"size": 1024, "periods": (1, 2, 3), "grids": (2,), "counts": (2, 4, 7)},
 )  # fmt: skip

@@ -27,7 +27,7 @@ from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.light.signed_rays import SignedRaySum
 from mitsuba_plenoptic.points.units import brightness_at, brightness_of, radiance_weight
 from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
-from mitsuba_plenoptic.runtime.jobs import SumTask
+from mitsuba_plenoptic.runtime.batches import SumTask
 
 from .. import Pivot, Row, at_most, case, pick
 from ..measures import relative, without_noise, write_comparison

@@ -24,7 +24,7 @@ from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeRespon
 from mitsuba_plenoptic.extensions.onchip.responses import ResponseSum
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
-from mitsuba_plenoptic.runtime.jobs import SumTask
+from mitsuba_plenoptic.runtime.batches import SumTask
 
 from .. import Pivot, Row, at_most, case
 from ..measures import mean_of_seeds, relative, write_comparison

@@ -58,7 +58,7 @@ FILLS = (0.5, 0.25, 0.1)
         "patch - full field": "{error:.2%}", "power, full field": "{power:.4f}", "power, patch": "{patch_power:.4f}",
     },
     (at_most("error", 0.0035),),
-    page="docs/numbers.md",
+    page="docs/theory/accuracy.md",
     quick={"count": 1},
 )  # fmt: skip
 def patch(*, count: int = 17) -> Iterator[Row]:
@@ -100,7 +100,7 @@ def points() -> Iterator[tuple[str, PlenopticCamera, Point, float]]:
         "patch - full field": "{error:.3%}",
     },
     (at_most("finer", 0.002), at_most("wider", 0.002)),
-    page="docs/numbers.md",
+    page="docs/theory/accuracy.md",
     quick={"count": 1, "side": 0.3},
 )  # fmt: skip
 def convergence(*, count: int = 6, side: float = 1.4) -> Iterator[Row]:

@@ -59,7 +59,7 @@ BINNING = (1, 2, 4, 8)
         "energy, rays over waves": "{energy:.4f}",
     },
     (at_most("by_pixels", 1.0), at_most("by_lenses", 1.0)),
-    page="docs/numbers.md",
+    page="docs/howto/waves.md",
     pivot=Pivot(
         "f/{f_number:g}, {um:g} um, Fresnel number {fresnel:.2f}", "{focus}: rays, with sinc²",
         "{rays:.1%}, {convolved:.1%}", lambda row: row["binning"] == 2,

@@ -63,7 +63,7 @@ SHOWN = "{psnr_db:.1f} dB, {correlation:.3f}"
     "Ray reconstructions of ray captures against Mitsuba's thin lens, one scale factor for a scene and a version",
     {"scene": "{scene}", "version": "{footprint}", **AGREEMENT},
     AGREEMENT_LIMITS,
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{footprint} version", "{scene}, {distance:g} mm", SHOWN),
     quick={"spp": 4, "reference_spp": 16, "scenes": ("letters",)},
 )
@@ -112,7 +112,7 @@ def letters_captures(wave: str, size: int) -> dict[str, Capture]:
         "method": "{method}", **AGREEMENT, "highest PSNR (dB)": "{highest:.1f}", "s, all distances": "{seconds:.1f}",
     },
     AGREEMENT_LIMITS,
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{method}", "{distance:g} mm", SHOWN),
     quick={"reference_spp": 16, "size": 1024},
 )  # fmt: skip
@@ -149,7 +149,7 @@ FULL_SIZE = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "
         "least, mean, most": "{least:.3f}, {mean:.3f}, {most:.3f}",
     },
     (at_most("memory", 8.0), at_most("unreached", 0.0)),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     pivot=Pivot("{camera}, {columns} x {rows} bins, {method}", "{place}", "{processor:.0f} s, {memory:.1f} GiB"),
     quick={"cameras": ("lytro",), "methods": ("coherent",), "spp": 1},
 )  # fmt: skip

@@ -319,7 +319,7 @@ def points_against_signed_rays(
         "off that of most samples": "{off:.1%}",
     },
     (at_most("off", 0.1), at_most("not_noise", 0)),
-    page="docs/numbers.md",
+    page="docs/theory/accuracy.md",
     quick={"lenses": 8, "samples": (256, 64)},
 )  # fmt: skip
 def noise(*, lenses: int = 12, samples: tuple[int, ...] = (1024, 16)) -> Iterator[Row]:

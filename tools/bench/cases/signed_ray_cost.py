@@ -34,7 +34,7 @@ _LIT, _NOISY = 0.1, 0.01
         "99 % of noisy pixels": "{highest_of_noisy:.1f}",
     },
     (at_most("light_off", 0.01), at_most("median", 1.3), at_most("highest_of_noisy", "most")),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"scenes": ("letters",), "pixels": 256, "runs": 1, "seeds": 2},
 )  # fmt: skip
 def signed_ray_cost(

@@ -183,7 +183,7 @@ def mean_of_realisations(modes: int, per_spot: float) -> tuple[float, float]:
 @case(
     "speckle",
     "Laser light: contrast, grains and distribution of speckle, coherence and fringes against closed forms",
-    page="docs/numbers.md",
+    page="docs/theory/coherence.md",
     quick={"width": 0.8, "modes": 2, "realisations": 8},
 )
 def speckle(

@@ -33,7 +33,7 @@ POINTS = ((0.0, 0.0, 240.0), (0.3, 0.2, 210.0), (0.3, -0.4, 280.0))
 @case(
     "spectrum.focal-lengths",
     "Focal lengths of the bundled singlet against the closed form of a thick lens, chromatic shifts against f / V",
-    page="docs/numbers.md",
+    page="docs/howto/colour.md",
 )
 def focal_lengths() -> Iterator[Row]:
     """Compare 31 wavelengths."""
@@ -59,7 +59,7 @@ def focal_lengths() -> Iterator[Row]:
 @case(
     "spectrum.bands",
     "Spreads of bands, with as many wavelengths as are found necessary, against 64",
-    page="docs/numbers.md",
+    page="docs/howto/colour.md",
     quick={"widths": (20.0,), "glass": False},
 )
 def bands(*, widths: tuple[float, ...] = (20.0, 100.0), glass: bool = True) -> Iterator[Row]:
@@ -86,7 +86,7 @@ def bands(*, widths: tuple[float, ...] = (20.0, 100.0), glass: bool = True) -> I
 @case(
     "spectrum.letters",
     "31 wavelengths of points of the letters at once, against 31 sums, in error and in time",
-    page="docs/numbers.md",
+    page="docs/howto/colour.md",
     quick={"resolution": 128, "accuracy": 0.1, "one_spectrum": True},
 )
 def letters(

@@ -32,7 +32,7 @@ from ..timing import in_process, once, paired, peak_memory
     "speed.rays",
     "Samples per second of ray captures against Mitsuba's own `thinlens`: the same film, the same scene, `path`",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 512, "runs": 2},
 )
 def samples_per_second(*, resolution: int = 4096, runs: int = 5) -> Iterator[Row]:
@@ -63,7 +63,7 @@ def samples_per_second(*, resolution: int = 4096, runs: int = 5) -> Iterator[Row
 @case(
     "speed.command",
     "Peak memory and time of the command that renders a capture",
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 512},
 )
 def command(*, resolution: int = 4096, spp: int = 16) -> Iterator[Row]:
@@ -145,7 +145,7 @@ def _capture(name: str, spp: int, size: int, file: Path) -> Row:
     "Sums of point spreads on worker processes against one process, with the same bits",
     {**SPEED, "pixels of other bits": "{other}"},
     (at_most("other", 0),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 256, "runs": 1},
 )
 def workers(*, resolution: int = 1024, runs: int = 5, count: int = 2) -> Iterator[Row]:

@@ -19,9 +19,9 @@ import scipy.fft
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.extensions.paper.paper_limits import plain_seconds, plain_sums, run_plain_sums
-from mitsuba_plenoptic.refocus.full_fields import lit_window
 from mitsuba_plenoptic.refocus.planning import plan
-from mitsuba_plenoptic.refocus.ray import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.wave_methods import lit_window
 from mitsuba_plenoptic.views import distance_of, refocus
 
 from .. import Row, at_most, case
@@ -38,7 +38,7 @@ DISTANCES = [210.0, 240.0, 280.0]
     "Reconstructions on one core at the paper's size, against bare FFTs, a pass over the image, whole-bin "
     "shift-and-add, and the paper's seconds",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"resolution": 2048, "runs": 1},
 )
 def reconstructions(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:

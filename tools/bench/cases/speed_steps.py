@@ -29,7 +29,7 @@ _PAIR = "bare FFT pair"
     "speed.steps",
     "The angular-spectrum step against a pair of FFTs (ours over the pair), in processes of one and of all threads",
     SPEED,
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"sizes": (512,), "runs": 2},
 )
 def steps(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:
@@ -67,7 +67,7 @@ _BYTES_PER_SAMPLE = 80
     "On a CUDA device: steps against bare transforms and the memory's speed, whole captures and reconstructions",
     SPEED,
     (at_most("difference", 1e-5),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"sizes": (1024,), "runs": 1},
 )
 def gpu(*, sizes: tuple[int, ...] = (1024, 2048, 4096, 8192), runs: int = 5) -> Iterator[Row]:

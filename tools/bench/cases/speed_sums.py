@@ -42,7 +42,7 @@ _PARTS = (
     "the error, on parts of scenes",
     SPEED,
     (at_most("difference", DEFAULT_ACCURACY),),
-    page="docs/numbers.md",
+    page="docs/theory/cost.md",
     quick={"count": 1},
 )
 def sharing(*, scene: str = "", count: int = 5) -> Iterator[Row]:

@@ -64,7 +64,7 @@ REFERENCE = 400.0
         "worst bin without": "{without:.4f}",
     },
     (at_most("unexplained", "limit"),),
-    page="docs/numbers.md",
+    page="docs/theory/image_quality.md",
     pivot=Pivot("{lenses} lenses, {model} capture, {lattice}, {wall}, {method}", "{distance:g} mm", "{worst:.3f}"),
     quick={"lenses": (12,), "lattices": ("square",), "distances": (210.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip

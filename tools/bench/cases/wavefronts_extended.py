@@ -54,7 +54,7 @@ def image(sensor: ArrayInFocus | ShackHartmann, phase: np.ndarray, places: np.nd
         "fit": "{fitted:.4f}", "deviation that the fit states": "{stated:.4f}", "Shack-Hartmann": "{spots:.4f}",
     },
     (at_most("fitted", "spots"), at_most("over_stated", 3.0)),
-    page="docs/numbers.md",
+    page="docs/theory/wavefront_reconstruction.md",
     needs=("hcipy",),
     quick={"ratios": (5.0,), "modes": 6, "accuracy": 0.3},
 )  # fmt: skip

@@ -7,13 +7,13 @@ import pytest
 from wave_cases import HALF, LATTICES, WAVELENGTH, small_camera
 
 from mitsuba_plenoptic import Capture, reconstruct
-from mitsuba_plenoptic.refocus.partitions import (
+from mitsuba_plenoptic.extensions.paper.partitions import (
     LensArray,
     blocks,
     coloured,
     refocused,
     sublattice,
-    white_interference,
+    sublattice_interference,
 )
 from mitsuba_plenoptic.report.metrics import interference
 from mitsuba_plenoptic.views.white_image import white_image
@@ -186,7 +186,7 @@ def test_predicted_interference_is_that_of_white(step, labels, white):
     image = of_subsets(capture, labels(i, j), 280.0)
     # Bins that get the light of whole micro-images.
     found = interference(image, limit, (slice(7, -7),) * 2)
-    (predicted,) = white_interference(capture.camera, 280.0, WAVELENGTH, [step])
+    (predicted,) = sublattice_interference(capture.camera, 280.0, WAVELENGTH, [step])
     assert found == pytest.approx(predicted, rel=0.45, abs=0.004)
 
 

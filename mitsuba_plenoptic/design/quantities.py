@@ -1,4 +1,4 @@
-r"""The resolution of a camera at each object distance, for unfocused and focused microlenses.
+r"""The focus of microlenses, the resolution at each object distance, micro-images, and the lenses that light a pixel.
 
 A pixel gathers the rays through all of its lens. In the plane of the main lens's image of an object, a before the MLA,
 they fill a spot, by the similar triangles of thin lenses: as wide as the lens where the MLA is, and as the image of a
@@ -21,19 +21,37 @@ lens, they read :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from ..camera import PlenopticCamera
-from ..errors import require_number
+from ..errors import refuse_if, require_number, require_wavelength
+from ..lenses.common import chief_points, main_lens
+from ..optics.waves import in_millimetres
 from ..prescription.lens_data import conjugate_distance, image_distance
-from .micro_images import direction_count, spot_radius
+
+MOST_OVERLAP = 100_000
+"""Lenses that may light one pixel."""
+
+SECTORS = 12
+"""Directions in which the reach of light behind lenses that turn direction cosines is stated."""
+
+_LENS_POINTS = 9
+"""Points across a lens, and below, angles around the pupil and the field, from which this reach is computed."""
+
+_ANGLES = 16
+
+_BETWEEN = 1.03
+"""Factor on it for points between the samples."""
 
 # -- what the microlenses are focused on -------------------------------------------------------------
 
 
 def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
-    r"""Return for each type of microlens the name of what it is focused on.
+    r"""Return the name of the plane on which each type of microlens is focused.
 
     - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
       spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
@@ -54,13 +72,13 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
 
 
 def focus_type(camera: PlenopticCamera) -> str:
-    """Return what all microlenses are focused on, as `focus_types` names it, or ``mixed``."""
+    """Return the name of the plane on which all microlenses are focused, as in `focus_types`, or ``mixed``."""
     types = set(focus_types(camera))
     return types.pop() if len(types) == 1 else "mixed"
 
 
 def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance a before the MLA, towards the main lens, of what each type of microlens images on the detector.
+    """Distance a in front of the MLA, towards the main lens, of the plane that each type of microlens images sharply.
 
     :math:`1/a + n/z = n/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
 
@@ -87,7 +105,7 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
 
 def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance behind the main lens of what each type of microlens is to see: the MLA's for an unfocused one."""
+    """Distance behind the main lens of the image that each type of microlens sees: the MLA's for unfocused cameras."""
     camera.require_lens("the plane that microlenses see")
     return tuple(
         camera.mla_distance - (0 if focus == "unfocused" else a)
@@ -151,7 +169,7 @@ class EffectiveResolution:
 
 
 def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float) -> float:
-    r"""Enlargement of a lens's aperture in the object plane, seen through it by a pixel: :math:`|1 - s \kappa|`.
+    r"""Return the enlargement of a lens's aperture in the object plane, as a pixel sees it: :math:`|1 - s \kappa|`.
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
 
@@ -219,7 +237,7 @@ def effective_resolution(
         If the distance is not beyond the focal length, or the wavelength is out of range.
     """
     image_distance(camera.focal_length, require_number("distance", distance))
-    spot = pixel_footprint(camera, distance) * _finest(camera, wavelength) / camera.pixel_size
+    spot = pixel_footprint(camera, distance) * finest_detail(camera, wavelength) / camera.pixel_size
     lens = min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_width
     detail = max(spot, lens)
     return EffectiveResolution(
@@ -229,6 +247,32 @@ def effective_resolution(
         samples_per_lens=camera.mla_pitch / detail,
         ratio=camera.pixel_size / detail,
     )
+
+
+def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Radius of a microlens's focal spot, from its centre to the first zero.
+
+    :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
+    of diameter d; for a hexagon that of the disc of its area.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    return in_millimetres(require_wavelength(wavelength)) * camera.reduced_distance / camera.lattice.diffraction_width
+
+
+def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
+    """Return the directions resolved across a micro-image: its diameter over a pixel or the spot, if that is larger."""
+    return camera.micro_image_diameter / finest_detail(camera, wavelength)
+
+
+def finest_detail(camera: PlenopticCamera, wavelength: float | None) -> float:
+    """Return the finest detail on the detector in millimetres: a pixel, or the spot of diffraction if that is wider."""
+    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, wavelength))
 
 
 # -- at which distances ------------------------------------------------------------------------------
@@ -299,7 +343,10 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
             found.append(refocus_range(camera, wavelength))
             continue
         side = math.copysign(1, a)
-        near, far = sharp_images(camera, a, _covering(camera, side), wavelength)
+        # The cone of a point is a lens pitch wide at |s| = D2 / D1, with s = -a / (b - a).
+        defocus = max(camera.mla_pitches) / camera.aperture_diameter
+        covering = camera.mla_distance * defocus / (1 + side * defocus)
+        near, far = sharp_images(camera, a, covering, wavelength)
         images = sorted(camera.mla_distance - side * distance for distance in (near, far))
         # The nearer the object, the farther its image; none is nearer than the focal length.
         objects = [
@@ -311,7 +358,7 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:
-    """Return how near to and how far from the MLA an image is sharp, on the side where a microlens is in focus at a.
+    """Return the nearest and farthest distance from the MLA of sharp images, on the side where a lens is in focus at a.
 
     From the distance `covering` on, the light of a point spans a lens pitch.
     """
@@ -322,7 +369,7 @@ def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength:
 
 def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
     """Return by how much 1/a may differ from a microlens's focus for a blur of a pixel, or of the spot if wider."""
-    return _finest(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
+    return finest_detail(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:
@@ -340,13 +387,173 @@ def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: fl
     return max(1, math.floor(effective_resolution(camera, distance, wavelength).samples_per_lens + 1e-6))
 
 
-def _finest(camera: PlenopticCamera, wavelength: float | None) -> float:
-    """Finest detail on the detector: a pixel, or the spot of diffraction if that is wider."""
-    return max(camera.pixel_size, 0.0 if wavelength is None else spot_radius(camera, wavelength))
+# -- micro-images ------------------------------------------------------------------------------------
 
 
-def _covering(camera: PlenopticCamera, side: float) -> float:
-    """Distance of an image from the MLA from which on the cone of a point is a lens pitch wide."""
-    # With |s| = D2 / D1 and s = -a / (b - a).
-    defocus = max(camera.mla_pitches) / camera.aperture_diameter
-    return camera.mla_distance * defocus / (1 + side * defocus)
+def image_f_number(camera: PlenopticCamera) -> float:
+    """F-number of the main lens as the MLA sees it, :math:`b / D_1`."""
+    return camera.mla_distance / camera.aperture_diameter
+
+
+def mla_f_number(camera: PlenopticCamera) -> float:
+    """F-number of a microlens as the detector sees it: :math:`z / n` over the width of its aperture."""
+    return camera.reduced_distance / camera.lattice.aperture_width
+
+
+def micro_image_distance(camera: PlenopticCamera) -> float:
+    """Distance of the closest micro-images: those of a diameter below it do not touch."""
+    return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.mla_pitch
+
+
+# -- Fresnel numbers -------------------------------------------------------------------------------------
+
+
+def mla_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Fresnel number of a microlens of width w seen from the detector, :math:`n (w/2)^2 / (\lambda z)`."""
+    return (camera.lattice.aperture_width / 2) ** 2 / (
+        in_millimetres(require_wavelength(wavelength)) * camera.reduced_distance
+    )
+
+
+def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Fresnel number of the main lens seen from the MLA, :math:`(D_1/2)^2 / (\lambda b)`."""
+    camera.require_lens("the Fresnel number of the main lens")
+    return camera.aperture_radius**2 / (in_millimetres(require_wavelength(wavelength)) * camera.mla_distance)
+
+
+# -- light of a white scene --------------------------------------------------------------------------
+
+
+def white_mean(camera: PlenopticCamera) -> float:
+    r"""Return the mean of an unbounded capture of a scene of uniform radiance 1.
+
+    A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
+    mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
+    the lattice's cell.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    """
+    growth = camera.micro_image_pitch / camera.mla_pitch
+    return math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
+
+
+def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
+    """Find the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
+
+    The ray from a detector point p through the point c + d of a lens meets the pupil plane in
+    :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
+    that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
+    :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    beyond : float
+        Width in millimetres of the margin.
+
+    Returns
+    -------
+    (lenses, 2) int array
+        Steps in the lattice's indices; the first is the chief ray's own lens.
+
+    Raises
+    ------
+    InputError
+        If micro-images overlap so much that these are more than 100,000.
+    """
+    lenses, reach, smear = _crosstalk(camera)
+    reach += beyond
+    refuse_if(
+        not lenses <= MOST_OVERLAP,
+        f"camera: its micro-images overlap so much that some {lenses:.3g} lenses light each pixel; at most "
+        f"{MOST_OVERLAP} are followed",
+    )
+    return camera.lattice.neighbours(reach, smear)
+
+
+def crosstalk_reach(camera: PlenopticCamera) -> float:
+    """Return the greatest distance of the centres of lenses that can light a pixel from the point of its chief ray."""
+    _, reach, smear = _crosstalk(camera)
+    return float(reach + smear * camera.lattice.aperture_reach)
+
+
+def crosstalk_defocus(camera: PlenopticCamera) -> float:
+    """Return how much this distance changes per relative change of a lens's power."""
+    growth = camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
+    across = camera.lattice.aperture_reach * camera.pupil_distance
+    return float(across / min(camera.reduced_focal_lengths) / growth)
+
+
+def turns_cosines(camera: PlenopticCamera) -> bool:
+    """Return whether the microlenses turn direction cosines of rays, not slopes."""
+    return camera.lens_model != "ideal" or camera.mla_shape is not None
+
+
+def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
+    """Return how far lenses that turn direction cosines can be from the chief ray's point and still light a pixel.
+
+    `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
+    rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens
+    from the chief ray's point, among rays from the rim of the pupil.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    radii : (n,) array
+        Distances of the lens from the axis.
+
+    Returns
+    -------
+    (n, SECTORS) array
+        By the angle, from 0 to 180 degrees, between the directions towards the lens and away from the axis.
+    """
+    lens, z, n = main_lens(camera), camera.detector_distance, camera.mla_medium
+    s, t = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, _LENS_POINTS)] * 2))
+    offset = np.stack(camera.lattice.aperture_point(s, t))[:, :, None, None]
+    angle = 2 * np.pi * np.arange(_ANGLES) / _ANGLES
+    around = np.stack([np.cos(angle), np.sin(angle)])
+    pupil = lens.reach * around[:, None, :, None]
+    # Cells and the pupil look alike from opposite sides of the field.
+    away = around[:, None, None, : _ANGLES // 2]
+    found = np.zeros((len(radii), SECTORS))
+    for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
+        slope = lens.slope_to(pupil, radius * away + offset)
+        cosine = slope / np.sqrt(1 + (slope**2).sum(0))
+        turn = offset / f2
+        if camera.mla_shape is not None:
+            slopes = camera.mla_shape.slopes(*camera.lattice.to_frame(*offset))
+            turn = -np.stack(camera.lattice.from_frame(*slopes))
+        behind = (cosine + turn) / n
+        square = (behind**2).sum(0)
+        # The rest is reflected totally.
+        passes = square < 1
+        position = radius * away + offset - z * behind / np.sqrt(np.where(passes, 1 - square, 1))
+        towards = radius * away - np.stack(chief_points(lens, (position[0], position[1]), z, n))
+        distance = np.hypot(*towards) * passes
+        sector = np.arccos(np.clip((towards * away).sum(0) / np.maximum(distance, 1e-12), -1, 1)) * (SECTORS / np.pi)
+        np.maximum.at(found[row], np.minimum(sector.astype(int), SECTORS - 1), distance)
+    # Points between the samples reach into neighbouring sectors, and a little farther.
+    padded = np.pad(found, [(0, 0), (1, 1)], mode="edge")
+    return _BETWEEN * np.max([padded[:, i : i + SECTORS] for i in range(3)], axis=0)
+
+
+def crosstalk_lenses(camera: PlenopticCamera) -> int:
+    """Count the lenses that can light one pixel; counts above 100,000 are estimated from the area."""
+    lenses = _crosstalk(camera)[0]
+    return len(crosstalk_neighbours(camera)) if lenses <= MOST_OVERLAP else round(lenses)
+
+
+def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
+    """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
+    b, z, lattice = camera.pupil_distance, camera.reduced_distance, camera.lattice
+    # Behind an objective all lenses see the stop in the same directions.
+    growth = camera.lens_data.converges + b / z
+    reach = main_lens(camera).reach / growth
+    smear = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
+    covered = math.pi * (reach + smear * lattice.aperture_reach + max(camera.mla_pitches)) ** 2
+    return covered / lattice.cell_area, reach, smear

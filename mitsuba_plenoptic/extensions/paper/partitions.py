@@ -35,12 +35,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from ..camera import PlenopticCamera
-from ..io.captures import Capture
-from ..optics import rays
-from ..optics.waves import in_millimetres
-from ..runtime.limits import require_memory
-from .api import reconstruct
+from ...camera import PlenopticCamera
+from ...io.captures import Capture
+from ...light.walk import follow_back
+from ...optics import rays
+from ...optics.waves import in_millimetres
+from ...refocus import reconstruct
+from ...runtime.limits import require_memory
 
 Labels = NDArray[np.int64]
 
@@ -62,7 +63,7 @@ _ROWS = 256
 
 @dataclass(frozen=True)
 class LensArray:
-    """The lenses that recorded pixels belong to: rows and columns by their lattice indices j and i."""
+    """Lenses of the recorded pixels, with rows and columns by lattice indices j and i."""
 
     camera: PlenopticCamera
     first: tuple[int, int]
@@ -70,7 +71,7 @@ class LensArray:
 
     @classmethod
     def of(cls, camera: PlenopticCamera) -> LensArray:
-        """Find the lenses of the pixels at the border, among which are those of the least and greatest indices."""
+        """Return the array of lenses of all pixels, bounded by the lenses of pixels at the border."""
         x, y = (_chief_points(camera, axis) for axis in (0, 1))
         border = (x, y[[0, -1], None]), (x[[0, -1], None], y)
         found = [camera.lattice.cell(*np.broadcast_arrays(*side)) for side in border]
@@ -79,7 +80,7 @@ class LensArray:
         return cls(camera, first, (int(j.max()) - first[1] + 1, int(i.max()) - first[0] + 1))
 
     def at(self, i: NDArray[Any], j: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return row and column of lenses of these lattice indices, beyond the array's edge those of the nearest."""
+        """Return row and column of lenses of given lattice indices, or of the nearest lens inside the array."""
         indices = zip((j, i), self.first[::-1], self.shape, strict=True)
         row, column = (np.clip(index.astype(np.int64) - first, 0, size - 1) for index, first, size in indices)
         return row, column
@@ -99,14 +100,14 @@ class LensArray:
 
     @property
     def centres(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coordinates x and y of the centres, flat arrays."""
+        """Coordinates x and y of the lenses' centres, as flat arrays."""
         row, column = (index.ravel().astype(np.float64) for index in np.indices(self.shape))
         x, y = self.camera.lattice.centre(column + self.first[0], row + self.first[1])
         return x, y
 
 
 def _chief_points(camera: PlenopticCamera, axis: int) -> NDArray[np.float64]:
-    """Return where the chief rays of the recorded columns (axis 0) or rows (axis 1) pass the array."""
+    """Return the positions on the array of the chief rays of recorded columns (axis 0) or rows (axis 1)."""
     points = rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
     return np.asarray(points)
 
@@ -127,14 +128,14 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
     row, column = np.indices(lenses.shape)
     i, j = column + lenses.first[0], row + lenses.first[1]
     steps, basis = list(_sublattices(subsets)), np.array(camera.lattice.basis)
-    predicted = np.round(white_interference(camera, distance, wavelength, steps), 6)
+    predicted = np.round(sublattice_interference(camera, distance, wavelength, steps), 6)
     # Where no images overlap, as in focus, the lenses of a subset shall be far apart.
     best = min(range(len(steps)), key=lambda k: (predicted[k], -_shortest(steps[k], basis)))
     return _sublattice_labels(i, j, steps[best])
 
 
 def coloured(capture: Capture, distance: float) -> Labels:
-    """Colour the lenses of a capture so that the images of no two lit lenses of one colour overlap at a distance.
+    """Return colours of lenses such that images of lit lenses of one colour do not overlap at a distance.
 
     Lenses are coloured one after the other, from the middle of the lit ones outwards, each by the first colour that is
     free. Those with less than a thousandth of the light of the brightest take no colours of their own. The main lens is
@@ -163,7 +164,7 @@ def _sublattices(index: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _sublattice_labels(i: NDArray[Any], j: NDArray[Any], step: tuple[int, int, int]) -> Labels:
-    """Return which of its copies the lenses of these indices belong to."""
+    """Return the label of the sublattice to which lenses of given indices belong."""
     along, across, shift = step
     return np.asarray(j % across * along + (i - shift * (j // across)) % along, np.int64)
 
@@ -177,10 +178,10 @@ def _shortest(step: tuple[int, int, int], basis: NDArray[np.float64]) -> float:
     return float(away[away > 0].min())
 
 
-def white_interference(
+def sublattice_interference(
     camera: PlenopticCamera, distance: float, wavelength: float, steps: Sequence[tuple[int, int, int]]
 ) -> NDArray[np.float64]:
-    """Predict what the copies of each sublattice add to an image of white: root mean square over the mean."""
+    """Return the predicted interference of each sublattice in an image of white: root mean square over the mean."""
     lattice, pitch, b = camera.lattice, camera.mla_pitch, camera.mla_distance
     wave_path, kappa = in_millimetres(wavelength) * b, camera.defocus(distance)
     blur = abs(kappa) * camera.aperture_radius
@@ -222,7 +223,7 @@ def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_
         row += start
         i, j = lattice.cell(x[column], y[row])
         ends = [
-            rays.follow_back(p, c, c, distance, camera)
+            follow_back(p, c, c, distance, camera)
             for p, c in zip((px[column], py[row]), lattice.centre(i, j), strict=True)
         ]
         passes = np.hypot(*(P for P, _ in ends)) <= camera.lit_radius
@@ -240,7 +241,7 @@ def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_
 
 
 def _common(light: csr_matrix) -> csr_matrix:
-    """Return the sums of the square roots of the light of two lenses in the same bins, for all pairs."""
+    """Return, for all pairs of lenses, the sum of the square roots of their light in common bins."""
     reach = light.getnnz(1).max(initial=0)
     # Images that overlap have centres within twice their width.
     require_memory(12.0 * light.shape[0] * 4 * reach, f"overlaps of {light.shape[0]} lenses' images of {reach} bins")
@@ -252,7 +253,7 @@ def _common(light: csr_matrix) -> csr_matrix:
 
 
 def _separate(light: csr_matrix, centres: NDArray[np.float64]) -> Labels:
-    """Colour lit lenses one after the other by the first colour of which no lens overlaps; the dim ones last.
+    """Return labels of lit lenses, each with the first colour none of whose lenses overlaps; dim lenses come last.
 
     From the middle outwards, which takes fewer colours than by rows.
     """

@@ -47,7 +47,7 @@ _used: FilesUsed | None = None
 
 @contextlib.contextmanager
 def files_used() -> Iterator[FilesUsed]:
-    """Note which files this process reads and writes by the functions of this module."""
+    """Collect the files that this process reads and writes by the functions of this module."""
     global _used
     before, _used = _used, FilesUsed()
     try:
@@ -57,7 +57,7 @@ def files_used() -> Iterator[FilesUsed]:
 
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:
-    """Check, before a long computation, that a file can be written, without touching it."""
+    """Return a path after a check, before a long computation, that a file can be written there."""
     path = _path(path)
     try:
         refuse_if(path.is_dir(), f"{path}: it is a folder; give a file name")
@@ -77,7 +77,7 @@ def require_writable(path: str | Path, *suffixes: str) -> Path:
 
 
 def require_apart(path: Path, *sources: Path | None) -> None:
-    """Check that an output file is not also an input, which it would replace."""
+    """Refuse an output file that is also an input and would be replaced."""
     for source in sources:
         refuse_if(
             source is not None and path.exists() and source.exists() and path.samefile(source),
@@ -86,7 +86,7 @@ def require_apart(path: Path, *sources: Path | None) -> None:
 
 
 def require_different(*paths: Path | None) -> None:
-    """Check that no two of the files that are to be written are the same."""
+    """Refuse output files of which two are the same."""
     found: set[Path] = set()
     for path in filter(None, paths):
         refuse_if(path.resolve() in found, f"{path}: two results would be written to it; give each a name of its own")
@@ -109,7 +109,7 @@ def require_file(path: str | Path) -> Path:
 
 
 def require_size(path: str | Path, largest: int) -> Path:
-    """Check that a file can be read and has at most `largest` bytes, before any of them is read."""
+    """Return a path after a check that it can be read and has at most `largest` bytes."""
     path = require_file(path)
     size = path.stat().st_size
     refuse_if(size > largest, f"{path}: {size} bytes: it may have at most {largest}")
@@ -163,12 +163,12 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
 
 
 class Sink(io.FileIO):
-    """A file that holds its write errors until `check`: HDF5 crashes at the end of the process after one."""
+    """File that holds its write errors until `check`, as HDF5 would crash at the end of the process after one."""
 
     error: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write all of it; after an error, drop it."""
+        """Write all bytes; after an error, discard them."""
         view = memoryview(data).cast("B")
         size = len(view)
         try:
@@ -179,7 +179,7 @@ class Sink(io.FileIO):
         return size
 
     def truncate(self, size: int | None = None) -> int:
-        """Set the size; after an error, do not."""
+        """Set the size; after an error, do nothing."""
         try:
             return self.tell() if self.error else super().truncate(size)
         except OSError as error:
@@ -199,7 +199,7 @@ def write_text(path: str | Path, text: str, *suffixes: str) -> None:
 
 
 def remove_leftovers(path: str | Path) -> None:
-    """Remove what `atomic_output` of the same file left behind in a process that was killed."""
+    """Remove temporary files of `atomic_output` that a killed process left."""
     path = Path(path)
     for folder in path.parent.glob(f".{glob.escape(path.name)}.*"):
         shutil.rmtree(folder, ignore_errors=True)
@@ -207,7 +207,7 @@ def remove_leftovers(path: str | Path) -> None:
 
 @contextlib.contextmanager
 def native_output_dropped() -> Iterator[None]:
-    """Suppress what C++ libraries print about damaged files, on Python's output and on the process's own.
+    """Suppress messages of C++ libraries about damaged files on standard output and error.
 
     Their exceptions say it again.
     """
@@ -228,7 +228,7 @@ _LARGEST_JSON = 2**26
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as version 1.2 and JSON have it, without its common traps.
+    """Loader of YAML 1.2 and JSON, without YAML's common traps.
 
     PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Names given twice, and
     aliases, by which a small file grows endless, are refused.
@@ -266,7 +266,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return what a text in YAML or JSON holds, without aliases."""
+    """Return the data of a text in YAML or JSON, without aliases."""
     with refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
         return yaml.load(text, Loader=_Loader)
 
@@ -275,9 +275,13 @@ _LARGEST_TABLE = 2**22
 
 
 def read_table(path: str | Path) -> NDArray[np.float64]:
-    """Read the numbers of a CSV file, all columns of all rows, at most 4 MiB; its first line may be one of names."""
+    """Return the numbers of a CSV file of at most 4 MiB, all columns of all rows; the first line may hold names."""
     lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
-    if lines and not any(_is_number(cell) for cell in lines[0].split(",")):
+    for cell in lines[0].split(",") if lines else ():
+        with contextlib.suppress(ValueError):
+            float(cell)
+            break
+    else:
         lines = lines[1:]
     with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, 0))
@@ -286,15 +290,6 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
         row = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise InputError(f"{path}, row {row + 1}: all numbers must be finite")
     return np.asarray(rows)
-
-
-def _is_number(text: str) -> bool:
-    """Whether a cell is a number, or is meant to be one."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 # Chunks of arrays that are smaller than this may be larger than they are.
@@ -307,7 +302,7 @@ def h5py_module(purpose: str) -> Any:
 
 
 def stored_array(group: Any, name: str) -> Any:
-    """Return an HDF5 dataset of numbers by its name, or None if there is no such entry; links are refused.
+    """Return a dataset of numbers in HDF5 by its name, None without such an entry; links are refused.
 
     HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
     stranger that would read files of the user's.
@@ -330,7 +325,7 @@ def stored_array(group: Any, name: str) -> Any:
 
 
 def read_json_value(value: Any, resolve: Callable[[str], str]) -> Any:
-    """Return plain data from a JSON file, named as `resolve` finds it, or from its text; other values as they are."""
+    """Return plain data from a JSON file, named as `resolve` finds it, or from JSON text; other values unchanged."""
     if not isinstance(value, (str, Path)):
         return value
     text = str(value)

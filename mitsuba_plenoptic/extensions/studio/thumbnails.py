@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from functools import singledispatch
 from html import escape
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
-from ..camera import PlenopticCamera
-from ..io.captures import Capture
-from ..refocus import Reconstruction
-from .design_sheet import design_sheet
-from .images import Brightness, encode, shrink
+from ...camera import PlenopticCamera
+from ...io.captures import Capture
+from ...refocus import Reconstruction
+from ...report.design_sheet import design_sheet
+from ...report.images import Brightness, encode, shrink
 
 # Longest side of a picture in pixels, and the size at which it is shown.
 _LONGEST, _SHOWN = 512, 256
 
 
-@singledispatch
-def thumbnail(thing: Any) -> str:
-    """Return what a notebook shows of an object, as HTML."""
-    raise TypeError(f"a thumbnail of type {type(thing).__name__}")
-
-
-@thumbnail.register
-def _capture(capture: Capture) -> str:
+def show_capture(capture: Capture) -> str:
+    """Return the HTML of a capture: its picture."""
     rows, columns = capture.camera.shape
     small = shrink(capture.image, _LONGEST)
     averaged = f", drawn at {small.shape[1]} x {small.shape[0]}" if small.shape != capture.image.shape else ""
@@ -34,16 +26,16 @@ def _capture(capture: Capture) -> str:
     return _figure(small, f"Capture, {capture.model} model{light}: {columns} x {rows} pixels{averaged}")
 
 
-@thumbnail.register
-def _reconstruction(result: Reconstruction) -> str:
+def show_reconstruction(result: Reconstruction) -> str:
+    """Return the HTML of a reconstruction: its picture."""
     rows, columns = result.image.shape[:2]
     small = shrink(result.image, _LONGEST)
     facts = f"{columns} x {rows} bins of {result.bin_size:.4g} mm"
     return _figure(small, f"Reconstruction at {result.distance:g} mm, {result.method}: {facts}")
 
 
-@thumbnail.register
-def _camera(camera: PlenopticCamera) -> str:
+def show_camera(camera: PlenopticCamera) -> str:
+    """Return the HTML of a camera: its design sheet as a table that folds."""
     rows = []
     for group, members in groupby(design_sheet(camera), key=lambda row: row.group):
         inner = "".join(
@@ -56,9 +48,9 @@ def _camera(camera: PlenopticCamera) -> str:
 
 
 def _figure(image: np.ndarray, caption: str) -> str:
-    """Return a picture in its own aspect; NaN is transparent."""
+    """Return the HTML of a picture in its aspect ratio; NaN is transparent."""
     grey = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
-    white = Brightness().white([grey])
+    white = Brightness().peak([grey])
     style = f"width: {_SHOWN}px; image-rendering: {'pixelated' if max(grey.shape[:2]) < _SHOWN else 'auto'}"
     picture = f'<img src="{encode(grey, 8, white)["source"]}" style="{style}" alt="{escape(caption)}">'
     return f"<figure>{picture}<figcaption>{escape(caption)}; white is {white:.3g}</figcaption></figure>"

@@ -1,0 +1,48 @@
+"""Random numbers of rays and lenses: evenly spread sequences, hashed integers, and words of 16 bits."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+
+@functools.cache
+def even_steps(dimensions: int) -> NDArray[np.float64]:
+    """Return the steps (dimensions,) of an additive sequence that fills the unit cube evenly, modulo 1.
+
+    They are the powers of the reciprocal of the root of x^(d + 1) = x + 1, which in one dimension is the golden ratio
+    (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences").
+    """
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (dimensions + 1))
+    return root ** -np.arange(1.0, dimensions + 1)
+
+
+def even_words(dimensions: int) -> tuple[int, ...]:
+    """Return the `even_steps` in units of 2^-32, integers by which a sequence stays exact at any index."""
+    return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
+
+
+def hashed(word: Any) -> Any:
+    """Return 32-bit hashes of words (Wellons 2018, "Prospecting for hash functions").
+
+    Words are NumPy or Dr.Jit arrays of unsigned integers.
+    """
+    kind = type(word) if dr.is_array_v(word) else np.uint32
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        word = (word ^ (word >> shift)) * kind(factor)
+    return word ^ (word >> 16)
+
+
+def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
+    """Return four random numbers from 0 to 1, of 16 bits each."""
+    words = mi.sample_tea_32(lane, key)
+    low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
+    high = [mi.Float(word >> 16) * 2.0**-16 for word in words]
+    return low[0], low[1], high[0], high[1]

@@ -1,0 +1,222 @@
+"""The walk of rays between detector, microlens array, main lens and scene, in either direction.
+
+Ray captures, signed rays, the rays of points, splatting and geometric projections all take it. It works on NumPy
+arrays and Dr.Jit arrays, whose gradients it propagates. `optics.rays` has the formulas and the symbols.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..camera import PlenopticCamera
+from ..design.quantities import turns_cosines
+from ..lattice import Lattice
+from ..lenses.common import chief_points, main_lens
+from ..lenses.main_lens import MainLens, Pair, Traced
+from ..optics import rays
+from ..runtime.backend import drjit_array
+from .lens_kinds import FigureError, chief_ray_shift, irregularities
+from .optical_system import OpticalSystem
+
+
+class Passage(NamedTuple):
+    """The passage of rays through the microlens array: a point of a lens, the lens's centre and its focal length.
+
+    The focal length is reduced by the index of the medium behind the array.
+    """
+
+    point: Pair
+    centre: Pair
+    focal_length: Any
+
+
+@dataclass(frozen=True)
+class Walk:
+    """The optical elements that rays of a camera pass; numbers that may carry gradients are Dr.Jit arrays."""
+
+    # The camera with plain values, for the parameters without gradients.
+    camera: PlenopticCamera
+    lens: MainLens
+    lattice: Lattice
+    # Focal lengths of the microlenses in air, one for each type or one for all.
+    focal_lengths: Any
+    # Distance from the array to the detector, and the refractive index of the medium between them.
+    detector_distance: Any
+    medium: Any
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, lens: MainLens | None = None) -> Walk:
+        """Return the walk of a camera's plain values, by default through its main lens at the design wavelength."""
+        lens = main_lens(camera) if lens is None else lens
+        lengths = np.array(camera.mla_focal_lengths)
+        return cls(camera, lens, camera.lattice, lengths, camera.detector_distance, camera.mla_medium)
+
+    # -- the array -----------------------------------------------------------------------------------
+
+    def height(self, x: Any, y: Any) -> Any:
+        """Return the distance of a tilted array at a position towards the main lens, relative to the axis."""
+        across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
+        return x * across + y * up if across or up else 0.0
+
+    def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
+        """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
+        x, y = chief_points(self.lens, pixel, self.detector_distance, self.medium)
+        if any(self.camera.mla_tilt):
+            height = self.height(x, y)
+            x, y = x + height * self.lens.slope_to(0.0, x), y + height * self.lens.slope_to(0.0, y)
+        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
+        return (x, y), self.lattice.cell(x - right, y - up)
+
+    def centre(self, i: Any, j: Any) -> Pair:
+        """Return the centres of lenses of a regular array, or of one that is aligned to chief rays."""
+        x, y = self.lattice.centre(i, j)
+        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
+        return x + right, y + up
+
+    def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
+        """Return the centres of lenses, irregular ones too, and their focal lengths, reduced by the medium's index."""
+        (x, y), f2 = self.centre(i, j), self.focal_lengths / self.medium
+        if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
+            f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
+        elif dr.is_array_v(x):
+            kind = dr.uint32_array_t(type(x))(self.lattice.lens_type(i, j))
+            f2 = dr.gather(type(x), f2 if dr.is_array_v(f2) else drjit_array(type(x), f2), kind)
+        else:
+            f2 = f2[np.asarray(self.lattice.lens_type(i, j), int)]
+        if any(self.camera.mla_jitter):
+            right, up, longer = irregularities(self.camera, i, j)
+            x, y, f2 = x + right, y + up, f2 * longer
+        return (x, y), f2
+
+    def turn(self, passage: Passage) -> Pair:
+        """Return the changes of the direction cosines of rays, or of their slopes, at points of lenses."""
+        (mx, my), (cx, cy), f2 = passage
+        x, y, shape = mx - cx, my - cy, self.camera.mla_shape
+        if shape is None:
+            x, y = -x / f2, -y / f2
+        else:
+            # Other focal lengths, of irregular lenses and by dispersion, scale the whole path.
+            weaker = self.camera.reduced_focal_lengths[0] / f2
+            x, y = self.lattice.from_frame(*shape.slopes(*self.lattice.to_frame(x, y)))
+            x, y = x * weaker, y * weaker
+        if any(self.camera.mla_figure_error) and (error := FigureError.of(self.camera)) is not None:
+            right, up = error.slopes(mx, my)
+            x, y = x + right, y + up
+        return x, y
+
+    def _chief(self, centre: Pair, height: Any) -> Pair | None:
+        """Return the slopes of chief rays at the centres of lenses that turn slopes; None if they turn cosines."""
+        if turns_cosines(self.camera):
+            return None
+        return self.lens.slope_to(0.0, centre[0], height), self.lens.slope_to(0.0, centre[1], height)
+
+    # -- towards the scene ---------------------------------------------------------------------------
+
+    def out_of_array(self, pixel: Pair, passage: Passage) -> tuple[Pair, Any, Any]:
+        """Return the slopes before the array of rays from detector points, their weights, and which leave the medium.
+
+        By the weights, rays from all points of the detector are even over the pupil; see `optics.rays.evenness`.
+        """
+        height = self.height(*passage.centre)
+        z = self.detector_distance + height if any(self.camera.mla_tilt) else self.detector_distance
+        chief = self._chief(passage.centre, height)
+        behind = (passage.point[0] - pixel[0]) / z, (passage.point[1] - pixel[1]) / z
+        slope, emerges = rays.out_of_medium(behind, self.turn(passage), chief, self.medium)
+        return slope, rays.evenness(slope, behind, chief, self.medium), emerges
+
+    def trace(self, pixel: Pair, passage: Passage) -> Traced:
+        """Trace rays from detector points through points of the array and through the main lens."""
+        slope, _, emerges = self.out_of_array(pixel, passage)
+        point, slope, is_open = self.into_scene(passage.point, slope, self.height(*passage.centre))
+        return point, slope, is_open & emerges
+
+    def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
+        """Trace rays from positions on the array, at a height before its plane on the axis, through the main lens."""
+        if not isinstance(height, float) or height:
+            position = position[0] - height * slope[0], position[1] - height * slope[1]
+        return self.lens.trace(position, slope)
+
+    def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
+        """Trace rays from positions on the array, at a height before its plane on the axis, through pupil points."""
+        x, y = (self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
+        return self.into_scene(position, (x, y), height)
+
+    def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
+        """Return slopes before the array of rays through lens centres, at offsets from detector points, and weights.
+
+        Lenses are thin phases, which do not turn the rays through their centres; weights as by `out_of_array`.
+        """
+        behind = tuple(value / (self.detector_distance + height) for value in offset)
+        slope = behind if self.medium == 1 else rays.refracted((behind[0], behind[1]), self.medium)
+        return (slope[0], slope[1]), rays.evenness(slope, behind, None, self.medium)
+
+    # -- towards the detector ------------------------------------------------------------------------
+
+    def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
+        """Return where rays through points of the pupil and an untilted array land, and weights as `out_of_array`."""
+        (mx, my), centre, _ = passage
+        before, chief = (self.lens.slope_to(pupil[0], mx), self.lens.slope_to(pupil[1], my)), self._chief(centre, 0.0)
+        behind = rays.into_medium(before, self.turn(passage), chief, self.medium)
+        z = self.detector_distance
+        return (mx - z * behind[0], my - z * behind[1]), rays.evenness(before, behind, chief, self.medium)
+
+    # -- the pupil -----------------------------------------------------------------------------------
+
+    def inner(self, pupil: Pair, centre: Pair) -> Pair:
+        """Map points of the pupil, seen from lenses, to the round pupil; points outside map to points outside."""
+        found = self.lens.round_map
+        if found is None:
+            return pupil
+        (x, y), (cx, cy) = pupil, centre
+        field = dr.sqrt(cx * cx + cy * cy)
+        # The map is defined for fields along x.
+        c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
+        fields, across, _, _ = found.points.shape
+        u, v = x * c + y * s, y * c - x * s
+        at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
+        u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
+        return u * c - v * s, u * s + v * c
+
+    @functools.cached_property
+    def _round_pupil(self) -> Any:
+        assert self.lens.round_map is not None
+        # Outside its border the map continues with the border's values, which lie outside the pupil.
+        return mi.Texture3f(
+            drjit_array(mi.TensorXf, self.lens.round_map.points),
+            filter_mode=dr.FilterMode.Linear,
+            wrap_mode=dr.WrapMode.Clamp,
+        )
+
+
+def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
+    """Return the walk of each group of systems whose rays follow the same paths, and the indices of the group."""
+    found: dict[float, tuple[Walk, list[int]]] = {}
+    for number, system in enumerate(systems):
+        found.setdefault(system.lens.refraction, (Walk.of(system.camera, system.lens), []))[1].append(number)
+    return list(found.values())
+
+
+def on_plane(traced: Traced, distance: Any, mla_distance: Any) -> Pair:
+    """Return where rays in the scene meet an object plane, times -b / g in millimetres; it may lie at infinity."""
+    (x, y, z), (tx, ty), _ = traced
+    forward = 1 - z / distance
+    return tuple(-mla_distance * rays.object_direction(X, forward * t, distance) for X, t in ((x, tx), (y, ty)))
+
+
+def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera) -> tuple[Any, Any]:
+    """Follow rays from p through m of the lens at c to an object plane by paraxial optics, which is linear in them.
+
+    One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.
+    """
+    t = rays.microlens_slope(p, m, c, camera.reduced_distance, camera.mla_focal_length / camera.mla_medium)
+    P = rays.pupil_point(m, t, camera.mla_distance)
+    slope = rays.main_lens_slope(t, P, camera.focal_length)
+    return P, -camera.mla_distance * rays.object_direction(P, slope, distance)

@@ -1,0 +1,189 @@
+r"""Displacement: where the light of bins comes from beside their positions, and its correction to first order.
+
+A bin gets light from around its position. By the microlenses' diffraction, light of one point of the pupil appears to
+come from another. In the middle of the field this averages out, but at the border of the pupil or the detector the
+light comes from one side only. If lenses interfere, the phases of their fields weight the positions from which light
+comes. So, to first order, a bin at x that is divided by white reads a linear radiance at :math:`x + s`.
+
+The displacement s is the first moment of white. In a scene whose radiance rises linearly along the plane of the bins,
+the capture is the white capture times the radiance at the positions from which pixels get their light,
+:math:`W (1 + \epsilon u)`. Refocused by the same method and divided by white it reads :math:`1 + \epsilon (x + s)`.
+The position u of a pixel is the intersection of the bins' plane with the ray through the centre of its lens and the
+centroid of the pixel's light in the pupil. With K, the spread of intensities over the pupil plane by diffraction, it is
+:math:`K * (P \, A) / K * A` over the pupil A (Goodman, "Introduction to Fourier Optics", sections 4.4 and 5.2).
+
+The image is then corrected to first order by the slope of a plane that is fitted to the bins around each bin, at the
+positions from which they get their light (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and
+Its Applications", section 3.1).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from ..camera import PlenopticCamera
+from ..design import focus_type
+from ..light.walk import follow_back
+from ..optics import rays
+from ..optics.waves import in_millimetres, soft_edge
+from ..runtime.limits import require_memory
+
+_PLANE = 8
+"""Width of the plane in which the pupil is spread, in radii of the pupil."""
+
+_LEAST_SAMPLES = 512
+
+
+class PupilCentroid:
+    """Centroid in the pupil of the light of a pixel, given the diffraction by its microlens."""
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+        window = _PLANE * camera.aperture_radius
+        # Spatial frequencies over the pupil plane correspond to positions in the microlens.
+        lens = camera.lattice.aperture_image(in_millimetres(wavelength) * camera.mla_distance / window, 1.0)
+        size = scipy.fft.next_fast_len(max(_LEAST_SAMPLES, 2 * len(lens)), real=True)
+        require_memory(100.0 * size**2, f"pupil of {size} x {size} samples")
+        amplitude = np.zeros((size, size))
+        amplitude[: len(lens), : len(lens)] = lens
+        spread = np.abs(scipy.fft.ifft2(np.roll(amplitude, (-(len(lens) // 2),) * 2, (0, 1)))) ** 2
+        transfer = scipy.fft.rfft2(spread)
+        self._pitch, self._first = window / size, -(size - 1) / 2
+        P = (np.arange(size) + self._first) * self._pitch
+        inside = soft_edge((camera.aperture_radius - np.hypot(P, P[:, None])) / self._pitch)
+
+        def blurred(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(values) * transfer, s=(size, size)))
+
+        light = blurred(inside)
+        # Far from the pupil the rounding of the transform is not light.
+        lit = light > 1e-6 * light.max()
+        self._tables = [
+            np.divide(blurred(inside * along), light, out=np.zeros_like(light), where=lit).clip(
+                -camera.aperture_radius, camera.aperture_radius
+            )
+            for along in (P, P[:, None])
+        ]
+
+    def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return the centroids in millimetres, along x and y, of pixels that see (x, y) through their lens's centre."""
+        at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
+        return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
+
+
+_SLOPE = 0.02
+"""Change of white over the light that it has, at most: what is of second order in it is then no tenth of a bin."""
+
+_FARTHEST = 1.0
+"""Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut."""
+
+_LEAST_DETERMINANT = 1e-3
+"""Of the covariance of the places of bins to which a plane is fitted, in bins; that of four in a square is 0.06."""
+
+_BLOCK = 2**18
+"""Pixels that are looked at together."""
+
+
+def is_known(camera: PlenopticCamera) -> bool:
+    """Return whether displacements are known: for unfocused cameras with thin lenses, whose pixels see pupil points."""
+    return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
+
+
+def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
+    """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
+
+    Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
+    """
+    at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
+    of_pupil = on_bins / at_pupil
+    farthest = (max(camera.bin_count) / 2 + 1) * camera.mla_pitch + abs(of_pupil) * camera.lit_radius
+    return _SLOPE / farthest, farthest, of_pupil
+
+
+def rising(
+    white: NDArray[np.float32],
+    camera: PlenopticCamera,
+    distances: Sequence[float],
+    wavelengths: Sequence[float] | None,
+) -> Iterator[tuple[NDArray[np.float32], list[float]]]:
+    """Yield for each distance two captures of scenes whose radiance rises along its bins, to the right and downwards.
+
+    They are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave capture;
+    None means a ray capture.
+    """
+    lights = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
+    centroids = {light: PupilCentroid(camera, light) for light in lights if light is not None}
+    px, py = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // len(px))
+    for distance, axis in itertools.product(distances, (0, 1)):
+        image, (slope, farthest, of_pupil) = np.empty_like(white), tilt(camera, distance)
+        for first in range(0, len(py), height):
+            rows = slice(first, first + height)
+            p = px, py[rows, None]
+            cells = camera.lattice.cell(*(rays.chief_point(q, camera.mla_distance, camera.reduced_distance) for q in p))
+            ends = [
+                np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
+                for q, c in zip(p, camera.lattice.centre(*cells), strict=True)
+            ]
+            P = np.broadcast_arrays(ends[0][0], ends[1][0])
+            for channel, light in enumerate(lights):
+                moved = 0.0 if light is None else centroids[light](*P)[axis] - P[axis]
+                # Where the channel's light comes from on the bins.
+                u = np.broadcast_to(ends[axis][1], P[0].shape) + of_pupil * moved
+                image[rows, :, channel] = white[rows, :, channel] * (1 + slope * u.clip(-farthest, farthest))
+        yield image, [distance]
+
+
+def displacements(
+    tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
+) -> list[NDArray[np.float64]]:
+    """Return the displacements, in bins, from which the light of bins comes, along x and y; 0 where nothing is read."""
+    found = []
+    for axis, image in enumerate(tilted):
+        count = image.shape[1 - axis]
+        own = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
+        position = (image - 1) / slope * (oversample / camera.mla_pitch)
+        farthest = _FARTHEST * oversample
+        found.append(np.nan_to_num(position - own).clip(-farthest, farthest))
+    return found
+
+
+def brought_back(
+    image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
+) -> NDArray[np.float64]:
+    """Return an image drawn back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
+    known = np.isfinite(image)
+    values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
+    rows, columns = image.shape[:2]
+    terms = (
+        moved[0] + (np.arange(columns) - columns / 2)[:, None],
+        moved[1] + (np.arange(rows) - rows / 2)[:, None, None],
+        values,
+    )
+    # Means over the bins around each bin: of position and value, and of their products.
+    mass = _mean_about(light, reach)
+    mass = np.where(mass > 0, mass, 1)
+    x, y, value = (_mean_about(light * term, reach) / mass for term in terms)
+
+    def covariance(i: int, j: int, means: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(_mean_about(light * terms[i] * terms[j], reach) / mass - means)
+
+    xx, xy, yy = covariance(0, 0, x * x), covariance(0, 1, x * y), covariance(1, 1, y * y)
+    xv, yv = covariance(0, 2, x * value), covariance(1, 2, y * value)
+    determinant = xx * yy - xy**2
+    # A few bins in a line determine no plane.
+    known_plane = determinant > _LEAST_DETERMINANT
+    safe = np.where(known_plane, determinant, 1)
+    across, down = (yy * xv - xy * yv) / safe, (xx * yv - xy * xv) / safe
+    return np.where(known_plane, image - moved[0] * across - moved[1] * down, image)
+
+
+def _mean_about(image: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
+    """Return the mean over the square of bins about each one; what lies outside of the image is 0."""
+    return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))

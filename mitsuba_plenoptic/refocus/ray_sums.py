@@ -1,0 +1,179 @@
+"""Sums of pixels over the bins of an object plane, one ray a pixel, and the transpose of these sums.
+
+The bin of a pixel's light is separable in x and y, but the condition that the light passes the pupil is not:
+
+    out[j, i] = sum_r sum_c  Wy[j, r] Wx[i, c] [Px[c]^2 + Py[r]^2 <= R^2] image[r, c]
+
+The sum over columns is done for each row in one pass over the image, every thread gathering the few columns of
+one bin; the sum over rows is then small. Nothing is scattered, so the result is the same bit for bit however many
+threads there are. Where lenses do not lie like bins, `Splat` sums the pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..camera import PlenopticCamera
+from ..design import focus_type, lens_footprint, pixel_footprint
+from ..errors import refuse_if
+from ..light.walk import follow_back
+from ..optics import rays
+from ..runtime.backend import array_module, drjit_array
+from ..runtime.limits import require_memory
+from .splatting import Splat
+
+
+def pupil_radius(camera: PlenopticCamera) -> float:
+    """Radius within which a pixel's central ray must pass: half a pixel more than the pupil's, and half a lens's view.
+
+    A pixel at a micro-image's rim is lit in part though its centre may look past the pupil; leaving such pixels out
+    would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
+    than through the centre, for a focused camera by a good part of the pupil.
+    """
+    view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
+    return camera.lit_radius + view
+
+
+# Dr.Jit counts in 32 bits.
+_MOST_VALUES = 2**32 - 1
+
+
+def ray_sums(
+    image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> np.ndarray:
+    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
+
+    Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a
+    thin main lens, this is done one axis at a time.
+    """
+    axes = aligned_axes(camera, distance, radius, footprint, oversample)
+    if axes is None:
+        return Splat.of(camera, distance, radius, footprint, oversample, image.shape[2]).forward(image)
+    x, y = axes
+    columns, rows = x.weights.shape[0], y.weights.shape[0]
+    values = image.shape[2] * columns * max(rows, image.shape[0])
+    refuse_if(
+        values > _MOST_VALUES,
+        f"images of {columns} x {rows} bins: {values} values are summed at once, at most {_MOST_VALUES} can be",
+    )
+    return bin_image(image, x, y, radius)
+
+
+def aligned_axes(
+    camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> tuple[AxisBins, AxisBins] | None:
+    """Return the bins of the pixels along each axis, None where pixels and bins are not arranged alike."""
+    if not camera.lens_data.is_thin or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
+        return None
+    x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
+    return x, y
+
+
+def _axis(
+    camera: PlenopticCamera, distance: float, radius: float, axis: int, footprint: str, oversample: int
+) -> AxisBins:
+    """Return the positions of the pixels of one axis on the bins, and on the pupil."""
+    count = camera.bin_count[axis] * oversample
+    p = camera.pixel_coordinates(axis)
+    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
+    c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
+
+    pupil, position = follow_back(p, c, c, distance, camera)
+    centre = position * (oversample / camera.mla_pitch) + count / 2
+    if footprint == "point":
+        return axis_bins(centre, centre, pupil, count, radius)
+    width = max(
+        camera.mla_pitch * lens_footprint(camera, distance, camera.mla_focal_length), pixel_footprint(camera, distance)
+    )
+    half = width / 2 * oversample / camera.mla_pitch
+    return axis_bins(centre - half, centre + half, pupil, count, radius)
+
+
+def ray_sums_vjp(
+    bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> np.ndarray:
+    """Return the transpose of `ray_sums`, applied to bins."""
+    axes = aligned_axes(camera, distance, radius, footprint, oversample)
+    if axes is not None:
+        return _bin_image_vjp(bins, *axes, radius)
+    return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
+
+
+def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Return the transpose of `bin_image`, applied to bins."""
+    given = np.asarray(bins, np.float64)
+    pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
+    pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
+    # In the precision in which the sums compare them.
+    limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
+    return np.where((square <= limit[:, None])[..., None], pixels, 0.0)
+
+
+@dataclass(frozen=True)
+class AxisBins:
+    """The weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each."""
+
+    weights: csr_matrix
+    pupil: np.ndarray
+
+
+def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
+    """Spread each pixel evenly over the interval from `low` to `high` of bin coordinates."""
+    pixels = np.flatnonzero(np.abs(pupil) <= radius)
+    low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
+    first = np.floor(low).astype(np.int64)
+    width = high - low
+    spread = width > 1e-9
+    reach = int(np.max(np.where(spread, np.ceil(high), first + 1) - first, initial=1))
+    # For every pixel of the axis and bin that it reaches: bin, overlap, fraction, weight and what is made of them.
+    require_memory(64.0 * pixels.size * reach, f"{pixels.size} pixels of an axis, each spread over {reach} bins")
+    bins = first[:, None] + np.arange(reach)
+    overlap = np.minimum(high[:, None], bins + 1) - np.maximum(low[:, None], bins)
+    fraction = overlap.clip(min=0) / np.where(spread, width, 1)[:, None]
+    weight = np.where(spread[:, None], fraction, bins == first[:, None])
+    keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
+    entries = weight[keep].astype(np.float32), (bins[keep], np.broadcast_to(pixels[:, None], bins.shape)[keep])
+    return AxisBins(csr_matrix(entries, (count, pupil.size)), pupil)
+
+
+def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
+    """Sum an image over the bins of both axes within the pupil."""
+    types = array_module()
+    (rows, columns, channels), across, down = image.shape, x.weights.shape[0], y.weights.shape[0]
+    if not (x.weights.nnz and y.weights.nnz):
+        # No pixel meets a bin.
+        return np.zeros((down, across, channels), np.float32)
+    values = drjit_array(types.Float, image)
+    thread = dr.arange(types.UInt32, rows * across * channels)
+    row, rest = thread // (across * channels), thread % (across * channels)
+    limit = drjit_array(types.Float, radius**2 - y.pupil**2)
+    base = row * dr.opaque(types.UInt32, columns * channels) + rest % channels
+    by_row = _sums(types, values, x, rest // channels, base, channels, dr.gather(types.Float, limit, row))
+    width = across * channels
+    thread = dr.arange(types.UInt32, down * width)
+    sums = _sums(types, by_row, y, thread // width, thread % width, width)
+    return np.asarray(sums.numpy()).reshape(down, across, channels)
+
+
+def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, stride: int, limit: Any = None) -> Any:
+    """Sum the values, `stride` apart, of the pixels of each bin whose squared pupil coordinate is within a limit."""
+    Float, UInt32 = types.Float, types.UInt32
+    start, pixel = (drjit_array(UInt32, part) for part in (bins.weights.indptr, bins.weights.indices))
+    weight = drjit_array(Float, bins.weights.data)
+    square = drjit_array(Float, bins.pupil[bins.weights.indices] ** 2)
+    entry, end = dr.gather(UInt32, start, number), dr.gather(UInt32, start, number + 1)
+    if limit is not None:
+        # A row beyond the pupil's edge is dark whatever its columns.
+        end = dr.select(limit >= 0, end, entry)
+
+    def body(entry: Any, total: Any) -> tuple[Any, Any]:
+        inside = True if limit is None else dr.gather(Float, square, entry) <= limit
+        value = dr.gather(Float, values, base + dr.gather(UInt32, pixel, entry) * stride, inside)
+        return entry + 1, dr.fma(value, dr.gather(Float, weight, entry), total)
+
+    return dr.while_loop((entry, Float(0)), lambda entry, total: entry < end, body)[1]
