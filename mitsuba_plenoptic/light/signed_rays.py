@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -30,7 +31,6 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import pixel_response
-from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
@@ -57,8 +57,9 @@ _RAY_BYTES = 200
 _PROBES, _CELLS = 2**10, 2**16
 """Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
 
-_NEAR = 3.0
-"""Pixels and spots of a microlens from the recorded pixels beyond which a pixel brings little light to these."""
+_NEAR = 8
+"""Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these little
+light."""
 
 _THINNED = 2
 """Width in pixels of the squares, farther from the recorded pixels, of which one random pixel stands for all."""
@@ -258,11 +259,9 @@ class SignedRaySum:
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return which pixels (rows, columns) of a box are far from the recorded ones; see `_NEAR`."""
-        window, camera = box_of(self._camera, 0), self._camera
-        longest = in_millimetres(max(node.plan.wavelength for node in self._nodes))
-        spot = longest * camera.reduced_distance / float(camera.lattice.aperture_width) / camera.pixel_size
+        window, near = box_of(self._camera, 0), _NEAR if self._parts > 1 else math.inf
         rows, columns = (
-            np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > _NEAR * (1 + spot)
+            np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
             for first, count, low, size in (
                 (box.top, box.rows, window.top, window.rows),
                 (box.left, box.columns, window.left, window.columns),
