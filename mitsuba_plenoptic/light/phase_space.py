@@ -338,14 +338,17 @@ class TableNodes:
 
 
 class Table(list[NDArray[np.float32]]):
-    """The arrays (..., coefficients) of a table's nodes, which lie in whole packets one after another in `flat`."""
+    """The arrays (..., coefficients) of a table's nodes, which lie in whole packets one after another in `flat`.
+
+    Zeros follow them, for rays that are outside of all.
+    """
 
     def __init__(self, shapes: Sequence[tuple[int, ...]]) -> None:
         wide = [(*shape[:-1], -(-shape[-1] // _PACKET) * _PACKET) for shape in shapes]
         ends = np.cumsum([math.prod(shape) for shape in wide])
-        self.flat = empty_packets((int(ends[-1]),), np.float32)
+        self.flat = empty_packets((int(ends[-1]) + wide[0][-1],), np.float32)
         self.flat[:] = 0
-        parts = np.split(self.flat, ends[:-1])
+        parts = np.split(self.flat, ends)[:-1]
         super().__init__(
             part.reshape(padded)[..., : shape[-1]] for part, padded, shape in zip(parts, wide, shapes, strict=True)
         )
@@ -368,8 +371,8 @@ class RayCoefficients:
         self.plan = plan
         self._packets = -(-plan.functions.count // _PACKET)
         self._table = drjit_array(mi.Float, Table.of(table).flat)
-        first = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table])[:-1]
-        self._first = drjit_array(mi.Int, first)
+        *first, self._nowhere = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table]).tolist()
+        self._first = drjit_array(mi.Int, np.array(first))
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
         self._sides = [drjit_array(mi.Float, column) for column in sides.T]
         self._counts = [drjit_array(mi.Int, column) for column in counts.T]
@@ -378,7 +381,13 @@ class RayCoefficients:
     def __call__(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
     ) -> list[Any]:
-        """Return the coefficients of rays from points of a lens through points of the pupil.
+        """Return the coefficients of rays from points of a lens through points of the pupil."""
+        return self.read(*self.places(point, pupil, jitter, active))
+
+    def places(
+        self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
+    ) -> list[Any]:
+        """Return where the table has the coefficients of rays, see `__call__`, for `read`.
 
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
         sixteen nodes around it.
@@ -401,12 +410,18 @@ class RayCoefficients:
             node = mi.Int(dr.floor(place * (count / side) + (count / 2 - 0.5) + chance))
             # The window is periodic.
             index += dr.select(node < 0, node + size, dr.select(node >= size, node - size, node)) * row
+        # The two lowest bits tell in which quarter of the pupil the ray is.
+        quarter = dr.select(mirrored[0], mi.UInt32(1), 0) | dr.select(mirrored[1], mi.UInt32(2), 0)
+        return [dr.select(active, mi.UInt32(index) << 2 | quarter, dr.opaque(mi.UInt32, self._nowhere << 2))]
+
+    def read(self, place: Any) -> list[Any]:
+        """Return the coefficients at `places`."""
         values = [
             value
             for packet in range(self._packets)
-            for value in dr.gather(mi.Vector4f, self._table, mi.UInt(index * self._packets + packet), active)
+            for value in dr.gather(mi.Vector4f, self._table, (place >> 2) * self._packets + packet)
         ]
-        return plan.mirrored(values, *mirrored)
+        return self.plan.mirrored(values, (place & 1) != 0, (place & 2) != 0)
 
     def slopes(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
@@ -437,8 +452,15 @@ class Polynomials:
 
     def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the values of the polynomials at points of a lens."""
+        return self.read(*self.places(point, pupil, jitter, active))
+
+    def places(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
+        """Return points of a lens in the frame of the lattice, for `read`."""
+        return [place / self.plan.functions.scale for place in self.plan.lattice.to_frame(*point)]
+
+    def read(self, u: Any, v: Any) -> list[Any]:
+        """Return the values of the polynomials at `places`."""
         plan, functions = self.plan, self.plan.functions
-        u, v = (place / functions.scale for place in plan.lattice.to_frame(*point))
         powers = [[mi.Float(1)], [mi.Float(1)]]
         for _ in range(plan.degree):
             for each, place in zip(powers, (u, v), strict=True):

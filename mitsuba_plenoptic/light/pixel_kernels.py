@@ -62,63 +62,55 @@ class PixelKernels:
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
         at_places = np.array([moved(step)[1:] for step in steps])
         products = np.einsum("rnt,rpk,pts->sknp", oblique.factors, factors[functions:], at_places, optimize=True)
-        self._moments = _moments(parts)
-        # Factors (images, functions * places).
-        self._factors = (np.moveaxis(factors[:functions], 2, 0) + products[0]).reshape(len(self.kernels), -1)
-        self._factors = self._factors.astype(np.float32)
-        self._shape = functions, own.shape[1]
-        # Factors (images, products) of those products of a term and a moment of a function that matter.
-        of_terms = np.einsum("sknp,mp->ksnm", products[1:], self._moments)
+        products = products.reshape(*products.shape[:2], -1)
+        direct = np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1) + products[0]
+        # Sums of coefficients whose products with a term matter: the principal components of their part of images.
         light = covariance[:functions, :functions]
+        values, vectors = np.linalg.eigh(light)
+        root = np.kron(vectors * np.sqrt(np.maximum(values, 0)), np.eye(own.shape[1]))
+        found = [np.linalg.svd(factor @ root, full_matrices=False)[:2] for factor in products[1:]]
+        square = np.square([each for _, each in found])
+        least = np.argsort(square, axis=None)
         whole = np.einsum("nm,npk,mpk->", light, factors[:functions], factors[:functions])
-        square = (np.square(of_terms).sum(0) * light.diagonal()[:, None]).ravel()
-        least = np.argsort(square)
-        missing = np.cumsum(square[least]) <= (_PRODUCTS * tolerance) ** 2 * whole
-        used = np.sort(least[~missing])
-        self._term, self._moment = np.divmod(used, functions * len(self._moments))
-        self._of_terms = of_terms.reshape(len(self.kernels), -1)[:, used].astype(np.float32)
+        missing = np.cumsum(square.flat[least]) <= (_PRODUCTS * tolerance) ** 2 * whole
+        self._term, component = np.divmod(np.sort(least[~missing]), square.shape[1])
+        of_sums = np.array([found[k][0][:, each] for k, each in zip(self._term, component, strict=True)])
+        of_sums = of_sums.reshape(-1, len(self.kernels))
+        sums = np.einsum("rk,rkx->rx", of_sums, products[1 + self._term])
+        # Factors (images and sums, functions * places), and factors (images, sums) of the products.
+        self._factors = np.concatenate([direct, sums]).astype(np.float32)
+        self._of_sums = of_sums.T.astype(np.float32)
+        self._shape = functions, own.shape[1]
 
-    @single_threaded_blas()
     def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the images (n, pixels) of coefficients (functions, places, pixels) of light from some directions.
 
         `terms` (terms, pixels) are those of the direction in which light meets the lenses.
         """
-        images = self._factors @ values.reshape(self._factors.shape[1], -1)
-        return images + self.turned(values, terms) if len(self._term) else images
+        images, sums = np.split(self._factors @ values.reshape(self._factors.shape[1], -1), [len(self.kernels)])
+        return images + self._of_sums @ (terms[self._term] * sums) if len(sums) else images
 
-    @single_threaded_blas()
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of images that is proportional to terms; see `combined`."""
-        moments = np.matmul(self._moments, values).reshape(-1, values.shape[2])
-        return np.asarray(self._of_terms @ (terms[self._term] * moments[self._moment]))
+        sums = self._factors[len(self.kernels) :] @ values.reshape(self._factors.shape[1], -1)
+        return np.asarray(self._of_sums @ (terms[self._term] * sums))
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return coefficients, the adjoint of `combined` applied to images."""
-        direct = (self._factors.T @ images).reshape(*self._shape, -1)
-        return np.asarray(direct + self.turned_adjoint(images, terms))
+        both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
+        return np.asarray((self._factors.T @ both).reshape(*self._shape, -1))
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return coefficients, the adjoint of `turned` applied to images."""
-        moments = np.zeros((self._shape[0] * len(self._moments), images.shape[1]), np.float32)
-        for row, term, moment in zip(self._of_terms.T, self._term, self._moment, strict=True):
-            moments[moment] += terms[term] * (row @ images)
-        return np.matmul(self._moments.T, moments.reshape(self._shape[0], len(self._moments), -1))
+        sums = terms[self._term] * (self._of_sums.T @ images)
+        return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
 
     def portions(self, pixels: int) -> list[slice]:
         """Return slices of pixels whose coefficients fit into the processor's caches."""
-        size = max(1, _TOGETHER // max(self._factors.shape[1], self._of_terms.shape[1]))
+        size = max(1, _TOGETHER // max(self._factors.shape))
         return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
-
-
-def _moments(parts: int) -> NDArray[np.float32]:
-    """Return orthonormal polynomials (n, places) of a cell's place in its pixel, of a degree of at most two."""
-    along = np.arange(parts) - (parts - 1) / 2
-    y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
-    powers = [(i, j) for i, j in np.ndindex(3, 3) if i + j <= 2 and max(i, j) < parts]
-    return np.asarray(np.linalg.qr(np.stack([x**i * y**j for i, j in powers], axis=1))[0].T, np.float32)
 
 
 def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:

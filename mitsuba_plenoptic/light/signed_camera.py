@@ -42,7 +42,7 @@ from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of
 from .scene_light import require_finite
 from .signed_colours import Lanes, mixed
-from .signed_draws import Drawn, Lot
+from .signed_draws import Drawn, Kept, Lot
 from .signed_rays import SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
@@ -113,8 +113,8 @@ class CameraTangents(_CameraSum):
         self._changes = changes
         super().__init__(*arguments, **options)
 
-    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        (own,) = super()._kernels_of(plan, kind)
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
         change = sum(
             (
                 part * slope
@@ -123,12 +123,15 @@ class CameraTangents(_CameraSum):
             ),
             np.zeros_like(own),
         )
-        return [own, *displaced(own), change]
+        return [*displaced(own), change]
+
+    def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
+        return tuple(drawn.kept)
 
     def _bring(
         self,
         lot: Lot,
-        drawn: Drawn,
+        kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
         lit: Any,
@@ -139,7 +142,7 @@ class CameraTangents(_CameraSum):
 
         The changes of the direction cosines of the cells' light follow.
         """
-        (first, start), kept = self._first(lot.pixels), drawn.kept
+        (first, start), (drawn, _) = self._first(lot.pixels), self._drawn_rays(lot.pixels, lot.key)
         pixel, key = self._spread(lot.pixels.index), lot.key
         node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
         used, weights = node.mixture(lanes)
@@ -164,7 +167,7 @@ class CameraTangents(_CameraSum):
         wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            ray, even = kept.at(first + k), ((start + k) & 1) == 0
+            ray, even = Kept(*kept).at(first + k), ((start + k) & 1) == 0
             du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
             means = [dr.select(ray.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
             lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
@@ -215,10 +218,10 @@ class CameraAdjoint(_CameraSum):
         start = parameters_of(self._camera)
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
-    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        (own,) = super()._kernels_of(plan, kind)
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
-        return [own, *displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
+        return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient by each component of the parameters, from gradients by channel (rows, columns)."""
@@ -232,7 +235,7 @@ class CameraAdjoint(_CameraSum):
         kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
         own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
         slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))
-        return [[drjit_array(mi.Float, part) for part in kernels.turned_adjoint(own, along)] for along in slopes]
+        return [[drjit_array(mi.Float, part.T) for part in kernels.turned_adjoint(own, along)] for along in slopes]
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
         """Add the gradients from rays of a lot; see `_back`."""
@@ -251,7 +254,7 @@ class CameraAdjoint(_CameraSum):
         _, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * together
         even = (sample & 1) == 0
-        points, cell = (drawn.point, drawn.inner, drawn.chance, drawn.open), self._cell_of(own, sample, dr.width(lit))
+        points, cell = (drawn.point, drawn.inner, drawn.chance, drawn.open), self._cell_of(own, sample)
         own = dr.gather(mi.UInt32, lit, own)
         lights = [dr.gather(mi.Float, light, own * together + sample, drawn.open) for light in radiance]
         means = [

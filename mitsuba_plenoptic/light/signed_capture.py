@@ -104,7 +104,7 @@ class SignedCapture:
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = self.sums(spp, seed, runs, SignedRaySum)
         first = sums[0]()
-        found, items = first.probe(), int(first.items.sum())
+        items = int(first.items.sum())
         if runs == 1:
             sums = [lambda: first]
         tasks = [SumTask(items, plan, partial(_part, runs)) for plan in sums]
@@ -112,12 +112,13 @@ class SignedCapture:
             tasks = [keep_spread(task) for task in tasks]
         channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
-        if not found.any():
+        every = sum(task.items for task in tasks)
+        image = job.run(tasks, shape, every, lambda: {"scene_digest": digest(first.probe())})
+        if not image.any():
             warn(
-                "plenoptic_wave: none of some rays meets anything that shines; plain BSDFs are black from "
+                "plenoptic_wave: none of the rays meets anything that shines; plain BSDFs are black from "
                 "behind, and a nested integrator with hide_emitters sees no emitters"
             )
-        image = job.run(tasks, shape, sum(task.items for task in tasks), lambda: {"scene_digest": digest(found)})
         if noise:
             image = with_spread(image, runs)
         np.maximum(image[..., channels:], 0, out=image[..., channels:])
@@ -184,7 +185,7 @@ class SignedRayAdjoint(SignedRaySum):
         """Return the derivatives by the radiance values of each ray of the pixels `met` of a lot."""
         drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
-        cell = self._cell_of(own, sample, dr.width(met))
+        cell = self._cell_of(own, sample)
         # For each value: the derivative through the ray itself, and through the mean that the other half subtracts.
         totals: dict[int, tuple[Any, Any]] = {}
         for number in nodes:

@@ -37,6 +37,9 @@ ORDER = 2
 """Order of the B-spline that is the density of detector points drawn around a cell: it suppresses aliasing of
 frequencies that the grid cannot represent."""
 
+_COUNTED = 256
+"""Largest side in pixels of the square on which lenses that light a pixel are counted."""
+
 _CELLS = 64
 """Number of strips of a window, and of cells of a strip."""
 
@@ -195,10 +198,15 @@ class Draws:
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
         return camera.lattice.neighbours(self._seen(self.widest) + beyond)
 
+    def lights(self, aims: Aims) -> Any:
+        """Return whether light through the lenses can reach the pixels."""
+        pupil = self.seen(aims.middle, aims)
+        return dr.square(pupil[0]) + dr.square(pupil[1]) <= self.widest**2
+
     @property
     def lit_lenses(self) -> float:
-        """Return the mean count of lenses that light a pixel."""
-        return float(math.pi * self._seen(self.widest) ** 2 / self._camera.lattice.cell_area)
+        """Return the mean count of lenses that light a pixel, counted in the middle of the detector."""
+        return _lit_lenses(self._camera, self._longest, self._parts)
 
     def _seen(self, radius: float) -> float:
         """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
@@ -344,6 +352,17 @@ class Draws:
         return drjit_array(mi.Float, radius * unit)
 
 
+@functools.lru_cache(maxsize=64)
+def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
+    """Return `Draws.lit_lenses`, which is cached for further captures of the camera."""
+    draws, side = Draws(camera, [plan], parts), min(_COUNTED, *camera.resolution)
+    left, top = ((size - side) // 2 for size in camera.resolution)
+    box = Box(left, top, side, side)
+    pixels = dr.arange(mi.UInt32, side * side)
+    lit = [draws.lights(draws.aims(Pixels(box, pixels, steps))) for steps in draws.candidates]
+    return float(dr.sum(sum((dr.select(each, mi.Float(1), 0) for each in lit), mi.Float(0)))[0]) / side**2
+
+
 def tent(value: Any) -> Any:
     """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
     return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
@@ -370,20 +389,22 @@ class LensPoints:
         places, weight = [], mi.Float(1 / float(lattice.lens_area))
         for axis, edges in ((1, self._rows), (0, self._columns)):
             number = mi.UInt32(random[axis] * _CELLS)
-            low, high = (dr.gather(mi.Float, edges, part * (_CELLS + 1) + number + end) for end in (0, 1))
+            part = part * _CELLS + number
+            low, high = dr.gather(mi.Vector2f, edges, part)
             side = dr.gather(mi.Float, self._sides[axis], radial)
             places.append(dr.lerp(low, high, random[axis] * _CELLS - mi.Float(number)) * side)
             weight *= (high - low) * side * _CELLS
-            part = part * _CELLS + number
         v, u = (dr.select(P < 0, -place, place) for P, place in zip((Pv, Pu), places, strict=True))
         return lattice.from_frame(u, v), weight
 
 
 @functools.lru_cache(maxsize=8)
 def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
-    """Return the edges of the strips of all nodes and of their cells, in sides of the windows, as flat arrays."""
+    """Return the two edges of each strip of all nodes, and of their cells, in sides of the windows, as flat arrays."""
     parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
-    return [np.ravel(each).astype(np.float32) - np.float32(0.5) for each in zip(*parts, strict=True)]
+    edges = (np.array(each, np.float32) - np.float32(0.5) for each in zip(*parts, strict=True))
+    # A ray reads both edges at once.
+    return [np.stack([each[..., :-1], each[..., 1:]], axis=-1).ravel() for each in edges]
 
 
 def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -15,7 +15,9 @@ which has the same mean, because the coefficients' integral over m is known, and
 
 from __future__ import annotations
 
+import functools
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
@@ -32,12 +34,12 @@ from ..optics.rays import pixel_response
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
+from ..runtime.limits import single_threaded_blas
 from .array_kernels import REACH
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .noise import known_means
 from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
 from .pixel_kernels import PixelKernels
-from .random_numbers import chances_of
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels
@@ -55,6 +57,13 @@ _RAY_BYTES = 200
 _PROBES, _CELLS = 2**10, 2**16
 """Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
 
+_NEAR = 8
+"""Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these little
+light."""
+
+_THINNED = 2
+"""Width in pixels of the squares, farther from the recorded pixels, of which one random pixel stands for all."""
+
 _LEAST = 2
 """Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
 
@@ -62,7 +71,7 @@ _LEAST = 2
 class Brought(NamedTuple):
     """Sums that the rays of a lot contribute."""
 
-    # For each node and image the mean values of cells, first those at the first place of each pixel.
+    # For each node and image the mean values of cells, pixel by pixel.
     values: list[list[list[Any]]]
     # Direction cosines of the light of pixels.
     cosines: Pair
@@ -127,6 +136,9 @@ class SignedRaySum:
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
+            far = self._far(bins)
+            for image in images:
+                image[:, far] *= _THINNED**2
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
@@ -136,26 +148,25 @@ class SignedRaySum:
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
         """Return the kernels of each node, each kind of lenses and each set of values of a ray."""
-        order = 0 if self._draws.by_points else ORDER - 1
+        draws, order = self._draws, 0 if self._draws.by_points else ORDER - 1
+        grids = [
+            _Grid(self._parts, larger, tuple(map(tuple, draws.turns(kind).tolist())), order)
+            for kind, larger in enumerate(draws.enlargements)
+        ]
         return [
             [
                 [
-                    PixelKernels(
-                        # A pixel is the mean of its cells. Larger micro-images are darker.
-                        kernels / (self._parts * larger) ** 2,
-                        *(plan.oblique, self._parts, self._draws.turns(kind) / plan.oblique.largest, order),
-                        *(plan.covariance, plan.tolerance),
-                    )
-                    for kernels in self._kernels_of(plan, kind)
+                    _kernels_of(plan, grid, kind),
+                    *(grid.for_pixels(plan, kernels) for kernels in self._further_kernels(plan, kind)),
                 ]
-                for kind, larger in enumerate(self._draws.enlargements)
+                for kind, grid in enumerate(grids)
             ]
             for plan in (node.plan for node in self._nodes)
         ]
 
-    def _kernels_of(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        """Return the kernels (values, k, k) of cells for a kind of lenses, for each set of values of a ray."""
-        return [plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)]
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        """Return the kernels (values, k, k) of cells for a kind of lenses, for sets of values after the first."""
+        return []
 
     @cached_property
     def _flat_kernels(self) -> list[list[NDArray[np.float32]]]:
@@ -172,7 +183,9 @@ class SignedRaySum:
     def _convolutions(self) -> list[Convolution]:
         """Return the convolution of each image; the channels of a node share one."""
         size = self._blocks[0].rows, self._blocks[0].columns
-        made = [Convolution(self._camera, kernels, size) for kernels in self._flat_kernels]
+        # Those of derivatives are used once.
+        make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
+        made = [make(self._camera, tuple(itertools.chain(*kinds)), size) for kinds in self._kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
     @cached_property
@@ -199,9 +212,10 @@ class SignedRaySum:
             self._add(*before, sums)
         return sums
 
+    @single_threaded_blas()
     def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
         """Add the light of a lot's rays to the images."""
-        images, some, shape = iter(sums), lot.some.numpy(), (self._parts**2, dr.width(lot.some))
+        images, some, shape = iter(sums), lot.some.numpy(), (dr.width(lot.some), self._parts**2)
         cosines = np.array([value.numpy() for value in brought.cosines])
         for number, node in enumerate(brought.values):
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
@@ -209,9 +223,9 @@ class SignedRaySum:
                 total, values = next(images)[rows[0].start : rows[-1].stop], [part.numpy() for part in parts]
                 values = [part.reshape(shape) for part in values]
                 for few in kernels[0].portions(len(some)):
-                    combined = self._combined(kernels, np.stack([v[:, few] for v in values]), cosines[:, few], number)
+                    own = np.moveaxis(np.stack([v[few] for v in values], axis=1), 0, 2)
                     # A lot contains each pixel at most once.
-                    total[:, some[few]] += combined
+                    total[:, some[few]] += self._combined(kernels, own, cosines[:, few], number)
 
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
@@ -226,10 +240,10 @@ class SignedRaySum:
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield pixels of a box with each lens that lights them, in lots."""
         size = max(1, _LANES // self._together)
+        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, self._kept_of(box, seeds)), pixels) != 0
         for steps in self._draws.candidates:
             aims = self._draws.aims(Pixels(box, pixels, steps))
-            pupil = self._draws.seen(aims.middle, aims)
-            seen = dr.square(pupil[0]) + dr.square(pupil[1]) <= self._draws.widest**2
+            seen = kept & self._draws.lights(aims)
             for kind in range(len(self._draws.kinds.every)):
                 lit = dr.compress(seen & (aims.kind == kind))
                 for start in range(0, dr.width(lit), size):
@@ -242,6 +256,26 @@ class SignedRaySum:
                     own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
                     for turn, seed in enumerate(own[1:]):
                         yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
+
+    def _far(self, box: Box) -> NDArray[np.bool_]:
+        """Return which pixels (rows, columns) of a box are far from the recorded ones; see `_NEAR`."""
+        window, near = box_of(self._camera, 0), _NEAR if self._parts > 1 else math.inf
+        rows, columns = (
+            np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
+            for first, count, low, size in (
+                (box.top, box.rows, window.top, window.rows),
+                (box.left, box.columns, window.left, window.columns),
+            )
+        )
+        return np.asarray(rows[:, None] | columns)
+
+    def _kept_of(self, box: Box, seeds: np.random.SeedSequence) -> NDArray[np.bool_]:
+        """Return which pixels of a box have rays: all near ones, and one of each square of the others."""
+        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
+        chosen = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
+        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
+        kept = np.kron(chosen, np.ones_like(squares)) == np.tile(squares, shape)
+        return ~self._far(box) | kept[: box.rows, : box.columns]
 
     def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[NDArray[np.float32]]]]]:
         """Yield the lots of all blocks, and the gradients with respect to the images that the lots make.
@@ -258,6 +292,9 @@ class SignedRaySum:
                 ]
                 for node in self._nodes
             ]
+            far = self._far(bins).ravel()
+            for each in itertools.chain.from_iterable(felt):
+                each[:, far] *= _THINNED**2
             seeds = np.random.SeedSequence([self._seed, number])
             for lot in self._lots(bins, dr.arange(mi.UInt32, every), seeds):
                 yield lot, felt
@@ -270,7 +307,8 @@ class SignedRaySum:
         terms = self._nodes[number].plan.oblique.terms(self._cosines(lot, some))
         own = images[:, dr.gather(mi.UInt32, lot.some, some).numpy()]
         return [
-            [drjit_array(mi.Float, part) for part in kernels.adjoint(own[rows], terms)]
+            # Pixel by pixel, as cells are.
+            [drjit_array(mi.Float, part.T) for part in kernels.adjoint(own[rows], terms)]
             for kernels, rows in zip(self._kernels[number][lot.kind], self._rows(number, lot.kind), strict=True)
         ]
 
@@ -331,13 +369,14 @@ class SignedRaySum:
         for (walk, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
-            require_finite(radiance, counted, *drawn.kept)
+            kept = [self._kept(drawn, number) for number in nodes]
+            require_finite(radiance, counted, kept)
             # Any function may be the light; derivatives and band-limited light may be negative.
             if getattr(self._light, "is_radiance", False):
                 require_light(radiance)
             known, lit = known_means(radiance, counted, count, self._together)
-            for number in nodes:
-                sums.append(self._bring(lot, drawn, radiance, known, lit, number, lanes))
+            for number, own in zip(nodes, kept, strict=True):
+                sums.append(self._bring(lot, own, radiance, known, lit, number, lanes))
         cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
         return Brought(sums, cosines)
@@ -349,9 +388,9 @@ class SignedRaySum:
         sample = lane - own * dr.opaque(mi.UInt32, self._together)
         return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
 
-    def _cell_of(self, own: Any, sample: Any, pixels: int) -> Any:
-        """Return the index of each ray's cell among the cells of pixels, all first places before the second ones."""
-        return quotient(sample, self._spp) * dr.opaque(mi.UInt32, pixels) + own
+    def _cell_of(self, own: Any, sample: Any) -> Any:
+        """Return the position of the cell of rays among the cells of pixels."""
+        return own * dr.opaque(mi.UInt32, self._parts**2) + quotient(sample, self._spp)
 
     def _asked(self, walk: Walk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
         """Return the arguments of the light: see `SceneLight`."""
@@ -367,10 +406,15 @@ class SignedRaySum:
         even = self._draws.evenness(drawn)
         return even if self._response is None else self._response(*self._draws.crossed(drawn)) * even
 
+    def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
+        """Return what `_bring` needs to know of rays for a node."""
+        places = self._coefficients[number].places(drawn.point, drawn.inner, drawn.chance, drawn.open)
+        return places, dr.select(drawn.open, drawn.weight, 0)
+
     def _bring(
         self,
         lot: Lot,
-        drawn: Drawn,
+        kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
         lit: Any,
@@ -378,8 +422,7 @@ class SignedRaySum:
         lanes: Lanes | None,
     ) -> list[list[Any]]:
         """Return, for each image of a node, the mean coefficients of the rays of each cell."""
-        (first, start), kept = self._first(lot.pixels), drawn.kept
-        pixel, key = self._spread(lot.pixels.index), lot.key
+        (first, start), (places, weight) = self._first(lot.pixels), kept
         # Computed before the recorded loop, so as not to become a part of it.
         node, coefficients = self._nodes[number], self._coefficients[number]
         used, weights = node.mixture(lanes)
@@ -388,18 +431,17 @@ class SignedRaySum:
             weights = self._spread(weights)
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
-            ray, even = kept.at(first + k), ((start + k) & 1) == 0
+            own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
             others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in known]
             changes = [
                 dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
             ]
-            active = ray.open & dr.any([change != 0 for change in changes], axis=0)
-            values = coefficients(ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), active)
+            values = coefficients.read(*(dr.gather(type(place), place, first + k) for place in places))
             result = []
             for row, before in zip(weights, brought, strict=True):
-                change = ray.weight * mixed(row, changes)
-                after = [old + dr.select(active, value * change, 0) for old, value in zip(before, values, strict=True)]
-                after[0] += dr.select(ray.open, mixed(row, others), 0)
+                change = own * mixed(row, changes)
+                after = [dr.fma(value, change, old) for old, value in zip(before, values, strict=True)]
+                after[0] += dr.select(own > 0, mixed(row, others), 0)
                 result.append(after)
             return k + 1, result
 
@@ -407,11 +449,9 @@ class SignedRaySum:
 
     def _first(self, pixels: Pixels) -> Pair:
         """Return the number of the first ray of all cells of pixels: among the rays of all, and of each pixel."""
-        places, count = self._parts**2, dr.width(pixels.index)
-        lane, every = dr.arange(mi.UInt32, count * places), dr.opaque(mi.UInt32, count)
-        place = quotient(lane, count)
-        start = place * dr.opaque(mi.UInt32, self._spp)
-        return (lane - place * every) * dr.opaque(mi.UInt32, self._together) + start, start
+        places = self._parts**2
+        lane, spp = dr.arange(mi.UInt32, dr.width(pixels.index) * places), dr.opaque(mi.UInt32, self._spp)
+        return lane * spp, (lane - quotient(lane, places) * dr.opaque(mi.UInt32, places)) * spp
 
     def _spread(self, values: Any) -> Any:
         """Return values of pixels, or sequences of these, for each of their cells."""
@@ -419,10 +459,8 @@ class SignedRaySum:
             return values
         if isinstance(values, Sequence):
             return [self._spread(value) for value in values]
-        count = dr.width(values)
-        return dr.gather(
-            type(values), values, dr.arange(mi.UInt32, count * self._parts**2) % dr.opaque(mi.UInt32, count)
-        )
+        places = self._parts**2
+        return dr.gather(type(values), values, quotient(dr.arange(mi.UInt32, dr.width(values) * places), places))
 
     def _mean_of(self, bring: Callable[..., Any], lit: Any, number: int) -> list[list[Any]]:
         """Return the mean values of each cell of lit pixels, over its rays in a loop, for each image of a node."""
@@ -432,3 +470,34 @@ class SignedRaySum:
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[part / rays for part in parts] for parts in brought]
+
+
+class _Grid(NamedTuple):
+    """How kernels of pixels are made from those of cells, for a kind of lenses."""
+
+    # Count of cells across a pixel, and factor by which micro-images are larger than by rays through lens centres.
+    parts: int
+    larger: float
+    # Changes of the direction cosines from a pixel to its cells, and the order of B-splines of collected rays.
+    turns: tuple[tuple[float, ...], ...]
+    order: int
+
+    def for_pixels(self, plan: PhaseSpace, kernels: NDArray[np.float64]) -> PixelKernels:
+        """Return kernels for the images of pixels from those (values, k, k) of cells."""
+        turns = np.array(self.turns) / plan.oblique.largest
+        # A pixel is the mean of its cells. Larger micro-images are darker.
+        mean = kernels / (self.parts * self.larger) ** 2
+        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, plan.covariance, plan.tolerance)
+
+
+@functools.lru_cache(maxsize=16)
+def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
+    """Return the kernels of a plan for a kind of lenses, which are cached for further captures of the camera."""
+    camera = plan.camera
+    return grid.for_pixels(plan, plan.kernels(camera.pixel_size / grid.parts, REACH * max(camera.mla_pitches), kind))
+
+
+@functools.lru_cache(maxsize=4)
+def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int]) -> Convolution:
+    """Return the convolution with kernels, whose spectra are cached for further captures of the camera."""
+    return Convolution(camera, [kernel for each in sets for kernel in each.kernels], size)

@@ -228,7 +228,7 @@ def test_estimates_take_some_of_the_rays(trials_of_a_second):
 
 
 def test_black_scenes_are_black_and_said_to_be():
-    with pytest.warns(UserWarning, match="none of some rays meets anything that shines"):
+    with pytest.warns(UserWarning, match="none of the rays meets anything that shines"):
         image = by_waves(scene_of(sensor(4, 8), card=facing(240.0, 5.0, bsdf=BLACK))).image
     assert not image.any()
 

@@ -212,7 +212,7 @@ def test_a_film_of_colours_records_many_wavelengths_in_spectral_variants(camera_
 
 def test_nothing_to_see_is_a_black_capture(camera_dict):
     behind = disk((0, 0, -50.0), 1.0)
-    with pytest.warns(UserWarning, match="none of some rays meets anything that shines"):
+    with pytest.warns(UserWarning, match="none of the rays meets anything that shines"):
         assert not by_signed_rays(scene_of(camera_dict(**SHARED), behind=behind), spp=4).image.any()
 
 
