@@ -25,7 +25,7 @@ from mitsuba_plenoptic import PlenopticCamera, decode, load_scene, render_captur
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.arrival import FieldGrids
-from mitsuba_plenoptic.points.full_field import _apply as apply_factors
+from mitsuba_plenoptic.points.full_field import pass_microlenses
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import LensGrid, focal_stack, white_image
@@ -259,9 +259,9 @@ def _microlenses(size: int, pitch: float, repeats: int) -> list[Row]:
     camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
     first, wide = (pitch - 2.048) / 2, (size, size)
     grids = FieldGrids(pitch, 1, (first, first), size, size, (0, 0), wide, WAVE / (2 * pitch), 0)
-    factors = OpticalSystem(camera, WAVELENGTH).microlenses.factors(grids.bend)
+    system = OpticalSystem(camera, WAVELENGTH)
     plane, mine = np.ones(wide, np.complex64), np.ones(wide, np.complex64)
-    apply_factors(factors, grids, mine)
+    pass_microlenses(system, grids, mine)
     highest = math.ceil(camera.mla_pitch / pitch / 2) - 1
     numbers = np.arange(-highest, highest + 1)
     line = closed_form_orders(numbers, camera.mla_pitch**2 / (WAVE * camera.mla_focal_length))
@@ -288,7 +288,7 @@ def _microlenses(size: int, pitch: float, repeats: int) -> list[Row]:
 
     def ours() -> None:
         samples = plane.copy()
-        apply_factors(factors, grids, samples)
+        pass_microlenses(system, grids, samples)
 
     what = f"{size} x {size}, {1e3 * pitch:g} µm"
     own = {"what": what, "peer": "ours", "difference": off(mine), "limit": 1e-5}
