@@ -25,7 +25,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mitsuba_plenoptic import Cluster, Job, PlenopticCamera, cli, estimate_capture, load_scene, render_capture
-from mitsuba_plenoptic.light import array_kernels, phase_space, signed_capture
+from mitsuba_plenoptic.light import array_kernels, phase_space, signed_capture, signed_rays
 from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY, find_patterns
 from mitsuba_plenoptic.points.patch import PatchBatch
 from mitsuba_plenoptic.points.recorder import Recorder
@@ -432,9 +432,9 @@ def accuracy(
                 mock.patch.object(array_kernels, "_FUNCTIONS", 0.0),
                 mock.patch.object(signed_capture, "parts_of", lambda *_, every=every: every),
             ):
-                phase_space.plan_of.cache_clear()
+                _forget_plans()
                 reference, noise = _taken(scene, spp, True)
-            phase_space.plan_of.cache_clear()
+            _forget_plans()
             for finer, limit in ((False, 0.01), (True, 0.005)):
                 cells = phase_space.parts_of(camera, WAVELENGTH, finer)
                 image, own = _taken(scene, spp, finer)
@@ -444,6 +444,12 @@ def accuracy(
                     "difference": without_noise(relative(image, reference), noise, own),
                     "light": float(image.mean() / reference.mean()), "limit": limit,
                 }  # fmt: skip
+
+
+def _forget_plans() -> None:
+    """Clear what is kept of plans, which do not state the constants that are replaced here."""
+    for cached in (phase_space.plan_of, signed_rays._kernels_of, signed_rays._convolution_of):
+        cached.cache_clear()
 
 
 def _taken(scene: mi.Scene, spp: int, finer: bool) -> tuple[np.ndarray, float]:
