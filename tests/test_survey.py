@@ -61,6 +61,7 @@ METHODS = {
 QUICK = ("forward", "adjoint", "ray")
 
 LENS, MEMORY = "main_lens = ", "GiB of memory"
+FIELDS = "use method partial with interleave auto"
 
 REFUSED = {
     **{(name, method): LENS for name in MICROSCOPES for method in ("gradient", "coherent field", "RayRefocus")},
@@ -68,6 +69,8 @@ REFUSED = {
     **{(name, "coherent field"): LENS for name in REAL},
     **{(name, "CoherentRefocus"): LENS for name in REAL | MICROSCOPES},
     **{(name, method): MEMORY for name in ("lytro", "full_frame_dual") for method in ("coherent field", "full field")},
+    **{("raytrix_double_gauss", method): FIELDS for method in ("coherent", "partial")},
+    **{("full_frame_dual", method): MEMORY for method in ("coherent", "partial", "partial, auto", "CoherentRefocus")},
 }
 """What is refused, and the words by which."""
 

@@ -164,6 +164,8 @@ def _signed_power(
     """
     camera, wavelength = system.camera, system.wavelength
     fine, real, seen = fine_bins(system, oversample), None, camera
+    columns, rows = (count * oversample * fine for count in camera.bin_count)
+    check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     planes, sampled = list(distances), list(planned)
     if camera.lens_data.traced_surfaces:
         real = RealConjugates.of(system, sampled, oversample)
@@ -237,7 +239,6 @@ def reconstruct_subsets(
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
-    check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     totals = [np.zeros((rows, columns)) for _ in distances]
     lit = lit_window(image, camera)
     if lit is None:
