@@ -11,6 +11,9 @@ is exact; what the others lack of the light of a response is added to it, so tha
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -107,10 +110,14 @@ class PixelKernels:
         sums = terms[self._term] * (self._of_sums.T @ images)
         return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
 
-    def portions(self, pixels: int) -> list[slice]:
-        """Return slices of pixels whose coefficients fit into the processor's caches."""
+    def portions(self, ends: Sequence[int]) -> list[slice]:
+        """Return slices of pixels, from one of the ends to the next, whose coefficients fit into caches."""
         size = max(1, _TOGETHER // max(self._factors.shape))
-        return [slice(start, min(start + size, pixels)) for start in range(0, pixels, size)]
+        return [
+            slice(start, min(start + size, last))
+            for first, last in itertools.pairwise(ends)
+            for start in range(first, last, size)
+        ]
 
 
 def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:

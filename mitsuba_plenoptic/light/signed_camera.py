@@ -143,7 +143,7 @@ class CameraTangents(_CameraSum):
         The changes of the direction cosines of the cells' light follow.
         """
         (first, start), (drawn, _) = self._first(lot.pixels), self._drawn_rays(lot.pixels, lot.key)
-        pixel, key = self._spread(lot.pixels.index), lot.key
+        pixel, key = self._spread(lot.pixels.number), lot.key
         node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
         used, weights = node.mixture(lanes)
         radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]

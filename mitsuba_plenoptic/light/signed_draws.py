@@ -98,12 +98,18 @@ class Pixels:
     box: Box
     # Indices in the rectangle, row by row.
     index: Any
-    # Lattice indices (i, j) of the lenses relative to the lenses of the pixels' chief rays.
-    steps: NDArray[np.int64]
+    # Indices of the lenses, or of the lens of all pixels, among the `candidates` of `Draws`.
+    lens: Any
+
+    @property
+    def number(self) -> Any:
+        """Numbers of their own for the pairs of a pixel and a lens."""
+        return self.lens * dr.opaque(mi.UInt32, self.box.rows * self.box.columns) + self.index
 
     def take(self, which: Any) -> Pixels:
-        """Return a selection of the pixels."""
-        return replace(self, index=dr.gather(mi.UInt32, self.index, which))
+        """Return a selection of pixels with lenses of their own."""
+        index, lens = (dr.gather(mi.UInt32, each, which) for each in (self.index, self.lens))
+        return replace(self, index=index, lens=lens)
 
 
 class Lot(NamedTuple):
@@ -198,6 +204,11 @@ class Draws:
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
         return camera.lattice.neighbours(self._seen(self.widest) + beyond)
 
+    @cached_property
+    def _steps(self) -> list[Any]:
+        """Return the two columns of `candidates` for kernels."""
+        return [drjit_array(mi.Float, column) for column in self.candidates.T]
+
     def lights(self, aims: Aims) -> Any:
         """Return whether light through the lenses can reach the pixels."""
         pupil = self.seen(aims.middle, aims)
@@ -231,7 +242,9 @@ class Draws:
             for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
         )
         _, cell = self.walk.chief_cell((x, y))
-        i, j = (index + dr.opaque(mi.Float, float(step)) for index, step in zip(cell, pixels.steps, strict=True))
+        i, j = (
+            index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True)
+        )
         centre, _ = self.walk.lens_at(i, j)
         height = self.walk.height(*centre)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
@@ -293,7 +306,7 @@ class Draws:
         that of its cell.
         """
         aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
-        pixel = dr.gather(mi.UInt32, pixels.index, own)
+        pixel = dr.gather(mi.UInt32, pixels.number, own)
         half, index = sample & 1, mi.Float(sample >> 1)
         random = []
         chance = chances_of(pixel, seed ^ (sample << 4))
@@ -359,7 +372,8 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
     left, top = ((size - side) // 2 for size in camera.resolution)
     box = Box(left, top, side, side)
     pixels = dr.arange(mi.UInt32, side * side)
-    lit = [draws.lights(draws.aims(Pixels(box, pixels, steps))) for steps in draws.candidates]
+    lenses = (dr.opaque(mi.UInt32, lens) for lens in range(len(draws.candidates)))
+    lit = [draws.lights(draws.aims(Pixels(box, pixels, lens))) for lens in lenses]
     return float(dr.sum(sum((dr.select(each, mi.Float(1), 0) for each in lit), mi.Float(0)))[0]) / side**2
 
 

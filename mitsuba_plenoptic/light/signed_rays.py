@@ -136,9 +136,9 @@ class SignedRaySum:
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
-            far = self._far(bins)
+            rows, columns = np.nonzero(self._far(bins))
             for image in images:
-                image[:, far] *= _THINNED**2
+                image[:, rows, columns] *= _THINNED**2
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
@@ -217,14 +217,15 @@ class SignedRaySum:
         """Add the light of a lot's rays to the images."""
         images, some, shape = iter(sums), lot.some.numpy(), (dr.width(lot.some), self._parts**2)
         cosines = np.array([value.numpy() for value in brought.cosines])
+        # The pixels of a lens are in order, so that each is contained once until the next lens.
+        ends = [0, *(1 + np.flatnonzero(some[1:] <= some[:-1])).tolist(), len(some)]
         for number, node in enumerate(brought.values):
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
             for parts in node:
                 total, values = next(images)[rows[0].start : rows[-1].stop], [part.numpy() for part in parts]
                 values = [part.reshape(shape) for part in values]
-                for few in kernels[0].portions(len(some)):
+                for few in kernels[0].portions(ends):
                     own = np.moveaxis(np.stack([v[few] for v in values], axis=1), 0, 2)
-                    # A lot contains each pixel at most once.
                     total[:, some[few]] += self._combined(kernels, own, cosines[:, few], number)
 
     def _combined(
@@ -241,21 +242,27 @@ class SignedRaySum:
         """Yield pixels of a box with each lens that lights them, in lots."""
         size = max(1, _LANES // self._together)
         kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, self._kept_of(box, seeds)), pixels) != 0
-        for steps in self._draws.candidates:
-            aims = self._draws.aims(Pixels(box, pixels, steps))
+        found: list[list[Any]] = [[] for _ in self._draws.kinds.every]
+        for number in range(len(self._draws.candidates)):
+            lens = dr.opaque(mi.UInt32, number)
+            aims = self._draws.aims(Pixels(box, pixels, lens))
             seen = kept & self._draws.lights(aims)
-            for kind in range(len(self._draws.kinds.every)):
-                lit = dr.compress(seen & (aims.kind == kind))
-                for start in range(0, dr.width(lit), size):
-                    some = dr.gather(
-                        mi.UInt32,
-                        lit,
-                        dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(lit) - start)),
-                    )
-                    chosen = Pixels(box, dr.gather(mi.UInt32, pixels, some), steps)
-                    own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
-                    for turn, seed in enumerate(own[1:]):
-                        yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
+            for kind, lit in enumerate(found):
+                some = dr.compress(seen & (aims.kind == kind))
+                if dr.width(some):
+                    lit.append((some, lens + dr.zeros(mi.UInt32, dr.width(some))))
+        for kind, lit in enumerate(found):
+            if not lit:
+                continue
+            # Lots of all lenses together, since those at the rims of micro-images light few pixels.
+            every, lenses = (dr.concat(list(parts)) for parts in zip(*lit, strict=True))
+            for start in range(0, dr.width(every), size):
+                lane = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(size, dr.width(every) - start))
+                some = dr.gather(mi.UInt32, every, lane)
+                chosen = Pixels(box, dr.gather(mi.UInt32, pixels, some), dr.gather(mi.UInt32, lenses, lane))
+                own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
+                for turn, seed in enumerate(own[1:]):
+                    yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return which pixels (rows, columns) of a box are far from the recorded ones; see `_NEAR`."""
