@@ -9,7 +9,6 @@ from mitsuba_plenoptic.cli.render_command import expose
 from mitsuba_plenoptic.io import captures, examples
 from mitsuba_plenoptic.io import truth_files as ground_truth
 from mitsuba_plenoptic.light import detector, scene
-from mitsuba_plenoptic.onchip import LAYOUTS
 from mitsuba_plenoptic.refocus import methods, results
 from mitsuba_plenoptic.refocus_options import METHODS
 from mitsuba_plenoptic.report import images, output_files
@@ -21,7 +20,6 @@ LIBRARY = {
     "UNITS": scene.UNITS,
     "VIEW_METHODS": VIEW_METHODS,
     "AXES": AXES,
-    "LAYOUTS": ["x".join(map(str, layout)) for layout in LAYOUTS],
     "EXAMPLES": examples.NAMES,
     "MOSAICS": captures.MOSAICS,
     "ALL_MOSAICS": captures.ALL_MOSAICS,

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, demosaic, expose, read_raw, write_raw
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_raw, write_raw
 from mitsuba_plenoptic.cli.inputs import read_recorded
 
 
@@ -18,14 +18,13 @@ def capture_of(channels=3):
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff"])
 def test_a_mosaic_comes_back_as_it_was(tmp_path, suffix):
-    """Also its demosaicking, and the numbers are those that other programs see: 12 bits, black where it is dark."""
+    """The numbers are those that other programs see: 12 bits, black where it is dark."""
     raw = expose(capture_of(), Detector(mosaic="GBRG", bits=12, dark_electrons=3.0), photons=9000, seed=2)
     path = tmp_path / f"raw{suffix}"
     write_raw(path, raw)
     back = read_raw(path)
     np.testing.assert_allclose(back.image, raw.image, atol=1e-6)
     assert back.camera == raw.camera and back.metadata == json.loads(json.dumps(raw.metadata))
-    np.testing.assert_allclose(demosaic(back).image, demosaic(raw).image, atol=1e-5)
     seen = np.asarray(Image.open(path)) if suffix == ".png" else tifffile.imread(path)
     assert seen.dtype == np.uint16 and seen.shape == (33, 40)
     assert 40 < seen.max() <= 4095

@@ -11,7 +11,6 @@ from mitsuba_plenoptic import (
     CaptureOperator,
     InputError,
     PlenopticCamera,
-    calibrate,
     point_spread_function,
     reconstruct,
     render_capture,
@@ -251,7 +250,6 @@ def test_what_needs_parabolic_microlenses_refuses_others():
     for call in (
         lambda: reconstruct(image, 230.0, camera=camera, method="coherent", wavelength=GREEN),
         lambda: operator.derivative([1.0], {"mla_distance": 1.0}),
-        lambda: calibrate([], None, camera),
     ):
         with pytest.raises(InputError, match=r"mla_shape = .*with parabolic microlenses only"):
             call()

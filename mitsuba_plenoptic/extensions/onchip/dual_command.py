@@ -7,9 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ...cli.choices import LAYOUTS, PICTURES
+from ...cli.choices import PICTURES
 from ...cli.inputs import CaptureFile, Exposure, Figure, Percentile, Scale, drawing_of, output_option
 from ...cli.judging import ends_in, one_of
+
+LAYOUTS = ("2x1", "1x2", "2x2")
+"""Layouts of photodiodes, written out, as help does not wait for the library."""
 
 
 def dual(

@@ -363,3 +363,8 @@ def test_other_data_sets_are_refused(made, tmp_path):
     with pytest.raises(InputError, match="it holds a data set that is no benchmark"):
         Benchmark(tmp_path / "other")
     assert set(TASKS) == {"depth", "refocus", "views"} and len(PUPIL_POINTS) == len(made[0].arrays["target_views"])
+
+
+def test_the_network_is_answered_with_what_serves_instead():
+    with pytest.raises(InputError, match=r"^baseline = network: it is gone since version 2\.0; use ray[^\n]*$"):
+        run_baseline("network", None, "answers")

@@ -109,3 +109,29 @@ def test_mistakes_are_one_line(tmp_path, capsys, words, message):
     assert main([*given, *([] if "--photons" in words else ["--photons", "10"]), *words]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["focal_length=50", "resolution=64", "mla_focal_length=0.5"])
+def test_parameters_of_the_scenes_own_camera_are_refused(name, mistake):
+    words = "it is of the scene's own camera, which another one replaces; leave it out"
+    mistake(f"fit {{raw}} --scene letters --parameter mla_pitch --photons 9 -o {{out}}.json -D {name}", words)
+
+
+def test_a_fit_is_checked_before_light_is_found(mistake, monkeypatch):
+    def found(*_, **__):
+        raise AssertionError("light was found")
+
+    monkeypatch.setattr("mitsuba_plenoptic.fitting.known_view", found)
+    line = "fit {raw} -o {out}.json --scene letters --parameter"
+    mistake(f"{line} zoom --photons 9", "'zoom': it is none of the parameters")
+    mistake(f"{line} mla_pitch --photons -1", "photons = -1")
+    mistake(f"{line} mla_pich --photons 9", "did you mean mla_pitch?")
+
+
+def test_the_capture_is_not_written_over(raw, tmp_path, complaint):
+    copy, link = tmp_path / "copy.exr", tmp_path / "copy.json"
+    copy.write_bytes(raw.read_bytes())
+    link.symlink_to(copy)
+    words = ["--scene", "letters", "--parameter", "mla_pitch", "--photons", "9"]
+    assert "it is read, and would be lost; write to another file" in complaint("fit", copy, "-o", link, *words)
+    assert copy.read_bytes() == raw.read_bytes()

@@ -247,3 +247,15 @@ def test_a_camera_of_few_lenses_is_compared(tmp_path, capsys):
     numbers = json.loads((tmp_path / "few" / "results.json").read_text())
     assert all(row["ssim"] is None for row in numbers["reconstructions"])
     assert "not defined" in (tmp_path / "few" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("reproduce --preset huge -o {out}", "preset = 'huge': it must be one of quick, paper"),
+        ("reproduce --preset quik -o {out}", "did you mean quick?"),
+        ("reproduce -o {raw}", "the folder cannot be made"),
+    ],
+)
+def test_mistakes_on_the_command_line(line, words, mistake):
+    mistake(line, words)
