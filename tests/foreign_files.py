@@ -100,3 +100,10 @@ def write_lytro_white(path, numbers, metadata):
     frames = [{"frame": {"metadata": metadata}}]
     path.with_suffix(".TXT").write_text(json.dumps({"master": {"picture": {"frameArray": frames}}}))
     return path.with_suffix(".RAW")
+
+
+def large(path):
+    """Make a file of 3 GiB without any content, which takes no room on the disk."""
+    with path.open("wb") as file:
+        file.truncate(3 * 2**30)
+    return path

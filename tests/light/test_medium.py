@@ -7,7 +7,6 @@ from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import (
     CaptureOperator,
-    InputError,
     PlenopticCamera,
     design,
     point_spread_function,

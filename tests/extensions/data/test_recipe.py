@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 from dataset_cases import small
+from foreign_files import large
 from scipy import stats
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design
-from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
+from mitsuba_plenoptic.dataset import DataSet, parse_recipe, read_recipe
 
 
 def test_values_have_the_distributions_that_they_are_said_to_have():
@@ -144,3 +145,11 @@ def test_a_recipe_draws_the_numbers_of_a_data_sheet(tmp_path):
     cameras = [recipe.plan(index).camera for index in range(3)]
     assert len({camera.f_number for camera in cameras}) == 3
     assert all(camera.micro_image_pitch == pytest.approx(0.05) for camera in cameras)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("recipe.yaml", read_recipe), ("dataset.json", lambda path: DataSet(path.parent))]
+)
+def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
+    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
+        read(large(tmp_path / name))

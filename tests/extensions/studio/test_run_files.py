@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mitsuba_plenoptic import read_capture
-from mitsuba_plenoptic.cli import command_group, commands_of, step_commands
+from mitsuba_plenoptic.cli import command_group, commands_of, main, step_commands
 from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
 from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.io import checkpoints
@@ -223,3 +224,39 @@ def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
         if "--resume" in option.opts
     }
     assert len(texts) == 1
+
+
+OLD = Path(__file__).parents[2] / "files_of_1_0"
+VERSION = version("mitsuba-plenoptic")
+
+
+def test_a_run_file_says_what_has_changed_and_runs(tmp_path, monkeypatch, capfd):
+    steps = (OLD / "run.yaml").read_text()
+    (tmp_path / "run.yaml").write_text(steps.replace("letter_scale=0.05", "letter_scale=0.05, lens_model=parabolic"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "run.yaml"]) == 0
+    said = [line for line in capfd.readouterr().err.splitlines() if "1.0" in line]
+    assert said == [
+        "mitsuba-plenoptic: run.yaml: it states no version, as those of version 1.0 and earlier: waves refracted at a "
+        "thin main lens as lens_model parabolic then, and follow the camera's lens_model now; the line version: "
+        f"{VERSION} ends this"
+    ]
+    assert read_capture("wave.exr").camera == read_capture(OLD / "wave.exr").camera
+
+
+@pytest.mark.parametrize(
+    ("version", "step", "changed"),
+    [
+        ("", "render: {scene: letters, output: a.exr, spp: 0}", False),
+        ("", "render: {scene: speckle, output: a.exr, spp: 0}", True),
+        ("", "render: {scene: letters, model: wave, output: a.exr, spp: 0}", True),
+        (f"version: {VERSION}\n", "render: {scene: letters, model: wave, output: a.exr, spp: 0}", False),
+        ("", "reconstruct: {capture: no.exr, output: a.exr, distance: 240}", False),
+        ("", "reconstruct: {capture: no.exr, output: a.exr, distance: 240, method: coherent}", True),
+        ("", "dataset: {recipe: no.yaml, output: data}", True),
+    ],
+)
+def test_the_remark_is_made_of_waves_without_a_version(tmp_path, capfd, version, step, changed):
+    (tmp_path / "run.yaml").write_text(f"{version}steps:\n- {step}\n")
+    assert main(["run", str(tmp_path / "run.yaml")]) == 2
+    assert capfd.readouterr().err.count("it states no version") == changed
