@@ -6,10 +6,13 @@ import ast
 import importlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import textwrap
+import venv
 from pathlib import Path
 
 import pytest
@@ -198,6 +201,31 @@ def core(tmp_path):
 def test_types_are_right_without_extensions(core):
     made = subprocess.run([sys.executable, "-m", "mypy"], cwd=core, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stdout
+
+
+SKIPPED_WITHOUT_EXTENSIONS = 12
+"""The most tests of the core that may be left out for want of an extension; they are listed when it is exceeded."""
+
+
+@pytest.mark.slow
+def test_the_suite_of_the_core_passes_without_extensions(core, tmp_path, capsys):
+    """All tests but those of the site and of the tools, which show and measure extensions, too."""
+    # An environment with the installed libraries, but without what runs when it starts: the editable installation.
+    venv.create(tmp_path / "environment", with_pip=False, symlinks=True)
+    python = tmp_path / "environment" / "bin" / "python"
+    paths = {"base": str(tmp_path / "environment"), "platbase": str(tmp_path / "environment")}
+    own = Path(sysconfig.get_path("purelib", "venv", paths))
+    (own / "core.pth").write_text(f"{core}\n{sysconfig.get_path('purelib')}\n")
+    command = [python, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-rs"]
+    others = ("--ignore=tests/docs", "--ignore=tests/tools", "--ignore=tests/test_packaging.py")
+    made = subprocess.run([*command, *others], cwd=core, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stdout
+    # A line of the summary has its number of tests in brackets.
+    skipped = re.findall(r"^SKIPPED \[(\d+)\] (.*extension \w+ is not installed)", made.stdout, flags=re.MULTILINE)
+    count = sum(int(number) for number, _ in skipped)
+    with capsys.disabled():
+        print(f"\n{made.stdout.splitlines()[-1]}; {count} of the skipped ones need an extension")
+    assert count <= SKIPPED_WITHOUT_EXTENSIONS, skipped
 
 
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
