@@ -51,6 +51,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     "captures": {"small lenses": "onchip"},
     "cameras": {"libpleno": "calibrate"},
     "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", "parameters.cfg": "raw", ".mat": "raw"},
+    "plugins": {"plenoptic_laser": "laser"},
 }
 
 # For type checkers: at run time names are served when they are asked for.

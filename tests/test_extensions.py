@@ -150,6 +150,7 @@ MISSING = """
         line(module, "torch"),
         line(open_light_field, "a.mat"),
         line(lambda: mp.render_capture(mp.load_scene(small), spp=1)),
+        line(mp.load_scene, "speckle"),
     ]
     from mitsuba_plenoptic.cli import main
     open("photo.lfr", "wb").close()
@@ -168,6 +169,8 @@ def test_one_line_names_a_missing_extension(copy):
     made = copy(["extensions"], MISSING)
     assert made.returncode == 0, made.stderr
     lines, statuses = json.loads(made.stdout.splitlines()[-1])
+    scene = lines.pop()
+    assert scene.endswith("speckle.xml, line 42, col 6: plenoptic_laser: extension laser is not installed")
     assert lines == [
         "photodiode_response: extension onchip is not installed",
         "photodiode_response: extension onchip is not installed",
@@ -180,6 +183,13 @@ def test_one_line_names_a_missing_extension(copy):
     assert statuses == [2, 2]
     assert "mitsuba-plenoptic: error: dual: extension onchip is not installed" in made.stderr
     assert "photo.lfr: .lfr: extension raw is not installed" in made.stderr
+
+
+@pytest.mark.parametrize("name", ["calibration", "dataset", "fitting", "laser", "onchip", "wavefront", "exchange"])
+def test_public_modules_of_extensions_are_imported_without_a_warning(python, name):
+    made = python(f"from mitsuba_plenoptic import {name}; import mitsuba_plenoptic.{name} as m; assert m is {name}")
+    assert made.returncode == 0, made.stderr
+    assert not made.stderr
 
 
 @pytest.mark.slow
@@ -203,7 +213,7 @@ def test_types_are_right_without_extensions(core):
     assert made.returncode == 0, made.stdout
 
 
-SKIPPED_WITHOUT_EXTENSIONS = 12
+SKIPPED_WITHOUT_EXTENSIONS = 24
 """The most tests of the core that may be left out for want of an extension; they are listed when it is exceeded."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import pkgutil
 import subprocess
@@ -15,7 +16,7 @@ from mitsuba_plenoptic.extension import Extension, installed
 
 PATH = Path(__file__).parents[1] / "mitsuba_plenoptic" / "shipped.py"
 
-KINDS = ("names", "modules", "commands", "parameters", "presets", "captures", "cameras", "formats")
+KINDS = ("names", "modules", "commands", "parameters", "presets", "captures", "cameras", "formats", "plugins")
 
 
 def _records() -> Iterator[tuple[str, Extension]]:
@@ -50,8 +51,10 @@ def text() -> str:
             module, annotation = _annotation(name, place)
             imports.append(f"    from .extensions.{name}.{module} import {annotation}")
             fields.append(f"        {parameter}: {annotation}")
-        for kind in KINDS[1:]:
+        for kind in KINDS[1:-1]:
             tables[kind] |= dict.fromkeys(getattr(record, kind), name)
+        plugins = [importlib.import_module(f"mitsuba_plenoptic.extensions.{name}.{each}") for each in record.plugins]
+        tables["plugins"] |= dict.fromkeys((plugin.NAME for plugin in plugins), name)
     body = "\n".join(fields) or "        pass"
     return (
         '"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""\n\n'

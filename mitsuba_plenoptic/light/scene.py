@@ -16,6 +16,7 @@ import numpy as np
 
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, did_you_mean, refuse_if, refusing, require_choice, short_repr, suggest_keywords
+from ..extension import missing
 from ..io.exr import read_parts
 from ..runtime.backend import one_at_a_time, set_variant
 from ..runtime.files import require_file, require_size
@@ -377,7 +378,8 @@ def mitsuba_sentence(error: Exception) -> str:
     if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
         return unknown_parameter(found[1], found[2])
     if found := re.search(r'Plugin "(\w+)" not found', last):
-        return f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
+        absent = missing("plugins", found[1])
+        return absent or f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
     last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
     if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):

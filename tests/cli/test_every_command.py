@@ -18,6 +18,8 @@ from test_imports import loaded
 from mitsuba_plenoptic.cli import COMMANDS, command_group, commands_of, main
 from mitsuba_plenoptic.runtime import progress
 
+STUDIO = pytest.mark.needs_extension("studio")
+
 
 @pytest.mark.parametrize(("name", "command"), list(commands_of(command_group())))
 def test_every_command_can_be_quiet_and_verbose(name, command):
@@ -55,8 +57,10 @@ def test_a_verbose_command_names_what_it_reads_and_writes(raw, tmp_path, capfd):
     [
         ("render letters -D resolution=64 --estimate", "Estimating"),
         ("reconstruct {raw} --distance 240 --estimate", "Estimating"),
-        ("preview letters -D resolution=64 -o {out}.png", "Previewing"),
-        ("sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5", "capture.*"),
+        pytest.param("preview letters -D resolution=64 -o {out}.png", "Previewing", marks=STUDIO),
+        pytest.param(
+            "sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5", "capture.*", marks=STUDIO
+        ),
     ],
 )
 def test_every_bar_has_a_percentage_and_a_time_left(line, label, raw, tmp_path, monkeypatch):
@@ -185,19 +189,20 @@ BEFORE_A_REFUSAL |= {
         ("views {there} -o views.jpg", "views.jpg: give a name that ends in .exr or .png or .pdf or .gif or .mp4"),
         ("stack {there} -o stack.jpg --distance 240", "stack.jpg: give a name"),
         ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
-        ("view {there} -o page.pdf", "page.pdf: give a name that ends in .html"),
-        ("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc"),
-        (
+        pytest.param("view {there} -o page.pdf", "page.pdf: give a name that ends in .html", marks=STUDIO),
+        pytest.param("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc", marks=STUDIO),
+        pytest.param(
             "fit {there} --scene letters -o camera.xml --parameter mla_pitch",
             "camera.xml: give a name that ends in .json",
+            marks=pytest.mark.needs_extension("inverse"),
         ),
         ("example letterz", "it must be one of letters-ray"),
         ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
-        ("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?"),
+        pytest.param("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?", marks=STUDIO),
         ("depth missing.exr -o depth.exr", "missing.exr: there is no such file"),
         ("views missing.exr -o views.png", "missing.exr: there is no such file"),
         ("info lytr", "did you mean lytro?"),
-        ("preview letterz", "did you mean letters?"),
+        pytest.param("preview letterz", "did you mean letters?", marks=STUDIO),
         ("mtf missing.exr", "missing.exr: there is no such file"),
     ],
 )

@@ -390,19 +390,6 @@ def test_no_warnings_where_all_is_well():
     assert not any("no object plane" in text for text in design.design_warnings(far))
 
 
-@pytest.mark.parametrize("name", ["full_frame_dual", "phone_quad", "phone_quad_bayer"])
-@pytest.mark.parametrize("wavelength", [450, 550, 650])
-def test_dual_pixels_have_no_warnings_of_themselves(name, wavelength):
-    assert design.design_warnings(PlenopticCamera.preset(name), wavelength) == []
-
-
-def test_dual_pixels_whose_spots_are_wider_than_a_pixel_are_told():
-    camera = PlenopticCamera.preset("phone_quad")
-    wavelength = 550 * design.mla_fresnel_number(camera, 550) / 0.49
-    (warning,) = design.design_warnings(camera, wavelength)
-    assert "their Fresnel number is 0.49" in warning
-
-
 def test_remedy_for_overlap_makes_micro_images_touch():
     (warning,) = design.design_warnings(PlenopticCamera(aperture_radius=10))
     diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])

@@ -340,13 +340,11 @@ def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
         ("plenoptic", "focal_lenght", "focal_length"),
         ("plenoptic", "mla_pich", "mla_pitch"),
         ("plenoptic_wave", "wavelenght", "wavelength"),
-        ("plenoptic_laser", "roughnes", "roughness"),
     ],
 )
 def test_misspelt_parameters_are_answered_by_mitsubas_own_loader(plugin, name, meant):
     mi.set_variant("llvm_ad_mono")
-    film = {"film": {"type": "hdrfilm", "rfilter": {"type": "box"}}}
-    needed = {"plenoptic": film, "plenoptic_laser": {"lasers": "one"}}.get(plugin, {})
+    needed = {"film": {"type": "hdrfilm", "rfilter": {"type": "box"}}} if plugin == "plenoptic" else {}
     words = f"{plugin}: {name}: it has no such parameter; did you mean {meant}\\?"
     for scene in (
         {"type": plugin, name: 3.0, **needed},
