@@ -202,9 +202,25 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
-    Lengths are in millimetres. The carrier :math:`\exp(i k d)` is omitted. The result is on the device of `field`; with
-    `overwrite` it reuses the memory of the field. A field that is under-sampled or leaves its window raises a
-    PhysicsError (see `guards`).
+    The carrier :math:`\exp(i k d)` is omitted. The result is on the device of `field`.
+
+    Parameters
+    ----------
+    field : array
+        Complex samples, (rows, columns).
+    pitch : float
+        Distance of samples in millimetres.
+    distance : float
+        Distance of the planes in millimetres; a negative one propagates back.
+    wavelength : float
+        Wavelength in nanometres.
+    overwrite : bool
+        Whether the result reuses the memory of the field.
+
+    Raises
+    ------
+    PhysicsError
+        If the field is under-sampled or leaves its window; see `guards`.
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)

@@ -58,7 +58,17 @@ _FINER = 6
 
 @dataclass(frozen=True)
 class PointFields:
-    """Fields of one scene point in the planes of the camera: behind the pupil, before the MLA, on the detector."""
+    """Fields of one scene point in the planes of the camera.
+
+    Attributes
+    ----------
+    pupil : SampledField
+        The field behind the pupil.
+    mla : SampledField
+        The field before the microlens array.
+    detector : SampledField
+        The field on the detector.
+    """
 
     pupil: SampledField
     mla: SampledField

@@ -23,15 +23,28 @@ def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_siz
 
 
 def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
-    """Return the `brightness` of a camera with its main lens."""
+    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})` of a camera with its main lens.
+
+    A point's weight in `CaptureOperator` is this number times its radiance and the solid angle :math:`A_c / b^2`.
+    """
     return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `brightness` with the part of the pupil that is open to each of some points, (n,)."""
+    """Return `brightness_of` a system times the part of its pupil that is open to each of some points, (n,)."""
     return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
 
 
 def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
-    r"""Return the total signal of a small area of radiance 1 in all pixels: `brightness` times :math:`A_c / b^2`."""
+    r"""Return the total signal of a small area of radiance 1 in all pixels: `brightness_of` times :math:`A_c / b^2`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    lens : MainLens
+        Its main lens, such as ``OpticalSystem(camera, wavelength).lens``.
+    area : float
+        The area's image in the plane of the microlenses, in square millimetres.
+    """
     return area / lens.pupil_distance**2 * brightness_of(camera, lens)

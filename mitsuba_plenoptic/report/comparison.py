@@ -46,6 +46,15 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
 
     Both captures have the main lens that the sensor's `lens_model` states, so that they differ by diffraction, at the
     pupil and at the microlenses.
+
+    Parameters
+    ----------
+    settings : Settings
+        Scene, camera, distances and samples.
+    output : Path
+        The folder of the report, its figures and its data.
+    stages : StageOptions, optional
+        What finished stages are kept for, and how progress is shown.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages))

@@ -17,7 +17,19 @@ from .lens_drawing import field_figures, lateral_colour
 
 
 class Row(NamedTuple):
-    """One quantity of the design sheet: name, value and unit."""
+    """One quantity of the design sheet: name, value and unit.
+
+    Attributes
+    ----------
+    group : str
+        The heading that it stands below.
+    quantity : str
+        Its name.
+    value, unit : str
+        Its value and unit as text.
+    note : str
+        A remark; an empty text means none.
+    """
 
     group: str
     quantity: str

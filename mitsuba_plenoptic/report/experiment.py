@@ -29,7 +29,20 @@ _RAYS_PER_PASS = 2**24
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
     """Return the image by a thin lens of the camera's aperture focused at `distance`, one pixel per bin.
 
-    There are `oversample` bins per lens along each axis.
+    Reconstructions of the same distance have the same bins, and can be compared with the image bin by bin.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, in a variant of one colour.
+    camera : PlenopticCamera
+        The camera; its main lens is taken as ideal.
+    distance : float
+        Distance of the plane in focus, in millimetres.
+    spp : int
+        Samples per pixel.
+    oversample : int
+        Bins per lens along each axis.
     """
     columns, rows = camera.bin_count
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
@@ -113,32 +126,51 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment: scene, camera, distances and methods."""
+    """Settings of an experiment: scene, camera, distances and methods.
 
-    # A scene file or a built-in name.
+    Parameters
+    ----------
+    scene : str
+        A scene file or a built-in name.
+    distances : tuple of float
+        Distances of the figures and metrics, where all methods are used, in millimetres.
+    slider : tuple of float
+        Distances of the report's slider, in millimetres.
+    parameters : mapping of str to str
+        Values for the scene's ``$name`` parameters.
+    camera : mapping, optional
+        Parameters by name of the camera that replaces the scene's.
+    camera_name : str, optional
+        What the command calls this camera.
+    unit : {"mm", "cm", "m"}
+        Unit of the scene's lengths.
+    wavelength : float
+        Wavelength in nanometres.
+    spp : int
+        Samples per pixel of both captures.
+    points : int, optional
+        Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
+        Default: no such capture.
+    truth_spp : int
+        Samples per pixel of the thin lens.
+    noise : bool
+        Whether the captures keep the noise of their samples, which takes two of each at least.
+    variant : str
+        A variant of Mitsuba in one colour channel.
+    """
+
     scene: str
-    # Distances of the figures and metrics, where all methods are used.
     distances: tuple[float, ...]
-    # Distances of the report's slider.
     slider: tuple[float, ...] = ()
-    # Values for the scene's ``$name`` parameters.
     parameters: Mapping[str, str] = field(default_factory=dict)
-    # Parameters by name of the camera that replaces the scene's, and what the command calls it.
     camera: Mapping[str, Any] | None = None
     camera_name: str | None = None
-    # Unit of the scene's lengths.
     unit: str = "mm"
     wavelength: float = 633.0
-    # Samples per pixel of both captures.
     spp: int = 16
-    # Points per lens of another wave capture, point by point, with which the one from signed rays is compared. Default:
-    # no such capture.
     points: int | None = None
-    # Samples per pixel of the thin lens.
     truth_spp: int = 1024
-    # Whether the captures keep the noise of their samples, which takes two of each at least.
     noise: bool = False
-    # A variant of Mitsuba in one colour channel.
     variant: str = DEFAULT_VARIANT
 
 

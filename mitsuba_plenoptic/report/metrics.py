@@ -21,13 +21,20 @@ _WINDOW = 7
 
 @dataclass(frozen=True)
 class ImageMetrics:
-    """Differences of an image from its reference: PSNR, SSIM and others."""
+    """Differences of an image from its reference: PSNR, SSIM and others.
 
-    # Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
+    Attributes
+    ----------
+    psnr : float
+        Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
+    ssim : float or None
+        Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
+    energy : float
+        Sum over the reference's sum.
+    """
+
     psnr: float
-    # Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
     ssim: float | None
-    # Sum over the reference's sum.
     energy: float
 
 
@@ -83,8 +90,16 @@ def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
 def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:
     """Return the RMS difference of a reconstruction from the limit without interference, over the limit's mean.
 
-    The root mean square of their difference over the limit's mean, within a region of bins. A high-pass filter would
-    not do as a measure, because it sees detail where there is any.
+    A high-pass filter would not do as a measure, because it sees detail where there is any.
+
+    Parameters
+    ----------
+    image : array
+        The reconstruction.
+    limit : array
+        The same plane without interference, such as by ``method="incoherent"``.
+    region : array of bool, or pair of slice
+        The bins that count, such as those of `lit_region`.
     """
     difference = np.asarray(image, np.float64)[region] - limit[region]
     mean = float(np.nanmean(limit[region], dtype=np.float64))
@@ -227,20 +242,36 @@ _ESTIMATE = 0.03
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference of captures over some pixels, relative to the root mean square of the second capture over all."""
+    """A difference of captures over some pixels, relative to the root mean square of the second capture over all.
 
-    # What is measured, noise and all.
+    Attributes
+    ----------
+    measured : float
+        What is measured, noise and all.
+    noise : float or None
+        What noise alone would give; None if one of the captures does not know its noise.
+    true : float or None
+        The difference without noise.
+    noise_alone : bool or None
+        Whether noise is enough to explain what is measured.
+    """
+
     measured: float
-    # What noise alone would give; None if one of the captures does not know its noise.
     noise: float | None
-    # The difference without noise.
     true: float | None
-    # Whether noise is enough to explain what is measured.
     noise_alone: bool | None
 
 
 def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None) -> Difference:
-    """Compare two captures of one camera, over some pixels or over all."""
+    """Return the difference of two captures of one camera, and what of it is noise.
+
+    Parameters
+    ----------
+    a, b : Capture
+        The captures, with the noise that ``render_capture(..., noise=True)`` keeps.
+    pixels : array of bool, optional
+        The pixels that count. Default: all.
+    """
     where = np.ones(b.image.shape, bool) if pixels is None else pixels
     reference = float(np.sum(np.square(b.image, dtype=np.float64)))
     squares = float(np.sum(np.square(a.image.astype(np.float64) - b.image)[where]))

@@ -144,7 +144,7 @@ def phone():
 
 def step():
     """Make a step of a training loop."""
-    from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+    from mitsuba_plenoptic.array_functions import CameraCapture
 
     camera = CAMERA.replace(mla_lattice="hexagonal")
     function = CameraCapture(lambda made: mp.CaptureOperator(made, POINTS, wavelength=633), camera, ("mla_offset",))
@@ -154,7 +154,7 @@ def step():
 
 def differentiated(**integrator):
     """Differentiate a rendering by the wall's texture."""
-    from mitsuba_plenoptic.extensions.inverse.scene_functions import RenderedValue, Rendering
+    from mitsuba_plenoptic.scene_functions import RenderedValue, Rendering
 
     scene = scene_of(CAMERA)
     child = {"type": "prb"}

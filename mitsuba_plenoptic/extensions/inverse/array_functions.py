@@ -73,14 +73,25 @@ class SmoothFunction(Protocol):
 
 
 class Latest:
-    """A function that keeps its latest value, with the data that derivatives need."""
+    """A function that keeps its latest value, with the data that derivatives need.
+
+    Parameters
+    ----------
+    function : SmoothFunction
+        The function.
+    copied : callable
+        Function that copies an array of the library that calls.
+    equal : callable
+        Whether two arrays of this library are equal.
+    taken : callable
+        What the function takes, of an array of this library.
+    """
 
     def __init__(
         self,
         function: SmoothFunction,
         copied: Callable[[Any], Any],
         equal: Callable[[Any, Any], bool],
-        # What the function takes, of an array of the library that calls.
         taken: Callable[[Any], Any],
     ) -> None:
         self.taken, self.shape = taken, function.shape
@@ -175,7 +186,17 @@ def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> l
 
 
 class CameraCapture:
-    """The captures of points as a function of their weights and of parameters of the camera."""
+    """The captures of points as a function of their weights and of parameters of the camera.
+
+    Parameters
+    ----------
+    make : callable
+        Function of a camera that returns the operator of the points.
+    camera : PlenopticCamera
+        The camera, whose other parameters stay as they are.
+    names : sequence of str
+        The parameters that are given after the weights.
+    """
 
     def __init__(
         self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]

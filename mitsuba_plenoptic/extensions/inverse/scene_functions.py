@@ -20,7 +20,21 @@ _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of 
 
 
 class Rendering:
-    """Image of a scene as a function of some of its parameters, given as NumPy or Dr.Jit tensors."""
+    """Image of a scene as a function of some of its parameters, given as NumPy or Dr.Jit tensors.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene.
+    shapes : mapping of str to tuple of int
+        Parameters of the scene, by their names in ``mi.traverse``, and the shapes of their arrays.
+    integrator : mitsuba.Integrator or None
+        The integrator in place of the scene's.
+    spp : int
+        Samples per pixel; 0 means those of the sensor's sampler.
+    seed : int
+        Seed of the samples.
+    """
 
     def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
         # Each variant has a class of its own.

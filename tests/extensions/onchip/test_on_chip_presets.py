@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+from mitsuba_plenoptic.array_functions import CameraCapture
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.light.lens_kinds import chief_ray_shift, regular_array
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
