@@ -20,7 +20,6 @@ from mitsuba_plenoptic import (
     render_capture,
     scene_path,
 )
-from mitsuba_plenoptic.prescription.lens_data import image_distance
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 from tools.bench.measures import agreement
@@ -156,7 +155,7 @@ def test_at_the_ends_of_the_depth_range_a_point_is_a_pixel_wide(numbers):
     ((near, far),) = design.depth_ranges(camera)
     assert near < 240 < far
     for distance in (near, far):
-        a = camera.mla_distance - image_distance(camera.focal_length, distance)
+        a = camera.mla_distance - 1 / (1 / camera.focal_length - 1 / distance)
         behind = 1 / (1 / camera.mla_focal_length - 1 / a)  # where the microlens images the point
         assert camera.mla_pitch * abs(1 - camera.detector_distance / behind) == pytest.approx(camera.pixel_size)
     # With diffraction less is asked for.

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from foreign_files import large, png
+from foreign_files import large, png, write_exr_parts
 from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
@@ -33,7 +33,6 @@ from mitsuba_plenoptic import (
     write_capture,
 )
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.io.exr import write_exr_parts
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.views.light_field_files import open_light_field, save_light_field
 

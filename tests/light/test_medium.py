@@ -13,8 +13,7 @@ from mitsuba_plenoptic import (
     reconstruct,
     render_capture,
 )
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.points.point_spread import point_fields
 
 GLASS = {"mla_medium": 1.5, "mla_focal_length": 0.768, "detector_distance": 0.8}
 """Lengths in a medium; in air two thirds of them have the same effect near the axis."""
@@ -105,8 +104,7 @@ def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
 def test_waves_against_an_angular_spectrum_in_the_medium(changes):
     camera = small_camera(4, **HALF, **GLASS, **changes)
     position = np.array([0.05, -0.03, 112.5])
-    system = OpticalSystem(camera, WAVELENGTH)
-    fields = point_fields(system, position)
+    fields = point_fields(camera, position, wavelength=WAVELENGTH)
     lam, pitch, count = WAVELENGTH * 1e-6, fields.mla.pitch, fields.mla.samples.shape
     x, y = (fields.mla.origin[axis] + np.arange(count[1 - axis]) * pitch for axis in (0, 1))
     i, j = camera.lattice.cell(*np.meshgrid(x, y))

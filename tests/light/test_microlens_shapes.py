@@ -5,6 +5,7 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
+from drjit.llvm import Float64
 from wave_cases import HALF, error, small_camera
 
 from mitsuba_plenoptic import (
@@ -17,7 +18,6 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.microlens import Conic, Sampled, ZoneLens
-from mitsuba_plenoptic.runtime.backend import array_module
 from tools.bench.cases.arrays import GREEN, SHAPES, X, Y, bumpy, path_of, propagated
 
 LINE_D = 587.5618
@@ -68,7 +68,7 @@ def test_slopes_are_those_of_the_phase(name):
         smooth = np.abs(change) < 1e3
         assert smooth.mean() > 0.95
         assert np.allclose(found[smooth], ratio * change[smooth] * LINE_D * 1e-6, atol=2e-5)
-    lanes = [array_module().Float64(values) for values in (x, y)]
+    lanes = [Float64(values) for values in (x, y)]
     assert np.allclose(np.array(shape.waves(*lanes, GREEN)), shape.waves(x, y, GREEN))
     for one, other in zip(shape.slopes(*(mi.Float(values) for values in (x, y))), shape.slopes(x, y), strict=True):
         assert np.allclose(np.array(one), other, atol=1e-5)

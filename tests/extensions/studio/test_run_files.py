@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from mitsuba_plenoptic import read_capture
-from mitsuba_plenoptic.cli import command_group, commands_of, main, step_commands
+from mitsuba_plenoptic.cli import app, commands_of, main, step_commands
 from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
 from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.io import checkpoints
@@ -219,7 +220,7 @@ def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
     assert kept[True].path == tmp_path / "a.exr.checkpoint"
     texts = {
         option.help
-        for _, command in commands_of(command_group())
+        for _, command in commands_of(typer.main.get_command(app))
         for option in command.params
         if "--resume" in option.opts
     }
