@@ -103,13 +103,19 @@ _BULK, _ALIKE, _SHARE, _HIGHLIGHT = 90.0, 10.0, 0.1, 5.0
 
 @dataclass(frozen=True)
 class Brightness:
-    """Rule for the value that becomes white; brighter values are white, too."""
+    """Rule for the value that becomes white; brighter values are white, too.
 
-    # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
+    Parameters
+    ----------
+    exposure : float, optional
+        In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
+    percentile : float, optional
+        Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default:
+        99.5 where there is no exposure, and less where a highlight would make a picture dark that is lit all over. If
+        the value is black, the brightest becomes white.
+    """
+
     exposure: float | None = None
-    # Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default: 99.5
-    # where there is no exposure, and less where a highlight would make a picture dark that is lit all over. If the
-    # value is black, the brightest becomes white.
     percentile: float | None = None
 
     def __post_init__(self) -> None:

@@ -48,13 +48,20 @@ def _ignore(*_: Any) -> None:
 
 @dataclass(frozen=True)
 class StageOptions:
-    """Settings of stages: report of progress, and treatment of checkpoints."""
+    """Settings of stages: report of progress, and treatment of checkpoints.
 
-    # Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+    Parameters
+    ----------
+    notify : callable
+        Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+    finished : callable
+        Called when a stage is there, with its name, its seconds and whether it was there already.
+    resume : bool
+        Whether the checkpoint of another capture is refused, instead of being replaced.
+    """
+
     notify: Callable[[str, int, int], None] = _ignore
-    # Called when a stage is there, with its name, its seconds and whether it was there already.
     finished: Callable[[str, float, bool], None] = _ignore
-    # Whether the checkpoint of another capture is refused, instead of being replaced.
     resume: bool = False
 
 

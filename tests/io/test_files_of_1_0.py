@@ -93,8 +93,8 @@ def test_the_longest_wavelength_decides_whether_lenses_were_small(wavelength, me
     camera = mp.PlenopticCamera(mla_pitch=0.0124, detector_width=0.0496, resolution=(16, 16))
     stated = attributes_of(OLD / "wave.exr")
     stated |= {"camera": camera.to_dict(), "wavelength": wavelength, "metadata": metadata}
-    image = {"mitsuba_plenoptic": json.dumps(stated)}, {"Y": np.ones(camera.shape, np.float32)}
-    OpenEXR.File(*image).write(str(tmp_path / "wave.exr"))
+    channels = dict.fromkeys("RGB" if isinstance(wavelength, tuple) else "Y", np.ones(camera.shape, np.float32))
+    OpenEXR.File({"mitsuba_plenoptic": json.dumps(stated)}, channels).write(str(tmp_path / "wave.exr"))
     assert mp.read_capture(tmp_path / "wave.exr").camera == camera.replace(lens_model=expected)
 
 

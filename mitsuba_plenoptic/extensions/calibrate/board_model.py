@@ -57,15 +57,23 @@ _NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class Observations:
-    """Observed corners or centres: all arrays have one row for each observation."""
+    """Observed corners or centres: all arrays have one row for each observation.
 
-    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
+    Attributes
+    ----------
+    lens : (n, 2) array
+        Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them.
+    pixel : (n, 2) array
+        Column and row; the centre of the first pixel is 0.
+    board : (n, 2) array
+        Position of the corner on its board in mm.
+    pose : (n,) array
+        Which pose of the board it is, from 0.
+    """
+
     lens: np.ndarray
-    # Column and row; the centre of the first pixel is 0; (n, 2).
     pixel: np.ndarray
-    # Position of the corner on its board in mm; (n, 2).
     board: np.ndarray
-    # Which pose of the board it is, from 0; (n,).
     pose: np.ndarray
 
     def __len__(self) -> int:

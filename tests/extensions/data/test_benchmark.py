@@ -18,13 +18,17 @@ from mitsuba_plenoptic.benchmark import (
     BASELINES,
     CAMERAS,
     CAPTURES,
+    DISTANCES,
+    PUPIL_POINTS,
     SCENES,
     TASKS,
     Benchmark,
     Size,
     benchmark_recipe,
+    depth_scores,
     export_hci,
     make_benchmark,
+    picture_scores,
     run_baseline,
     score,
     table,
@@ -33,9 +37,8 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.data import baselines
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
-from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
+from mitsuba_plenoptic.extensions.data.contents import capture_of, central_truth, view_image
 from mitsuba_plenoptic.extensions.data.scenes import MIRROR, MIRRORED, Frame, SceneMaker
-from mitsuba_plenoptic.extensions.data.score import depth_scores, picture_scores
 from mitsuba_plenoptic.report.metrics import relative_error
 
 TINY = Size(8, 8, 1, 2)
