@@ -51,7 +51,12 @@ def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
     depths that are known. In plane mirrors: fractions of bins that are more than 3 % off the mirror image, and off the
     mirror's surface.
 
-    Shapes: `found` and the arrays of `truth` (t, s).
+    Parameters
+    ----------
+    found : (t, s) array
+        Depths in millimetres.
+    truth : dict
+        Arrays (t, s): ``depth``, ``virtual_depth``, and ``glass``, which marks the bins that are left out.
     """
     part = tuple(inner(size) for size in found.shape)
     found = np.asarray(found, np.float64)[part]
@@ -82,7 +87,10 @@ def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
     Values are cut to 0 to 1, so that highlights do not outweigh all else, and NaN counts as 0. Pictures of less than 7
     pixels have no structural similarity.
 
-    Shapes: `found` and `truth` (pictures, rows, columns).
+    Parameters
+    ----------
+    found, truth : (pictures, rows, columns) array
+        The pictures and what they should be.
     """
     part = (slice(None), *(inner(size) for size in truth.shape[1:]))
     pairs = [
