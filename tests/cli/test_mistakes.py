@@ -72,6 +72,7 @@ def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, ru
         <sensor type="plenoptic">
             <float name="detector_width" value="$width"/>
             <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>
+            <film type="hdrfilm"><rfilter type="box"/></film>
         </sensor>
         <include filename="part.xml"/></scene>""")
     words = ["render", scene, "--camera", tmp_path / "camera.json", "-o", tmp_path / "a.exr"]
