@@ -125,7 +125,7 @@ def reconstruct(
     white : Capture or array, optional
         A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
-        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.scaled_white`). It is refocused by the
+        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.recorded_white`). It is refocused by the
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
         `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two
