@@ -21,7 +21,6 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..camera import PlenopticCamera
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -61,7 +60,12 @@ class LensComparison:
 
     def __init__(self, images: MicroImages) -> None:
         self._images = images
-        self._values = _smoothed(images.values, images.weight)
+        # Smoothed within micro-images, weighted by the part of the pupil that samples see.
+        total, seen = images.values * images.weight[..., None], images.weight
+        for axis in (2, 3):
+            total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
+            seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
+        self._values = np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -177,7 +181,8 @@ class LensComparison:
         """
         camera = self._images.camera
         position = (np.arange(_POINTS) + 0.5) / _POINTS
-        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, position)])
+        # Evenly on a lens's aperture, in mm from its centre.
+        point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         found = []
         reach = len(_SPREAD) // 2
         offset = np.arange(-reach, reach + 1)
@@ -208,22 +213,6 @@ def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndar
     """Return weighted sums of samples along both axes, where all weights have samples."""
     part = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(part * 1.0, down, axis=0), across, axis=1)
     return np.asarray(part[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
-
-
-def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return samples smoothed within their micro-images, weighted by the part of the pupil that they see."""
-    total, seen = values * weight[..., None], weight
-    for axis in (2, 3):
-        total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
-        seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
-    return np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
-
-
-def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points that lie evenly on a lens's aperture, in mm from its centre."""
-    s, t = np.meshgrid(position, position)
-    x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
-    return np.asarray(x), np.asarray(y)
 
 
 def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
