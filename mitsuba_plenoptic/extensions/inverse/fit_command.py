@@ -18,7 +18,7 @@ from ...cli.inputs import (
     parse_definitions,
     require_in_use,
 )
-from ...cli.judging import ends_in
+from ...cli.judging import RECORDING, ends_in
 from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
@@ -33,7 +33,9 @@ _NAMED = 3
 
 def fit(
     captures: Annotated[
-        list[Path], typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.")
+        list[Path],
+        typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera."),
+        RECORDING,
     ],
     output: Annotated[Path, output_option("FILE.json", "File to write: the camera."), ends_in(".json")],
     scenes: Annotated[
