@@ -142,7 +142,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def pupil_step(self) -> float:
-        """Width of a pixel projected through its lens's centre onto the pupil: its width times :math:`n b / z`."""
+        """Width in mm of a pixel projected onto the pupil through its lens's centre: :math:`n b / z` times a pixel."""
         return self.pixel_size * self.pupil_distance / self.reduced_distance
 
     @property

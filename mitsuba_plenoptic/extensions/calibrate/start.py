@@ -136,7 +136,7 @@ def board_images(
 def _agreeing(
     seen: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
 ) -> np.ndarray:
-    """Return a mask of rows that lie in their micro-image and agree with most of their frame; refuse bad frames."""
+    """Return a mask of rows in their micro-image that agree with most of their frame; refuse disagreeing frames."""
     near = np.hypot(*(pixel - centre).T) < pitch
     good, strange = near.copy(), []
     for pose, frame in enumerate(frames):

@@ -192,7 +192,7 @@ def make_entry(recipe: Recipe, index: int) -> Sample:
 
 
 def view_image(scene: Any, camera: PlenopticCamera, point: tuple[float, float], spp: int) -> np.ndarray:
-    """Return the sharp view from a point of the pupil, in which the plane in focus lies as in the central view."""
+    """Return the sharp view from a point of the pupil, with the plane in focus where the central view has it."""
     size = np.array(camera.bin_count)
     x, y = (coordinate * camera.aperture_radius for coordinate in point)
     width, height = size * camera.bin_size(camera.focus_distance)

@@ -65,7 +65,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y of the middles of the recorded lenses on the array, each (rows, columns), before `mla_cra`."""
+    """Return x and y of the recorded lenses' centres, (rows, columns), before the shifts by `mla_cra`."""
     index = [
         np.floor(((first + ACROSS * np.arange(size // ACROSS) + 1) - count / 2 - offset / camera.pixel_size) / ACROSS)
         for first, size, count, offset in zip(

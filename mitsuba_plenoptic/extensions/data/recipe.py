@@ -333,7 +333,7 @@ def generator(seed: int, index: int, name: str) -> np.random.Generator:
 
 @dataclass(frozen=True)
 class Between:
-    """A uniform or log-uniform value between two bounds, with a step a multiple of the step above the lower bound."""
+    """A uniform or log-uniform distribution between two bounds, optionally of steps counted from the lower one."""
 
     low: float
     high: float

@@ -190,7 +190,7 @@ MIRROR, MIRRORED = 224.0, 26.0
 def _mirror(frame: Frame, random: np.random.Generator) -> Shapes:
     """Return a plane mirror at 45 degrees in part of the field, with a panel and two cards seen in it.
 
-    It shows the panel, which is parallel to the axis, in a plane across it, as far behind the mirror's middle.
+    The mirror shows the panel, parallel to the axis, as a plane across it, as far behind the mirror's middle.
     """
     field = frame.width(MIRROR)
     half = float(random.uniform(0.25, 0.32)) * field

@@ -247,7 +247,7 @@ def _remark(folder: Path, manifest: dict[str, Any]) -> None:
 class DataSet:
     """A data set in a folder; ``dataset[17]`` is a `Sample`.
 
-    Samples are read when they are asked for. It may be pickled and used in forked processes; each opens the files anew.
+    Samples are read on request. A data set may be pickled and used in forked processes; each opens the files anew.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class LinearFunction:
         return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the result for arrays of a given shape; refuse a wrong one before computing."""
+        """Return the shape of the result for an array of a given shape; refuse wrong shapes before computing."""
         return *_batch(self.takes, given, self.before), *self.after
 
 

@@ -69,7 +69,7 @@ def forward(operator: CaptureOperator, weights: Any) -> Any:
 
 
 def adjoint(operator: CaptureOperator, images: Any) -> Any:
-    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
+    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times.
 
     Parameters
     ----------
@@ -160,10 +160,10 @@ def refocus(by: Refocus, captures: Any) -> Any:
 
 
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
-    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
 
-    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The scene keeps the values; its derivatives give it those of their image again.
+    Captures by ``plenoptic_wave`` have the derivatives with respect to scene and camera that its documentation lists.
+    The scene keeps the given values; derivatives restore them first.
 
     Parameters
     ----------
@@ -224,9 +224,9 @@ def _latest(function: SmoothFunction) -> Latest:
 
 
 def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
-    """Return `function`, which takes a list of NumPy arrays, as a function of arrays; `like` describes its results.
+    """Return `function` of NumPy arrays as a function of JAX arrays on the host; `like` describes its results.
 
-    JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    JAX calls it from its own threads, and independent calls, such as a value and its derivatives, at the same time.
     """
 
     @one_at_a_time

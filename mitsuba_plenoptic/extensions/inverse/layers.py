@@ -108,7 +108,7 @@ def make_class() -> type:
             self._textures = [mi.Texture2f(each, wrap_mode=dr.WrapMode.Clamp) for each in texels]
 
         def set_texels(self, values: list[Any]) -> None:
-            """Replace the texels of all planes by tensors shaped as `Layers.texels`, which may carry gradients."""
+            """Replace the texels of all planes by tensors shaped like `Layers.texels`, which may carry gradients."""
             for texture, value in zip(self._textures, values, strict=True):
                 texture.set_tensor(value)
 

@@ -180,7 +180,7 @@ _WAVES = 0.01
 
 @dataclass(frozen=True)
 class _Move:
-    """Two positions of every point, (n, 3), and factors (n, 1, 1) from differences of spreads to derivatives."""
+    """Displaced positions (n, 3) of points to both sides, and factors (n, 1, 1) from differences to derivatives."""
 
     there: NDArray[np.float64]
     back: NDArray[np.float64]

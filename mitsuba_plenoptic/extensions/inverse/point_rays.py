@@ -144,7 +144,7 @@ class PointRays:
 
     @one_at_a_time
     def image(self, system: OpticalSystem, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
+        """Return the image (rows, columns) of weighted points, from the fraction of each point's light in each pixel.
 
         Shapes: `weights` (n,).
         """
@@ -351,11 +351,11 @@ class RayModel:
     def slopes(
         self, vector: CameraVector, steps: NDArray[np.float64], distance: Callable[[NDArray[np.float64]], float]
     ) -> NDArray[np.float64]:
-        """Return mean slopes (parameters, views, rows, columns) over the deviations of some directions.
+        """Return mean slopes of captures over one deviation along some directions, (parameters, views, rows, columns).
 
-        Captures have kinks: where the light's edge comes to dark pixels, their slope is large on one side and 0 on the
-        other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are those
-        of the side on which captures change less, over the length at which their `distance` from these is 1.
+        Captures have kinks: where the light's edge meets dark pixels, the slope is large on one side and 0 on the
+        other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are taken
+        on the side on which captures change less, over the length at which the `distance` of captures is 1.
         """
         own, images = vector.of(self._camera), self.images()
         moved, rows = np.empty_like(steps), np.empty((len(steps), *images.shape))

@@ -70,7 +70,7 @@ def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
 
 
 def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
-    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
+    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times.
 
     Parameters
     ----------
@@ -161,10 +161,10 @@ def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
 def render(
     scene: Any, values: Mapping[str, torch.Tensor], *, integrator: Any = None, spp: int = 0, seed: int = 0
 ) -> torch.Tensor:
-    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
 
-    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The scene keeps the values; its derivatives give it those of their image again.
+    Captures by ``plenoptic_wave`` have the derivatives with respect to scene and camera that its documentation lists.
+    The scene keeps the given values; derivatives restore them first.
 
     Parameters
     ----------

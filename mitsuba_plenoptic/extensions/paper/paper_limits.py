@@ -1,7 +1,7 @@
-"""What the paper says about limits, each sentence with a verdict: pixels against range, deconvolution, plain loops.
+"""The paper's statements on limits, each with a verdict: pixels against range, deconvolution, plain loops.
 
-The first two follow from the camera's closed forms (`mitsuba_plenoptic.design`), which cases of `tools/bench` compare
-with captures: `arrays.pixels-and-range`, `deconvolution.contrast` and `deconvolution.fine-lines`.
+The first two verdicts follow from the camera's closed forms (`mitsuba_plenoptic.design`), which cases of `tools/bench`
+compare with captures: `arrays.pixels-and-range`, `deconvolution.contrast` and `deconvolution.fine-lines`.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
 
 
 def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: float, ray_seconds: float) -> list[Claim]:
-    """Return verdicts on limits, from the camera and from seconds of the plain loop and of our rays on one core."""
+    """Return verdicts on limits, from the camera and from seconds of a plain loop and of the ray method on one core."""
     return [
         _pixels_against_range(focused_cameras(camera, wavelength)),
         _deconvolution(camera, wavelength),
@@ -170,7 +170,7 @@ def plain_sums(
     radius: float,
     bins: np.ndarray,
 ) -> None:
-    """Add each pixel of an image to the bin that its ray meets, in one plain loop.
+    """Add each pixel of an image to the bin that the pixel's ray meets, in one plain loop.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def plain_sums(
 def run_plain_sums(
     image: np.ndarray, camera: PlenopticCamera, distance: float, loop: Callable[..., None] = plain_sums
 ) -> np.ndarray:
-    """Return the sums of a plain loop over an image of an unfocused camera with square lenses."""
+    """Return an image's sums by a plain loop, for an unfocused camera with square lenses."""
     bins = np.zeros(camera.bin_count[::-1])
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     distances = camera.detector_distance, camera.mla_distance, camera.focal_length, distance

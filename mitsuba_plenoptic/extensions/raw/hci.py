@@ -95,8 +95,8 @@ def write_hci(
 ) -> int:
     """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
-    The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
-    pictures, by default that of any other picture.
+    The depth of the central view in millimetres is written, too, if known. The value `white` becomes white in the
+    pictures; the default is that of other pictures.
     """
     camera = camera_of(lf)
     refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")

@@ -49,10 +49,10 @@ _TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
 
 
 def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uint16") -> None:
-    """Write a light field as LFToolbox does, with its weights as the last channel.
+    """Write a light field in LFToolbox's format, with its weights as the last channel.
 
-    Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps it, as in LFToolbox.
-    The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
+    Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps the largest value, as in
+    LFToolbox. The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _check(shape: tuple[int, ...]) -> None:
 
 
 def _require_unpacked(path: Path) -> None:
-    """Refuse a file of version 5 with packed variables too large for memory, whatever sizes its structures state."""
+    """Refuse a MATLAB 5 file with packed variables too large for memory, whatever sizes its structures state."""
     limit = int(memory_limit())
     left = limit
     with path.open("rb") as file:
