@@ -96,9 +96,9 @@ def lock_of(path: Path) -> Path:
 
 
 class Checkpoint:
-    """File into which a capture or a deconvolution writes its state now and then, to resume from it.
+    """File in which a capture or a deconvolution saves its state at intervals, to resume from it.
 
-    A context in which the result is computed and written: left without an exception, the file is removed.
+    Used as a context in which the result is computed and written: an end without exception removes the file.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ def write_exr(
 def write_exr_parts(
     path: str | Path, parts: Mapping[str, Mapping[str, np.ndarray]], attributes: dict[str, Any]
 ) -> None:
-    """Write the parts of one OpenEXR file, each of channels (rows, columns) by name; the first has the attributes."""
+    """Write the parts of an OpenEXR file, each of channels (rows, columns) by name; the first has attributes."""
     # All parts of a file must share one display window.
     shapes = [plane.shape for channels in parts.values() for plane in channels.values()]
     _write(path, parts, attributes, (0, 0), (max(shape[1] for shape in shapes), max(shape[0] for shape in shapes)))

@@ -108,7 +108,7 @@ class Pixels:
 
     @classmethod
     def of(cls, views: Sequence[View], expected: NDArray[np.float64], default: PixelNoise | None) -> Pixels:
-        """Return the noise of views whose pixels are expected to have some values; `default` where a view has none."""
+        """Return the noise of views' pixels at expected values; `default` is for views without noise of their own."""
         return cls(*map(np.stack, zip(*map(_pixels, views, expected, [default] * len(views)), strict=True)))
 
 

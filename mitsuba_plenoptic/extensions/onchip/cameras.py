@@ -58,9 +58,9 @@ _HEIGHTS = 20
 
 
 def _chief_rays(corner: float, mla_distance: float, height: float, index: float) -> tuple[float, ...]:
-    """Return pairs of image height in mm, up to the corner, and chief-ray angle in degrees, as `mla_cra` takes them.
+    """Return pairs of image height in mm, up to the corner, and chief-ray angle in degrees, for `mla_cra`.
 
-    Image heights are those of pixels; their lenses stand nearer to the axis by the way of the chief ray in the medium.
+    Image heights are those of pixels; lenses stand nearer to the axis by the chief ray's path in the medium.
     """
     table = []
     for step in range(_HEIGHTS + 1):

@@ -150,7 +150,7 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
 
 
 def _correlation(first: np.ndarray, second: np.ndarray, step: int, axis: int, window: int) -> np.ndarray:
-    """Return the correlation of windows of one picture with those of another, `step` lenses further along an axis."""
+    """Return the correlation of windows of one picture with windows of another, `step` lenses along an axis."""
     moved = np.roll(second, -step, axis)
 
     def mean(values: np.ndarray) -> np.ndarray:

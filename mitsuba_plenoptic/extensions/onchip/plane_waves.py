@@ -92,7 +92,7 @@ def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int
 
 
 def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float64]:
-    """Return the positions of the first and the last lens's pixels relative to the regular position of the lens."""
+    """Return the positions of the first and last lens's pixels relative to the lens's regular position."""
     index = np.array(lens_range(camera, count, axis)) - [0, 1]
     return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
 
@@ -192,9 +192,9 @@ class PlaneWaveResponses:
         return math.ceil(self.reach / self.step) + 1
 
     def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
-        """Return the light of plane waves in the photodiodes of a lens (photodiodes, n, n), rows along y.
+        """Return the light of plane waves in the photodiodes of a lens, (photodiodes, n, n), rows along y.
 
-        The direction cosines lie `step` apart around that of the chief ray; light of density 1 is its area in mm^2.
+        The direction cosines lie `step` apart around the chief ray's; light of density 1 is its area in mm^2.
         """
         every = [self.modes(x, y, diode) for diode in range(self.count**2)]
         return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])

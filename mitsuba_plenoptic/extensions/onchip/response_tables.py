@@ -323,7 +323,7 @@ class _Pupil:
 
     @single_threaded_blas()
     def overlap(self, lags: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return coefficients of O for each node and pair (n, n, lags, lags); lags are half differences in samples.
+        """Return coefficients of O for each node and pair, (n, n, lags, lags); lags are half differences in samples.
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """

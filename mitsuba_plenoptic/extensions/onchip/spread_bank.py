@@ -156,7 +156,7 @@ def _around(
 ) -> tuple[PlenopticCamera, NDArray[np.float64], tuple[float, float]]:
     """Return the camera of the lenses around a position, the middle of the lens's pixels, and the lens's centre.
 
-    Lenses that are aligned to chief rays are shifted all alike there.
+    Lenses aligned to chief rays are all shifted alike there.
     """
     width = ACROSS * camera.pixel_size
     offset = np.array(camera.mla_offset)

@@ -38,7 +38,7 @@ _SAME = 1e-3
 
 @dataclass(frozen=True)
 class FocusedCamera:
-    """A camera of a given virtual depth, with samples across the field and the range of distances that has them."""
+    """A camera of a given virtual depth, with its samples across the field and the distances that have them."""
 
     camera: PlenopticCamera
     virtual_depth: float
@@ -55,8 +55,8 @@ class FocusedCamera:
 def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedCamera]:
     """Return focused cameras derived from an unfocused camera, from fine to coarse, and the unfocused camera.
 
-    They have its main lens, pixels and plane in focus. Their samples are the finest in that plane; in their range
-    lenses are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
+    All have the same main lens, pixels and plane in focus, where their samples are finest. Within their range lenses
+    are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
     """
     focus, z = camera.focus_distance, camera.detector_distance
     image, found = image_distance(camera.focal_length, focus), []
@@ -137,9 +137,9 @@ def _plain_program(plain_seconds: float, ray_seconds: float, camera: PlenopticCa
 
 
 def plain_seconds(camera: PlenopticCamera, distance: float) -> float:
-    """Return the processor time of the plain loop, measured on the rows of two lenses and scaled to the paper's pixels.
+    """Return the processor time of a plain loop over two rows of lenses, scaled to the paper's pixels.
 
-    Of several runs the shortest counts, which other work on the processor delays least.
+    The shortest of several runs counts, since other work on the processor delays it least.
 
     Raises
     ------

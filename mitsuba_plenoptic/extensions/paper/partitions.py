@@ -1,8 +1,8 @@
 r"""Partitions of the microlenses into subsets that are propagated one by one, for the verdict about the paper.
 
-A partition is an array of labels, one for each lens; lenses of equal labels share a coherent wave. Its rows and columns
-are the lattice indices j and i of the lenses that the recorded pixels belong to, so that of a square array it is
-arranged like the micro-images in the capture. Of staggered or turned lattices some labels belong to no recorded lens.
+A partition is an array of labels, one per lens; lenses of equal labels share a coherent wave. Its rows and columns are
+the lattice indices j and i of the lenses of recorded pixels, so that for a square array it is arranged like the
+micro-images in the capture. In staggered or rotated lattices some labels belong to no recorded lens.
 
 Which lenses interfere
 ----------------------
@@ -11,18 +11,17 @@ lenses, come to the same bins. With the light :math:`I_1, I_2` of the two in eac
 :math:`\sum \sqrt{I_1 I_2} / \sqrt{\sum I_1 \sum I_2}` (the coefficient of Bhattacharyya), 1 for equal images and 0 for
 separate ones. An image is enlarged by one bin on each side, for the width of the lens and for diffraction.
 
-How much they interfere is known, too. All lenses' light leaves the array in phase. From a lens with centre c it comes
-to the bin x (both on the array) by the pupil point :math:`(c - x) / \kappa`, where :math:`\kappa = 1 + b/g - b/f_1`,
-with the phase
+The strength of the interference is known, too. The light of all lenses leaves the array in phase. From a lens with
+centre c it comes to the bin x (both on the array) by the pupil point :math:`(c - x) / \kappa`, where :math:`\kappa = 1
++ b/g - b/f_1`, with the phase
 
 .. math:: \phi_c(x) = \frac{\pi}{\lambda b} \left( |c|^2 - \frac{|x - c|^2}{\kappa} \right)
 
-up to what all lenses share. The fringes of two lenses :math:`\Delta` apart have the period
-:math:`|\kappa| \lambda b / \Delta`, so that a bin of the width D averages them to
-:math:`\mathrm{sinc}(D \Delta_x / \kappa \lambda b) \, \mathrm{sinc}(D \Delta_y / \kappa \lambda b)` of their contrast.
-Neighbours in a row interfere most, neighbours along a diagonal less, as their fringes are averaged along both axes. As
-phases are quadratic in c, the pairs of a regular subset may also add in phase and interfere more than those of a denser
-one.
+up to a phase common to all lenses. The fringes of two lenses :math:`\Delta` apart have the period :math:`|\kappa|
+\lambda b / \Delta`, so that a bin of the width D averages them to :math:`\mathrm{sinc}(D \Delta_x / \kappa \lambda b)
+\, \mathrm{sinc}(D \Delta_y / \kappa \lambda b)` of their contrast. Neighbours in a row interfere most, neighbours along
+a diagonal less, as their fringes are averaged along both axes. As phases are quadratic in c, the pairs of a regular
+subset may also add in phase and interfere more than those of a denser one.
 """
 
 from __future__ import annotations
@@ -80,7 +79,7 @@ class LensArray:
         return cls(camera, first, (int(j.max()) - first[1] + 1, int(i.max()) - first[0] + 1))
 
     def at(self, i: NDArray[Any], j: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return row and column of lenses of given lattice indices, or of the nearest lens inside the array."""
+        """Return row and column of lenses with given lattice indices, or of the nearest lens inside the array."""
         indices = zip((j, i), self.first[::-1], self.shape, strict=True)
         row, column = (np.clip(index.astype(np.int64) - first, 0, size - 1) for index, first, size in indices)
         return row, column
@@ -120,7 +119,7 @@ def blocks(camera: PlenopticCamera, count: int) -> Labels:
 
 
 def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelength: float) -> Labels:
-    """Return labels of the copies of the sublattice that interferes least in an image of white.
+    """Return labels of the sublattice (and its shifted copies) that interferes least in a white image.
 
     Every sublattice with one of `subsets` lenses is tried. Far out of focus this takes seconds. The main lens is thin.
     """

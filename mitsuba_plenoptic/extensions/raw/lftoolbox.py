@@ -1,12 +1,12 @@
 """Files of the Light Field Toolbox for MATLAB (LFToolbox) by D. G. Dansereau.
 
-Its light fields are MATLAB files with an array ``LF`` of five dimensions, ``LF(j, i, l, k, c)``: row and column of the
-view, row and column of the lens, and channel; a second or fourth channel holds weights. That is our order. Its
-manual calls the first four axes t, s, v, u, with the letters of pupil and field exchanged against ours.
+LFToolbox's light fields are MATLAB files with an array ``LF(j, i, l, k, c)``: row and column of the view, row and
+column of the lens, and channel; a second or fourth channel holds weights. This package has the same order. The manual
+of LFToolbox calls the first four axes t, s, v, u, with the letters of pupil and field exchanged.
 
 ``LensletGridModel`` describes the micro-image centres: spacings, the offset of the first centre, rotation, counts, and
-``FirstPosShiftRow``, the first (1 or 2) of the rows that are shifted by half a spacing. Its pixels are counted from
-1 and centred on integers, ours cover [k, k + 1), so that offsets differ by a half.
+``FirstPosShiftRow``, the first (1 or 2) of the rows shifted by half a spacing. It counts pixels from 1 and centres them
+on integers; here pixel k covers [k, k + 1), so that offsets differ by a half.
 """
 
 from __future__ import annotations

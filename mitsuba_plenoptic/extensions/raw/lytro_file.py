@@ -233,7 +233,7 @@ def _within(found: Any, *names: str | int) -> Any:
 
 
 def _frame(contents: Any) -> Any:
-    """Return the first frame of a table of contents: of newer cameras in ``frames``, of the first in ``picture``."""
+    """Return the first frame of a table of contents, in ``frames`` of newer cameras or ``picture`` of others."""
     newer = _within(contents, "frames", 0, "frame")
     return _within(contents, "picture", "frameArray", 0, "frame") if newer is None else newer
 

@@ -46,7 +46,7 @@ class PreviewView(ABC):
 
     @abstractmethod
     def sharp_range(self) -> tuple[float, float]:
-        """Return the nearest and the farthest distance that some microlenses bring back sharply; NaN for none."""
+        """Return the nearest and farthest distance that some microlenses show sharply when refocused; NaN for none."""
 
     @abstractmethod
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
@@ -235,7 +235,7 @@ class MicroscopeView(PreviewView):
         return self.camera.objective
 
     def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any], scale: float, pose: Any) -> Any:
-        """Return the rays through points of the native object plane, in fractions of the field, and of the stop."""
+        """Return the rays through points of the native object plane and of the stop, in fractions of both."""
         lens = TelecentricLens(self._objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
         width, height = (self._objective.magnification * extent for extent in self.field(0.0))

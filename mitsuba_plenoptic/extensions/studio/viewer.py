@@ -196,7 +196,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
-    """Return light fields, planes from near to far (distance, image and method), and depth maps among sources."""
+    """Return the light fields, the planes from near to far (distance, image, method), and the depth maps."""
     recordings: list[Recording] = []
     planes: list[tuple[float, np.ndarray, str]] = []
     depths: list[xr.Dataset] = []

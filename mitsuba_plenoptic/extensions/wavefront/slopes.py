@@ -1,14 +1,13 @@
-r"""Slopes of a wavefront over the pupil, measured in captures of a point source, and the Zernike terms that fit them.
+r"""Slopes of a wavefront over the pupil, measured in captures of a point source, and Zernike terms fitted to them.
 
-An aberration W bends the ray from the pupil point P by its slope, so that it arrives on the microlens array
+An aberration W tilts the ray from the pupil point P by its slope, so that the ray meets the array displaced by
 
 .. math:: \Delta m = b \, \nabla W(P)
 
-from the image of the point. Behind an array in focus each lens shows the pupil, so that a pixel stands for a pair of a
-lens and a pupil point: the centroid of the lenses that are lit from a pupil point is the slope there (Clare and Lane,
-"Wave-front sensing from subdivision of the focal plane with a lenslet array", J. Opt. Soc. Am. A 22, 2005). Behind an
-array in the pupil's image (Shack-Hartmann) the lens stands for a square of the pupil, and the place of its spot is the
-mean slope there.
+from the image of the point. Behind an array in focus each lens shows the pupil, so that a pixel stands for a lens and a
+pupil point: the centroid of the lenses lit from a pupil point is the slope there (Clare and Lane, "Wave-front sensing
+from subdivision of the focal plane with a lenslet array", J. Opt. Soc. Am. A 22, 2005). Behind an array in the pupil's
+image (Shack-Hartmann) a lens stands for a square of the pupil, and the position of its spot is the mean slope there.
 """
 
 from __future__ import annotations
@@ -53,10 +52,10 @@ class Slopes:
 
 
 def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
-    """Return slopes from the views of a capture: for each pupil point, the centroid of the lenses lit from there.
+    """Return slopes measured in the views of a capture: the centroid of the lenses lit from each pupil point.
 
-    The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where it stays
-    within one, and coarse pixels make them some percent too small. They serve as a start for `fit_wavefronts`.
+    The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where light
+    stays within one lens, and coarse pixels make them some percent small. They start `fit_wavefronts`.
 
     Parameters
     ----------
@@ -202,7 +201,7 @@ _POINTS = 16
 
 
 def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the slopes of the terms as means over the squares of `slopes`, and a mask of the squares in the pupil."""
+    """Return the slopes of the terms as means over the squares of `slopes`, and a mask of squares in the pupil."""
     if slopes.width == 0:
         return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
     step = ((np.arange(_POINTS) + 0.5) / _POINTS - 0.5) * slopes.width
