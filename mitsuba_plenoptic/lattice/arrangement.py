@@ -66,7 +66,7 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map a point of the unit square evenly to the aperture; return its offset from the centre in the camera frame.
+        """Map a point of the unit square uniformly to the aperture; return its camera-frame offset from the centre.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
+        """Return the margin in mm and the scale by which an aperture, enlarged by `smear`, enlarges a cell."""
 
     def diffraction_width(self, lattice: Lattice) -> float:
         r"""Return the width w for which the first zero of the aperture's diffraction lies at :math:`\lambda / w`.
@@ -162,7 +162,7 @@ class Circle(Aperture):
         return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Return a cell with a margin of the enlarged radius."""
+        """Return the enlarged radius as the margin, and the scale 1."""
         return smear * self.reach(lattice), 1.0
 
 
@@ -434,7 +434,7 @@ class Lattice(abc.ABC):
         return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
 
     def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
-        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
+        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of cell (0, 0).
 
         Parameters
         ----------

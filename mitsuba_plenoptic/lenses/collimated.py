@@ -48,7 +48,7 @@ class CollimatedLens(UniformLens):
         return self.pupil.amplitude(pupil, point)
 
     def power_through(self, point: NDArray[np.float64]) -> float:
-        """Return the integral of the squared amplitude over the pupil, by Gauss's and the trapezoidal rule."""
+        """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         radius = self.pupil_radius * np.sqrt((nodes + 1) / 2)[:, None]
         angle = math.pi * np.arange(2 * _NODES) / _NODES

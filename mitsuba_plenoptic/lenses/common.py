@@ -140,7 +140,7 @@ class FinitePupil(FiniteDistance, ABC):
         return pupil + self.pupil_distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
 
     def cone(self, distances: Any) -> float:
-        """Return the largest cosine to the rim of the pupil, for light focused on the MLA or on any of the images."""
+        """Return the largest cosine to the pupil's rim, for light focused on the MLA or on an image at a distance."""
         powers = np.abs(self.convergence(distances))
         return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
 

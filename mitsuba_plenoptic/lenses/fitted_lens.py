@@ -393,7 +393,7 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 def _seen_from(
     lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> PupilRays:
-    """Trace rays through another lens, from points with the given fields and inverse distances for the first lens."""
+    """Trace rays through another lens, from points of given fields and inverse distances for the first lens."""
     nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
     return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
 

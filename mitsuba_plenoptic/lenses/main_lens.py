@@ -44,7 +44,7 @@ class MainLens(Protocol):
 
     @property
     def reach(self) -> float:
-        """Radius of a circle about the axis that contains the exit pupil as seen from anywhere on the detector."""
+        """Radius in mm of a circle that contains the exit pupil as seen from anywhere on the detector."""
 
     @property
     def is_round(self) -> bool:
@@ -60,7 +60,7 @@ class MainLens(Protocol):
 
     @property
     def changes_evenly(self) -> bool:
-        """Whether the light of points at neighbouring microlenses changes equally with the camera's parameters."""
+        """Whether light imaged on neighbouring microlenses changes equally with the camera's parameters."""
 
     @property
     def entrance(self) -> Entrance:
@@ -99,7 +99,7 @@ class MainLens(Protocol):
         """Return a coordinate, on the MLA, of the line from a detector position to the centre of the exit pupil."""
 
     def pupil_distance_from(self, behind: Any) -> Any:
-        """Return the separation on the exit pupil, per difference in slope, of rays from a point `behind` the MLA."""
+        """Return the separation on the exit pupil, per difference in slope, of rays from a point behind the MLA."""
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
         """Return a coordinate, on the exit pupil, of the ray from a position at a given height before the MLA.
@@ -332,7 +332,7 @@ class PointLight(LightOnPupil, Protocol):
 
 @dataclass(frozen=True)
 class Entrance:
-    """The scene side of a main lens in the camera frame; the pupils of a thin lens coincide with the lens.
+    """The scene side of a main lens, in the camera frame: its entrance pupil; a thin lens is its own pupil.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Degrees:
-    """Largest powers of the pupil coordinates, of the field coordinates, and of the inverse distance."""
+    """Degrees of a polynomial: the largest powers of pupil, of field, and of inverse distance."""
 
     pupil: int
     field: int
@@ -166,7 +166,7 @@ class PupilPolynomial:
         return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
     def _sum(self, s: Any, t: Any) -> tuple[Any, Any, Any]:
-        """Return value and derivatives by both invariants, with Horner's rule for each power of the mixed invariant."""
+        """Return the value and its derivatives by both invariants, by Horner's rule in powers of the mixed one."""
         rows: list[tuple[Any, Any]] = []
         value, slope = 0.0 * s, 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):

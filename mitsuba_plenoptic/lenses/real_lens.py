@@ -122,7 +122,7 @@ class RealLens(LensSystem):
 
     @functools.cached_property
     def reach(self) -> float:
-        """Radius of a circle about the axis that contains the exit pupil as seen from anywhere on the detector."""
+        """Radius in mm of a circle that contains the exit pupil as seen from anywhere on the detector."""
         return self._own.pupil_reach(self.corner)
 
     @property
@@ -189,7 +189,7 @@ class RealLens(LensSystem):
         return self._lights[x, y, g]
 
     def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
-        """Return the lens for waves, fitted for inverse distances (low, high) up to a field, by default its largest."""
+        """Return the lens for waves, fitted for inverse distances (low, high) up to a field, or to the largest."""
         return _checked(self._over_field(field, inverse_distance))
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
@@ -223,7 +223,7 @@ class RealLens(LensSystem):
 
 
 def _checked(lens: FittedLens) -> FittedLens:
-    """Return a fitted lens if the error of its path is small enough; warn or refuse otherwise."""
+    """Return a fitted lens after the guard of main lenses has recorded the error of its path."""
     guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 

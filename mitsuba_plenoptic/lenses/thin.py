@@ -246,10 +246,10 @@ class ThinLens(UniformLens, FinitePupil):
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def paraxial_path(self, pupil: Pair, distance: Any, wavelength: float) -> Any:
-        r"""Return :math:`(-P^2 / 2 g' + W(P)) / \lambda`, the path for all points at one distance g together.
+        r"""Return :math:`(-P^2 / 2 g' + W(P)) / \lambda`, the paraxial path in waves of all points at one distance g.
 
-        Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), spheres about the points are
-        parabolas, which differ by tilts only. Tilts are left out.
+        Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), parabolas replace the spheres
+        around points, and differ by tilts only. Tilts are left out.
         """
         (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
         waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
@@ -261,7 +261,7 @@ class ThinLens(UniformLens, FinitePupil):
         return 0 * Px + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
-        r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
+        r"""Return the amplitude :math:`|g| / |P - X|^2`, the first Rayleigh-Sommerfeld solution (Goodman, 3.5)."""
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
@@ -274,7 +274,7 @@ class ThinLens(UniformLens, FinitePupil):
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations.
+        r"""Return a point's direction cosines, :math:`(P - X) / |P - X| - P / f_1`, plus the slope of the aberrations.
 
         Behind an ideal lens the direction is that towards the image.
         """
@@ -293,9 +293,9 @@ class ThinLens(UniformLens, FinitePupil):
         return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
+        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, for the pupil's radius a and the step d.
 
-        For an ideal lens this is an upper bound: its light changes with the field only as defocus does in tilted cones.
+        For an ideal lens this is an upper bound: its light changes with the field only as defocus in tilted cones.
         """
         a, b = self.pupil_radius, self.pupil_distance
         return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))

@@ -142,10 +142,10 @@ class LensWaves:
     def transmission(
         self, x: NDArray[np.float64], y: NDArray[np.float64], kind: Kind, cosines: tuple[float, float], steep: bool
     ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
-        """Return the transmission of a lens of a kind and its neighbours at positions from its centre.
+        """Return the transmission of a lens and its neighbours at positions from its centre, for given directions.
 
-        Light has some direction cosines. Unless `steep`, each ray lands by its own point of the lens, and phases that
-        displace light within the lens are left out. The mask of the lens's aperture is returned as well.
+        Directions are cosines. Unless `steep`, each ray lands by its own point of the lens, and phases that displace
+        light within the lens are left out. The mask of the lens's aperture is returned as well.
         """
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
@@ -349,7 +349,7 @@ class ArrayKernels(LensWaves):
         return {}
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
-        """Return the sampling of `kernels`: lag step in fine steps, and numbers of lags and samples on either side."""
+        """Return the sampling of `kernels`: lag step in fine steps, number of lags, and samples on either side."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
@@ -390,7 +390,7 @@ class ArrayKernels(LensWaves):
     def _placed(
         self, transfer: NDArray[np.complex64], every: int, step: float, count: int, kind: int
     ) -> NDArray[np.float64]:
-        """Return kernels of `count` samples on either side from transfer functions at lags `every` steps apart."""
+        """Return kernels of `count` samples on either side, from transfer functions `every` steps apart."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
         farthest = transfer.shape[1] // 2
