@@ -123,7 +123,7 @@ class Cell(Aperture):
         return lattice.cell_point(s, t, lattice.fill)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Return the cell enlarged, which is exact since cells are convex and point-symmetric."""
+        """Return no margin and a scale, since cells are convex and point-symmetric and add to a larger cell."""
         return 0.0, 1 + smear * lattice.fill
 
     def diffraction_width(self, lattice: Lattice) -> float:

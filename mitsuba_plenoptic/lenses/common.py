@@ -145,7 +145,7 @@ class FinitePupil(FiniteDistance, ABC):
         return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R less that of the chief ray."""
+        r"""Return pupil points :math:`M - R s`, radii :math:`R = b / \sqrt{1 - s^2}`, and R less the chief ray's."""
         (sx, sy), (x, y), b = cosine, image, self.pupil_distance
         R = b / sqrt(1 - sx * sx - sy * sy)
         return (x - R * sx, y - R * sy), R, R - sqrt(x * x + y * y + b * b)

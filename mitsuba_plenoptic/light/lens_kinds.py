@@ -39,7 +39,7 @@ def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, A
 
 
 def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
-    """Return the displacement towards the axis by which `mla_cra` aligns lenses, from their regular positions."""
+    """Return the displacement in mm, towards the axis, of lenses at regular positions that `mla_cra` aligns."""
     if not camera.mla_cra:
         return 0.0, 0.0
     z = camera.detector_distance if detector_distance is None else detector_distance

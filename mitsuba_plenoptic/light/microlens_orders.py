@@ -14,9 +14,9 @@ the two-dimensional Fourier transform of fine samples of that period.
 Sampling t itself would alias its steep orders, which come from the edges of the lenses, into the band of a grid; the
 sum over the orders that the grid can represent does not.
 
-In units of its lattice a factor is a function of the position, of :math:`\kappa = D_2^2 / \lambda f_2` along each axis
-and for each type of lens, and of the widths of the apertures over the pitches, :math:`\beta`. The derivatives by all
-parameters of the array follow by the chain rule from those by these three, which are sums of orders, too:
+In units of its lattice, a factor is a function of the position, of :math:`\kappa = D_2^2 / \lambda f_2` along each axis
+and for each type of lens, and of the apertures' widths over the pitches, :math:`\beta`. Derivatives by these three are
+sums of orders; those by all parameters of the array follow by the chain rule:
 
 - the position u: :math:`2 \pi i q \, c_q`;
 - :math:`\kappa`: the orders of :math:`-i \pi v^2 t`, v the offset from the lens's centre;
@@ -126,7 +126,7 @@ class ArrayFactor(ABC):
     def _table(self, amplitudes: NDArray[Any]) -> Any:
         """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end.
 
-        Linear interpolation between the samples multiplies order q of n by sinc^2(q / n), by which each is divided.
+        Linear interpolation between samples multiplies order q of n by sinc^2(q / n); orders are first divided by it.
         """
         orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
         kept = [np.sinc(order / size) ** 2 for order, size in zip(orders, self._shape, strict=True)]
@@ -173,7 +173,7 @@ def axis_orders(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
     """Return the orders -count ... count of a separable array along an axis (0: x, 1: y), from an edge of a cell.
 
-    The second and third results are their derivatives by the Fresnel number and by the aperture's width over the pitch.
+    The other results are the orders' derivatives by the Fresnel number and by aperture width over pitch.
     """
     pitch = camera.mla_pitches[axis]
     width = camera.lattice.aperture_widths[axis] / pitch
@@ -226,7 +226,7 @@ class PlaneFactor(ArrayFactor):
         return result / (camera.lattice.aperture_widths[axis] / pitch)
 
     def _moment(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
-        """Return the orders of the transmission times a power of the offset in pitches, for one type of lens or all."""
+        """Return the orders of the transmission times a power of the offset in pitches, for one or all lens types."""
         key = axis, power, lens_type
         if key not in self._moments:
             self._moments[key] = self._transformed(*key)
@@ -323,7 +323,7 @@ def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArra
 
 @dataclass(frozen=True)
 class VaryingArrayFactor:
-    """Factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
+    """Factor of an upright array with Dr.Jit parameters that carry gradients, exact to first order in them."""
 
     factor: ArrayFactor
     lattice: Lattice

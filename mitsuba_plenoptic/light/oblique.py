@@ -5,9 +5,9 @@ with the direction cosines s leaves the point m of the lens with :math:`s - m/f`
 
 .. math:: m + z\, T(s - m/f), \qquad T(s) = \frac{s}{\sqrt{1 - s^2 / n^2}} ,
 
-in a medium of index n at the reduced distance z. Kernels of a detector's image have the linear part of T alone. The
-rest, which `phase` gives, is spherical aberration, coma, and the astigmatism and field curvature that grow with the
-square of s. Kernels with this phase change with s nearly as a polynomial of degree 2 without mixed higher terms,
+in a medium of index n at the reduced distance z. The kernels of a detector's image have the linear part of T alone. The
+nonlinear part, given by `phase`, is spherical aberration, coma, and the astigmatism and field curvature that grow with
+the square of s. Kernels with this phase change with s nearly as a polynomial of degree 2 without mixed higher terms,
 
 .. math:: \varphi_n(s) \approx \varphi_n(0) + \sum_k b_k(s)\, \varphi_{nk},
           \qquad b = (s_u, s_v, s_u^2, s_u s_v, s_v^2).

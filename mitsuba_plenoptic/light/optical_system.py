@@ -30,7 +30,7 @@ def is_paraxial(camera: PlenopticCamera) -> bool:
 
 @dataclass(frozen=True)
 class OpticalSystem:
-    """The part that captures, operators and reconstructions of one camera share at one wavelength.
+    """Camera, lattice, microlenses and main lens at one wavelength, shared by captures and reconstructions.
 
     Parameters
     ----------

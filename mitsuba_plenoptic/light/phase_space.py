@@ -7,7 +7,7 @@ point P keeps P, and meets the array at m + x instead of m, with the signed dens
 .. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int O_P(\eta)\, e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta, \qquad
           O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
 
-Behind the *array* it lands on the detector at an offset p from the position of the ray model, with a signed density
+Behind the *array* the ray lands on the detector at an offset p from the ray model's position, with a signed density
 :math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`, where :math:`a_n` are functions of m over a lens: see
 `array_kernels` and `lens_functions`. A capture becomes a ray capture of a few values per ray, followed by one
 convolution for each value:
@@ -326,7 +326,7 @@ class TableNodes:
         self._angular = mi.Float([node.angular for node in plan.nodes])
 
     def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
-        """Return distances from the pupil's centre, over its radius, and a random neighbouring node of the radius."""
+        """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
         place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
         return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))

@@ -1,4 +1,4 @@
-r"""Kernels on the grid of pixels, and the images of pixels that the coefficients of rays in cells make for them.
+r"""Kernels on the grid of pixels, and images of pixels made from the coefficients of rays in cells.
 
 Rays are collected in cells, p across a pixel. The coefficients of each place of a cell in its pixel have a kernel on
 the grid of pixels, the sum of the cells' kernel over a pixel. So have the products of a pixel's coefficients with the
@@ -30,7 +30,7 @@ _TOGETHER = 2**17
 
 
 class PixelKernels:
-    """Kernels of the images of pixels, and these images, for the coefficients of one kind of lenses."""
+    """Kernels of the images of pixels, and these images from coefficients, for one kind of lenses."""
 
     @single_threaded_blas()
     def __init__(
@@ -137,7 +137,7 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
 
 
 def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
-    r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, by which a B-spline of this order smooths."""
+    r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, the smoothing by a B-spline of this order."""
     if order == 0:
         return kernels
     wide = np.pad(kernels, [(0, 0), (_TAIL, _TAIL), (_TAIL, _TAIL)])

@@ -412,7 +412,7 @@ def _render_passes(
     progress: Callable[[int, int], None] | None,
     noise: bool,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
+    """Return the image, rendered in passes, whose memory does not grow with the samples, and the requested noise."""
     most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
     if noise:
         most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())

@@ -113,7 +113,7 @@ class Node:
     weights: NDArray[np.float64]
 
     def mixture(self, lanes: Lanes | None = None) -> tuple[list[int], list[list[Any]]]:
-        """Return the indices of the values used, and their weights for each channel; for drawn wavelengths, by cell."""
+        """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""
         if lanes is None:
             used = np.flatnonzero(self.weights.any(0)).tolist()
             # Opaque values are kernel inputs, so that other values do not compile the kernels again.
@@ -198,7 +198,7 @@ class SignedColours:
     def shared(
         self, camera: PlenopticCamera, accuracy: float
     ) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
-        """Return the wavelength of each node, its channels, and the weights of a ray's values in these: see `Node`."""
+        """Return each node's wavelength, its channels, and the weights of a ray's values in them: see `Node`."""
         places = self.places(camera, accuracy)
         found = []
         for number, place in enumerate(places):

@@ -209,7 +209,7 @@ class Draws:
         return _lit_lenses(self._camera, self._longest, self._parts)
 
     def _seen(self, radius: float) -> float:
-        """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
+        """Return the distance on the array of rays from one detector point to pupil points `radius` apart."""
         camera = self._camera
         farthest = radius * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
         return farthest * max(self.enlargements)
@@ -259,7 +259,7 @@ class Draws:
         return self.walk.through_centre(offset, drawn.height)[1]
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
-        """Return the landing points of light that lands on detector points, if it passed the centres of its lenses."""
+        """Return where light that lands on detector points would land through the centres of its lenses."""
         return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
 
     def _shrunk(self, offset: Pair, kind: Any) -> Pair:
@@ -330,7 +330,7 @@ class Draws:
         return aside, self._camera.detector_distance + drawn.height
 
     def _diffracted(self, pixel: Any, sample: Any, seed: Any) -> Pair:
-        """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""
+        """Return random displacements of light on the array by the whole pupil's diffraction, an Airy pattern."""
         first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
         place = first * (_AIRY - 1)
         low = mi.UInt32(place)
@@ -381,7 +381,7 @@ class LensPoints:
         self._rows, self._columns = (drjit_array(mi.Float, part) for part in (rows, columns))
 
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
-        """Return points, and the reciprocals of their density over the aperture, for rays to points of the pupil."""
+        """Return points around lenses for rays to pupil points, and the reciprocals of their density over a lens."""
         lattice = self._lattice
         Pu, Pv = lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, chance[0])

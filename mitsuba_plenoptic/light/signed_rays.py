@@ -319,7 +319,7 @@ class SignedRaySum:
         return np.concatenate([np.ravel(part) for part in self._trace(self._bins, pixels, np.random.SeedSequence(0))])
 
     def cost(self) -> tuple[float, float]:
-        """Estimate from some of the pixels and tiles the time in seconds and the bytes that the sum takes."""
+        """Return the time in seconds and the bytes that the sum takes, estimated from some pixels and tiles."""
         start = time.perf_counter()
         convolutions = self._convolutions
         made = time.perf_counter() - start
@@ -445,7 +445,7 @@ class SignedRaySum:
         return self._mean_of(bring, lit, number)
 
     def _first(self, pixels: Pixels) -> Pair:
-        """Return the number of the first ray of all cells of pixels: among the rays of all, and of each pixel."""
+        """Return the number of the first ray of each cell: among the rays of all pixels, and of its own pixel."""
         places = self._parts**2
         lane, spp = dr.arange(mi.UInt32, dr.width(pixels.index) * places), dr.opaque(mi.UInt32, self._spp)
         return lane * spp, (lane - quotient(lane, places) * dr.opaque(mi.UInt32, places)) * spp

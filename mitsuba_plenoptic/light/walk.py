@@ -86,7 +86,7 @@ class Walk:
         return x + right, y + up
 
     def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
-        """Return the centres of lenses, irregular ones too, and their focal lengths, reduced by the medium's index."""
+        """Return the centres of lenses, irregular ones too, and the focal lengths, reduced by the medium's index."""
         (x, y), f2 = self.centre(i, j), self.focal_lengths / self.medium
         if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
             f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
@@ -117,7 +117,7 @@ class Walk:
         return x, y
 
     def _chief(self, centre: Pair, height: Any) -> Pair | None:
-        """Return the slopes of chief rays at the centres of lenses that turn slopes; None if they turn cosines."""
+        """Return the chief rays' slopes at lens centres, for lenses that turn slopes; None if they turn cosines."""
         if turns_cosines(self.camera):
             return None
         return self.lens.slope_to(0.0, centre[0], height), self.lens.slope_to(0.0, centre[1], height)
@@ -125,9 +125,9 @@ class Walk:
     # -- towards the scene ---------------------------------------------------------------------------
 
     def out_of_array(self, pixel: Pair, passage: Passage) -> tuple[Pair, Any, Any]:
-        """Return the slopes before the array of rays from detector points, their weights, and which leave the medium.
+        """Return slopes before the array of rays from detector points, weights, and which rays leave the medium.
 
-        By the weights, rays from all points of the detector are even over the pupil; see `optics.rays.evenness`.
+        The weights make rays from all points of the detector uniform over the pupil; see `optics.rays.evenness`.
         """
         height = self.height(*passage.centre)
         z = self.detector_distance + height if any(self.camera.mla_tilt) else self.detector_distance
@@ -216,7 +216,7 @@ def on_plane(traced: Traced, distance: Any, mla_distance: Any) -> Pair:
 
 
 def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera) -> tuple[Any, Any]:
-    """Follow rays from p through m of the lens at c to an object plane by paraxial optics, which is linear in them.
+    """Follow rays from p through m of the lens at c back to an object plane by paraxial optics, linear in p, m and c.
 
     One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.
     """

@@ -85,7 +85,7 @@ class Sampled(MicrolensShape):
 
 
 def fitted_power(path: NDArray[np.float64], grid: SampledGrid) -> float:
-    """Return the power of the paraboloid of revolution that fits samples of a path best, besides tilt and offset."""
+    """Return the power in 1/mm of the paraboloid that best fits samples of a path, besides tilt and offset."""
     x, y = (np.linspace(-half, half, size) for half, size in zip(grid.reach, path.shape[::-1], strict=True))
     x, y = (values.ravel() for values in np.meshgrid(x, y))
     scale = max(grid.reach)

@@ -45,7 +45,7 @@ from .properties import (
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
-    """Return the names of the camera's parameters that carry gradients, and whether parameters of the scene do.
+    """Return the names of camera parameters that carry gradients, and whether scene parameters carry any.
 
     Parameters with respect to which captures have no derivative are refused.
     """
@@ -71,7 +71,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add to the gradient of a parameter of the camera."""
+    """Add a gradient to that of a camera parameter."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
