@@ -188,7 +188,7 @@ class Spectrum:
     ) -> Spectrum:
         """Make a spectrum from a table of the responses of a detector, linear between its rows.
 
-        Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in all of them.
+        Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in each.
 
         Parameters
         ----------

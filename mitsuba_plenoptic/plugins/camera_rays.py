@@ -146,7 +146,7 @@ class Candidates:
     defocus: Any = 0.0
 
     def limit(self, chief: Pair, towards: Pair) -> Any:
-        """Return the distance within which lens centres are tried, by their direction from the chief ray's point."""
+        """Return the distance in mm within which lens centres are tried, by their direction from the chief ray."""
         across, along = (
             towards[0] * chief[1] - towards[1] * chief[0],
             towards[0] * chief[0] + towards[1] * chief[1],

@@ -195,7 +195,7 @@ def make_class() -> type:
             return x, y
 
         def crosstalk_missed(self) -> float:
-            """Estimate from a sample of rays the fraction of the light that passes lenses that are not sampled."""
+            """Return the fraction of light through lenses that are not sampled, estimated from a sample of rays."""
             steps = [step.numpy().astype(int) for step in self._candidates.steps]
             drawn = set(zip(*steps, strict=True))
             around = replace(self._rays.candidates(beyond=max(self._rays.camera.mla_pitches)), limits=None)

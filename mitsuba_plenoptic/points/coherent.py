@@ -155,7 +155,7 @@ def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
 
 
 def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
-    """Transform the detector's window along one axis to the spectrum of the wide window: adjoint of `onto_window`."""
+    """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
     arrays, count = backend().arrays, grids.wide_pupil
     start, size = grids.offset[1 - axis], field.shape[axis]
     positive = (count + 1) // 2

@@ -1,6 +1,6 @@
 """Sources at infinity as points with weights for `CaptureOperator`: stars, binaries, and discs from pictures.
 
-Directions are angles in arcseconds in the camera frame: +x is to the left of the picture that the camera takes, +y up.
+Directions are angles in arcseconds in the camera frame: +x is to the left in the camera's picture, +y up.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class WeightChannels:
         return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
 
     def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
-        """Return the wavelength of each column of weights, and the matrix (channels, columns) to image channels."""
+        """Return each weight column's wavelength, and the matrix (channels, columns) from columns to channels."""
         if self.spectrum is None:
             return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
         return self.spectrum.wavelengths, self.spectrum.matrix()

@@ -1,4 +1,4 @@
-"""`reconstruct`: the steps that all methods have in common, from the capture to the results."""
+"""`reconstruct`: the steps common to all methods, from the capture to the results."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _LONG = 30.0
 
 
 class ReconstructOptions(MethodOptions, total=False):
-    """Arguments of `reconstruct` beside capture and distance."""
+    """Arguments of `reconstruct` other than capture and distance."""
 
     method: str
     camera: PlenopticCamera | None
@@ -96,8 +96,8 @@ def reconstruct(
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
-    With every method images are in units of radiance: each bin is divided by the light that it gets from a white scene,
-    also at the borders. Bins that get less than 1 % of the rays of the best bin are NaN.
+    Images of all methods are in units of radiance: each bin is divided by the light that it receives from a white
+    scene, also at the borders. Bins that receive less than 1 % of the rays of the best bin are NaN.
 
     Parameters
     ----------
@@ -285,14 +285,14 @@ def _by_wavelength(task: Task) -> list[Task]:
 
 
 def _recorded(capture: Capture, channels: int) -> list[float] | None:
-    """Return the wavelengths at which the channels of a wave capture were recorded, or None."""
+    """Return the wavelengths at which a wave capture's channels were recorded, or None."""
     if capture.model != "wave" or capture.wavelength is None:
         return None
     return [float(light) for light in np.broadcast_to(capture.wavelength, channels)]
 
 
 def _side_by_side(parts: list[Any]) -> list[Found]:
-    """Return the results at each distance with the channels of all parts side by side."""
+    """Return the results at each distance, with the channels of all parts combined."""
     found = [[made if isinstance(made, Found) else Found(made) for made in part] for part in parts]
     if len(found) == 1:
         return found[0]

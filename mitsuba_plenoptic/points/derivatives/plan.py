@@ -299,7 +299,7 @@ class Differentials:
         matrix: NDArray[np.float32],
         job: Job,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients by parameters, by name, from the gradient of the image, (rows, columns, channels)."""
+        """Return the gradients by parameter name, from the image's gradient (rows, columns, channels)."""
         _require_threads(job)
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():

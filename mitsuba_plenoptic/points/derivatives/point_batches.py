@@ -33,10 +33,10 @@ MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
 
 
 def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
-    """Return A and B for a unit change of each component of a parameter in `MOVED_COPIES`.
+    """Return the matrices A and B of moving copies for a unit change of each component of a parameter.
 
-    The result is (components, 2, 2, 2): for each component A and B, each as (x and y of the move, x and y of the copy's
-    position). Degrees and nanometres are the units of ``mla_rotation`` and ``wavelength``.
+    The result is (components, 2, 2, 2), for a parameter in `MOVED_COPIES`: for each component A and B, each as (x and y
+    of the move, x and y of the copy's position). ``mla_rotation`` is in degrees, ``wavelength`` in nanometres.
     """
     one, none = np.eye(2), np.zeros((2, 2))
     growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
