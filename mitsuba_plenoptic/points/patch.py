@@ -198,7 +198,7 @@ class Memory:
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """Release the memory taken in the context at its end: few reused fields stay in the processor's cache."""
+        """Release the memory taken in the context at its end, since few reused fields stay in the processor's cache."""
         used = self._used.copy()
         yield
         self._used = used

@@ -119,9 +119,9 @@ class PatchPlan:
         return PatchSum(self, weights)
 
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
-        """Return the data of a chunk's fields: scaled by their largest weights, with copies weighted relative to these.
+        """Return the data of a chunk's fields, scaled by the largest weights of their copies.
 
-        Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
+        Copies are weighted relative to these. Patterns without weight are omitted, but not those whose weights cancel.
         """
         used, amplitudes, copies = [], [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):

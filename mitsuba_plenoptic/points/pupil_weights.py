@@ -15,7 +15,7 @@ from ..runtime.backend import drjit_array
 
 
 def spline_parts(position: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the cubic B-splines of the four nearest knots, at positions from 0 to 1 between the middle two."""
+    """Return the weights of a cubic B-spline's four nearest knots, at positions 0 to 1 between the middle two."""
     left = 1 - position
     return left**3 / 6, 2 / 3 - position**2 + position**3 / 2, 2 / 3 - left**2 + left**3 / 2, position**3 / 6
 

@@ -217,7 +217,7 @@ class Objective(LensData):
     def blur_diameter(self, distance: float) -> float:
         r"""Diameter on the array of the light of a point on the axis, by rays.
 
-        :math:`2 M |d| \tan\alpha` in the native image plane, and that of the stop's image in the Fourier arrangement.
+        :math:`2 M |d| \tan\alpha` in the native image plane; in the Fourier arrangement the stop's image's diameter.
 
         Parameters
         ----------

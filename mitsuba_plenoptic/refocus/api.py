@@ -266,7 +266,7 @@ def reconstruct(
 
 
 def _by_wavelength(task: Task) -> list[Task]:
-    """Return one task per channel with the camera of its wavelength, or one for all channels if these are equal."""
+    """Return one task per channel with the camera at its wavelength, or one task if all cameras are equal."""
     if task.camera.glass is None and task.camera.mla_glass is None:
         return [task]
     works = work_of(task.wavelengths)

@@ -199,7 +199,7 @@ class RealConjugates:
             yield FieldZone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
 
     def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
-        """Return the displacement on the MLA of rays from the corners of zones by the path of the zone's middle."""
+        """Return the displacement in mm, on the MLA, of zones' corner rays by the path of the zone's middle."""
         number = (np.arange(count) + 0.5) / count - 0.5
         x, y = (values.ravel() * count for values in np.meshgrid(number * width[0], number * width[1]))
         middles = np.stack([x, y], axis=-1)

@@ -99,7 +99,7 @@ def require_response_memory(memory: Callable[[int], float], oversample: int, dis
 
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
-    """Gather the point spreads of a cell's bins, of which `together` x `together` samples make one of the cells'."""
+    """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
     found = []
     for number, parts in enumerate(spreads):
         for part in parts:

@@ -1,4 +1,4 @@
-r"""Total variation of planes of bins, by which an iteration prefers even areas with sharp borders.
+r"""Total variation of planes of bins, by which an iteration prefers uniform areas with sharp borders.
 
 .. math:: \mathrm{TV}(x) = \sum \sqrt{(\Delta_1 x)^2 + (\Delta_2 x)^2 + \epsilon^2}
 
@@ -35,7 +35,7 @@ class Noise:
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Return the noise from `photons` if given, otherwise from the metadata that `expose` stored."""
+        """Return the noise for `photons`, if given, otherwise for the exposure that `expose` recorded."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
         return None if exposure is None else cls._exposed(exposure)
@@ -53,14 +53,14 @@ class Noise:
 
     @property
     def shift(self) -> float:
-        """Variance of a dark pixel over the value that counts one electron."""
+        """Variance of a dark pixel divided by the value of one electron."""
         return self.dark * self.electrons
 
     def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
-        """Return the squared residual, weighted by the pixels' variances, over its expectation for noise alone.
+        """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
 
-        Pearson's statistic, of expectation 1; pixels that should be all but dark count less than it would have them,
-        since a single photon of light that the model does not know would outweigh all else.
+        This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than
+        Pearson's, since otherwise one photon of light unknown to the model would outweigh all pixels.
         """
         variance = np.maximum(model, 0) / np.float32(self.electrons) + np.float32(self.dark)
         weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
@@ -77,19 +77,19 @@ Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
 
 
 class TotalVariation:
-    """Total variation of planes."""
+    """Total variation of planes, with its gradient."""
 
     def __init__(self, differences: Sequence[Differences]) -> None:
         self._differences = differences
 
     @classmethod
     def of_cells(cls, cells: BinCells, lit: Sequence[CellSet]) -> TotalVariation:
-        """Return the total variation of bins that are grouped in the cells of each plane."""
+        """Return the total variation for bins grouped in the cells of each plane."""
         return cls([_differences(cells, some) for some in lit])
 
     @classmethod
     def of_grids(cls, shapes: Sequence[tuple[int, int]]) -> TotalVariation:
-        """Return the total variation of planes of upright square bins, (rows, columns)."""
+        """Return the total variation for planes of upright square bins, (rows, columns)."""
         known = {shape: _grid_differences(shape) for shape in set(shapes)}
         return cls([known[shape] for shape in shapes])
 
@@ -113,7 +113,7 @@ def _gradient(differences: Differences, values: NDArray[np.float32], inside: NDA
 
 
 def _grid_differences(shape: tuple[int, int]) -> Differences:
-    """Return the differences of upright square bins."""
+    """Return the difference matrices of upright square bins."""
     rows, columns = shape
     number = np.arange(rows * columns).reshape(shape)
     right, below = np.full(shape, -1), np.full(shape, -1)
@@ -123,7 +123,7 @@ def _grid_differences(shape: tuple[int, int]) -> Differences:
 
 
 def _differences(cells: BinCells, lit: CellSet) -> Differences:
-    """Return the differences of bins in cells."""
+    """Return the difference matrices of bins in cells."""
     across, down = cells.bins
     width, height = cells.bin_sizes
     index = lit.index
@@ -148,7 +148,7 @@ def _differences(cells: BinCells, lit: CellSet) -> Differences:
 
 
 def _steps(neighbours: list[tuple[NDArray[np.int64], NDArray[np.float64]]], scale: float) -> sparse.csr_matrix:
-    """Return the matrix of the steps from every bin to a mean of others; a bin that lacks one of these has none."""
+    """Return the matrix of differences from every bin to a mean of others; bins that lack one of them have none."""
     count = len(neighbours[0][0])
     bins = np.arange(count)
     whole = np.all([(number >= 0) | (share == 0) for number, share in neighbours], axis=0)
