@@ -205,7 +205,7 @@ class Objective(LensData):
         return even_count(across, camera.pixel_size), even_count(down, camera.pixel_size)
 
     def bin_size(self, camera: Any, distance: float) -> float:
-        """Return the width of a lens, or in the Fourier arrangement of a pixel, in the object; equal at all depths."""
+        """Return the object-side width in mm of a lens, or of a pixel in the Fourier arrangement, at all depths."""
         if self.is_fourier:
             return float(camera.pixel_size / self.view_scale(camera.reduced_distance))
         return float(camera.mla_pitch / self.magnification)

@@ -174,7 +174,7 @@ class Channel(Protocol):
 
 
 class RefocusedImage:
-    """A refocused capture, `image`, and the derivatives there; see `CoherentRefocus` and `DeconvolvedRefocus`."""
+    """A refocused capture, `image`, with derivatives there; see `CoherentRefocus` and `DeconvolvedRefocus`."""
 
     def __init__(
         self, refocus: CoherentRefocus | DeconvolvedRefocus, capture: Any, channel: Callable[[NDArray[Any]], Channel]

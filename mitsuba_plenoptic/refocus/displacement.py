@@ -96,7 +96,7 @@ def is_known(camera: PlenopticCamera) -> bool:
 
 
 def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
-    """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
+    """Return the relative rise of radiance per mm of the MLA plane, 1 on the axis, for the scenes of `rising`.
 
     Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
     """

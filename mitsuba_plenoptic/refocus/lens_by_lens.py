@@ -388,7 +388,7 @@ def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
 
 
 def _tilt(centre: np.ndarray, tile: LensTile) -> Field:
-    """Return the factor that removes, along an axis, the direction to the main lens's centre, and its curvature."""
+    """Return the factor that removes, along an axis, the tilt towards the main lens's centre, and its curvature."""
     wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
     return phasor((centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path)
 
@@ -445,9 +445,9 @@ def reconstruct_lens_by_lens(
 
 
 def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
-    """Return the fields of some lenses at the main lens, relative to a wave from the lens's centre.
+    """Return the fields of some lenses at the main lens, relative to a spherical wave from the lens's centre.
 
-    Of the square root of a capture; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
+    They start from a capture's square root; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
     """
     arrays = backend().arrays
     count, size = len(batch.bin), batch.row.shape[1]

@@ -129,14 +129,14 @@ class FieldWorkspace:
         return self._columns[: step.x.held]
 
     def array(self, name: str, shape: tuple[int, int]) -> Field:
-        """Yield slices that divide rows into blocks that are processed together."""
+        """Return an uninitialised array, valid until the same name is requested again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
             self._buffers[name] = self.libraries.arrays.empty(size, np.complex64)
         return self._buffers[name][:size].reshape(shape)
 
     def runs(self, count: int, block: int | None = None) -> Iterator[slice]:
-        """Yield blocks of row numbers that are processed together."""
+        """Yield slices of rows that are processed together."""
         block = block or self.block
         for first in range(0, count, block):
             yield slice(first, min(first + block, count))

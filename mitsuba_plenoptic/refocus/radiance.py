@@ -246,8 +246,8 @@ def white_sums(
 ) -> np.ndarray:
     """Return the light of a scene of uniform radiance 1 in each bin, in pixel values times pixels: a method's divisor.
 
-    By rays it is `ray_sums` of the camera's white capture. By waves no two lenses interfere, as interference cancels in
-    the mean over the bins: it is the light of rays, less what the pupil does not let back of a micro-image.
+    By rays the divisor is `ray_sums` of the camera's white capture. By waves no two lenses interfere, as interference
+    cancels in the mean over the bins: it is the light of rays, less the part of a micro-image that the pupil blocks.
 
     Parameters
     ----------

@@ -259,7 +259,7 @@ class Volume:
         return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
-        """Return the volume as an array with the axes ``distance``, ``y`` and ``x``, from the axis, x to the right."""
+        """Return the volume as an array with axes ``distance``, ``y`` and ``x``, which start on the optical axis."""
         _, rows, columns = self.values.shape[:3]
         coordinates = {
             "distance": list(self.distances),

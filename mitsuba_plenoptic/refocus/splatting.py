@@ -39,11 +39,11 @@ _BLOCK = 2**16
 
 @dataclass(frozen=True)
 class Splat:
-    """Positions of pixels on the bins, with their footprints.
+    """Positions of pixels on the bins of an object plane, with their footprints.
 
     There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
-    counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
-    with these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
+    also counted in `margin` bins beyond each border, from where they reach across it; `size` are rows and columns with
+    these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
     """
 
     fine: int

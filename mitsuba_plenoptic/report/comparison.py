@@ -87,7 +87,7 @@ _COHERENT = ("coherent", "partial")
 
 
 def measure(experiment: Experiment) -> dict[str, Any]:
-    """Return comparisons of the captures, and of the reconstructions with thin lens and one-lens limit."""
+    """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
         "captures": {
@@ -117,7 +117,7 @@ def _against_points(experiment: Experiment) -> dict[str, float] | None:
 
 
 def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
-    """Return the row of a table that has the given values; None if there is none."""
+    """Return the first row of a table that has the given values."""
     return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
 
 

@@ -54,10 +54,10 @@ _INFINITY = 1e6
 
 
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> tuple[Grid, int]:
-    """Lay the grid that holds the light of planes at some distances, and count the samples to be merged on each axis.
+    """Return the grid for the light of planes at some distances, and how many samples are merged on each axis.
 
-    Pixels feel little of what is finer than a third of them. Where the lattice is turned, samples are interpolated
-    before they are integrated, and none are merged.
+    Pixels hardly feel detail finer than a third of them. Where the lattice is turned, samples are interpolated before
+    they are integrated, and none are merged.
     """
     depths = [finite_distance(camera, distance) for distance in distances]
     points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
@@ -366,7 +366,7 @@ class Response(StoredResponse):
 
 
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
-    """Return whether spreads a lens apart are equal: with an objective, or by rays in air without aberrations."""
+    """Return whether point spreads one lens apart are equal: with an objective, or by rays without aberrations."""
     without = camera.mla_medium == 1 and not any(camera.wavefront)
     by_rays = wavelength is None and camera.lens_model == "ideal" and without
     return by_rays or not camera.lens_data.converges

@@ -2,8 +2,8 @@ r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the nois
 
 .. math:: x \leftarrow \frac{x}{A^T 1} \, A^T \frac{y + \beta}{A x + \beta}
 
-(Richardson 1972, J. Opt. Soc. Am. 62, 55; Lucy 1974, Astron. J. 79, 745). It keeps x positive and raises the likelihood
-of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value that counts one electron: with it a
+(Richardson 1972, J. Opt. Soc. Am. 62, 55; Lucy 1974, Astron. J. 79, 745). The iteration keeps x positive and raises the
+likelihood of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value of one electron: with it a
 Poisson law describes photon and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
 
 Accelerated, each step starts from a point extrapolated along the last one by Nesterov's momentum (1983, Soviet Math.
@@ -11,13 +11,13 @@ Dokl. 27, 372; for this iteration Wang and Miller 2014, IEEE Trans. Image Proces
 
 .. math:: z_k = x_k + \frac{m}{m + 3} (x_k - x_{k-1}),
 
-where m counts the steps since one pointed against the way made, from where it begins anew (O'Donoghue and Candès 2015,
-Found. Comput. Math. 15, 715). Extrapolating by what the last two steps have in common (Biggs and Andrews 1997, Appl.
-Opt. 36, 1766) overshoots here: lines that are well resolved swing to a contrast of 1.2 and back for a hundred steps.
+where m counts the steps since one pointed against the way made, where it restarts (O'Donoghue and Candès 2015, Found.
+Comput. Math. 15, 715). Extrapolation by what the last two steps have in common (Biggs and Andrews 1997, Appl. Opt. 36,
+1766) overshoots here: well resolved lines swing to a contrast of 1.2 and back for a hundred steps.
 
-It ends where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy principle
-(Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit the noise.
-It ends as well where what is above that hardly falls any more, since it is then no light from these bins.
+The iteration stops where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy
+principle (Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit
+the noise. It also stops where the excess of the residual over noise hardly falls any more.
 
 A penalty P of weight :math:`\lambda` on what x may look like, its total variation for one (see `variation`), divides
 each step (Green 1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microscopy Research and Technique 69, 260):

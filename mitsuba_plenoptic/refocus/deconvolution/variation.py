@@ -42,7 +42,7 @@ class Noise:
 
     @classmethod
     def _exposed(cls, exposure: Any) -> Noise:
-        """Return a detector's noise (EMVA 1288, Release 4.0 Linear, equation for the digital number)."""
+        """Return a detector's noise from its exposure record (EMVA 1288, Release 4.0 Linear)."""
         with refusing("exposure of the capture: it is not one that 'expose' writes:", KeyError, TypeError):
             photons = exposure["photons"]
             detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
