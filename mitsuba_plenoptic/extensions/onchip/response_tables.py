@@ -339,9 +339,7 @@ class _Pupil:
 
 
 def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return two matrices from far-window to near-window samples, (near.across, far.across): one folds, one
-    interpolates.
-    """
+    """Return the matrices that fold and that interpolate far-window samples to near ones, (near.across, far.across)."""
     size = far.across - 1
 
     def interpolated(place: NDArray[np.float64]) -> NDArray[np.float64]:
