@@ -1,4 +1,4 @@
-"""`reconstruct`: the steps that all methods have in common, from the capture to the results."""
+"""`reconstruct`: the steps common to all methods, from the capture to the results."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _LONG = 30.0
 
 
 class ReconstructOptions(MethodOptions, total=False):
-    """Arguments of `reconstruct` beside capture and distance."""
+    """Arguments of `reconstruct` other than capture and distance."""
 
     method: str
     camera: PlenopticCamera | None
@@ -97,8 +97,8 @@ def reconstruct(
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
-    With every method images are in units of radiance: each bin is divided by the light that it gets from a white scene,
-    also at the borders. Bins that get less than 1 % of the rays of the best bin are NaN.
+    Images of all methods are in units of radiance: each bin is divided by the light that it receives from a white
+    scene, also at the borders. Bins that receive less than 1 % of the rays of the best bin are NaN.
 
     Parameters
     ----------

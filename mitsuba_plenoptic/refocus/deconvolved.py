@@ -1,4 +1,4 @@
-"""Deconvolution: finds the planes whose capture by the camera is the recorded one."""
+"""Deconvolution: the planes whose simulated capture equals the recorded one."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ LEAST_SEEN = 0.01
 
 @method("deconvolved", waves=True, as_it_is=True, long=True, white=False)
 def refocus(task: Task, **options: Any) -> list[Found]:
-    """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
+    """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
-    Either each plane alone explains the whole capture, or all planes do together as a volume. Light from other
-    distances is attributed to these planes.
+    Each plane alone explains the whole capture, or all planes together as a volume; light from other distances is
+    attributed to these planes. See `deconvolution.solver`.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
 
 
 def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
-    """Refuse a capture that no light can have produced."""
+    """Refuse a capture that no light can have produced, as its sum is not positive."""
     refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
     negative = int(np.count_nonzero(image < 0))
     if negative and noise is None:

@@ -1,15 +1,15 @@
-r"""Incoherent reconstruction: every point of the object is propagated by itself, and weighed with the capture.
+r"""Incoherent reconstruction: every object point is treated separately, and its pattern correlated with the capture.
 
-A bin k of the object plane, of radiance 1 and with no light from elsewhere, has the capture :math:`a_k`: the sum of the
-point spreads of its points, whose light does not interfere. A bin reads the capture I weighed with this pattern, over a
-white capture W weighed likewise,
+A bin k of the object plane, of radiance 1 and without light from elsewhere, has the capture :math:`a_k`: the sum of the
+point spreads of its points, whose light does not interfere. A bin's value is the capture I weighted by this pattern,
+divided by a white capture W weighted likewise,
 
 .. math:: x_k = \frac{\langle a_k, I \rangle}{\langle a_k, W \rangle} .
 
-That is the normalised adjoint of the capture :math:`I = \sum_k a_k x_k`, also known as back-projection, and in radar as
+This is the normalised adjoint of the capture :math:`I = \sum_k a_k x_k`, also known as back-projection, and in radar as
 the matched filter (Turin, IRE Trans. Inf. Theory 6, 311 (1960)). `ray` does the same with the geometric images of the
-bins. Neither two lenses nor two points of the object interfere, and the result is linear in the capture. It is blurred
-by each point spread's own correlation, which `deconvolved` removes.
+bins. Neither two lenses nor two points of the object interfere, and the result is linear in the capture. The result is
+blurred by the autocorrelation of each point spread, which `deconvolved` removes.
 
 Point spreads that differ by a shift of whole lenses are computed once for a zone of lenses
 (`mitsuba_plenoptic.refocus.deconvolution.response`).

@@ -1,4 +1,4 @@
-"""Animations: GIF, and MP4 where imageio-ffmpeg is installed."""
+"""Animations as GIF, and as MP4 if imageio-ffmpeg is installed."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Claim:
-    """A conclusion of the paper next to our results."""
+    """A conclusion of the paper beside this package's results."""
 
     statement: str
     measured: str
@@ -157,14 +157,14 @@ _QUALITIES = (85, 70, 50, 30)
 
 
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
-    """Encode the captures, of one scale, as pictures of bounded size."""
+    """Return the captures as pictures of bounded size, drawn on one scale."""
     ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
     peak = float(np.quantile(ray[ray > 0.05 * ray.max()], 0.98)) if ray.max() > 0 else 1.0
     return {"ray": _webp(ray, peak), "wave": _webp(wave, peak)}
 
 
 def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
-    """Return the size of the capture's cut-out, and the positions of close-ups in fractions of it."""
+    """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
     rows, columns = experiment.wave.image.shape
     height, width = window.of(experiment.wave.image).shape
     top, left = round(window.top * rows), round(window.left * columns)

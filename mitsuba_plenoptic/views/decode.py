@@ -1,4 +1,4 @@
-"""From a capture to a light field: every micro-image sampled about its true centre, and vignetting removed."""
+"""Decoding of captures to light fields: micro-images sampled about their true centres, vignetting removed."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def decode(
     grid: LensGrid | None = None,
     truth: GroundTruth | None = None,
 ) -> xr.DataArray:
-    """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
+    """Return a capture as a light field with one sample per pixel across the pupil and one per lens across the field.
 
-    Micro-images are not an integer of pixels apart. Each is resampled about its own centre by linear
-    interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
-    capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
-    resampled to one that is, linearly along its rows and between them.
+    The distance between micro-images is not an integer number of pixels. Each micro-image is resampled about its centre
+    by linear interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is
+    lost. The capture and the white image are sampled alike and then divided. A lattice that is not upright and square
+    is resampled to an upright square one, linearly along its rows and between them.
 
-    A lens of a Fourier light-field microscope makes a picture of the whole object instead: each is a view, with one
+    In a Fourier light-field microscope each lens makes a picture of the whole object: each picture is a view, with one
     sample a pixel across the field. Light fields of a microscope with the array in the native image plane are not
     decoded.
 
@@ -170,7 +170,7 @@ def _coordinates(
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """Return the number of views on either side of the central one, and a mask of views that see this lens alone.
+    """Return the number of views on either side of the central one, and a mask of views through one lens only.
 
     The result has the shape (2 half + 1, 2 half + 1).
     """
@@ -189,7 +189,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
 
 
 def _upright(lenses: LensGrid) -> LensGrid:
-    """Return a square upright grid of the same density over the area of the lenses."""
+    """Return an upright square grid of equal density over the area of the lenses."""
     pitch = lenses.pitch
     low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
     if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:
@@ -201,9 +201,9 @@ def _upright(lenses: LensGrid) -> LensGrid:
 
 
 def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
-    """Weights that interpolate from lenses to bins, (bins, lenses): linearly along the rows, and between two rows.
+    """Return weights (bins, lenses) that interpolate from lenses to bins: linearly along rows, and between two rows.
 
-    Lenses that would be needed beyond the grid's edge are left out, so that weights there sum to less than 1.
+    Lenses beyond the grid's edge are left out, so that weights there sum to less than 1.
     """
     rows, columns = lenses.shape
     dx, dy = (bins.centres().reshape(-1, 2) - lenses.offset).T
@@ -237,7 +237,7 @@ def _sample(
 
 
 def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
-    """Return samples of an image at whole-pixel steps about each micro-image centre.
+    """Return samples of an image at whole-pixel steps about each micro-image's centre.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """

@@ -1,9 +1,9 @@
-r"""Light fields of the Fourier light-field microscope: the picture that each lens makes is a view of the whole object.
+r"""Light fields of the Fourier light-field microscope, in which the picture under each lens is a view.
 
-The lens at c in the image of the stop gets the light that has passed the stop at :math:`-c f_T / f_F`, and shows the
-object upright in the camera frame at the scale :math:`z M / f_F`, about its own centre
-(`mitsuba_plenoptic.lenses.telecentric`). A view's pixels are those of the detector, so that nothing is interpolated but
-what lies between pixels.
+The lens at c in the image of the stop receives the light that passed the stop at :math:`-c f_T / f_F`, and shows the
+object upright in the camera frame at the scale :math:`z M / f_F`, about the lens's centre
+(`mitsuba_plenoptic.lenses.telecentric`). A view has the pixels of the detector; interpolation is only by fractions of a
+pixel.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LensViews:
-    """The lenses of a Fourier microscope whose pictures are views, on a grid of columns and rows."""
+    """The lenses of a Fourier microscope whose pictures are views, on a grid of rows and columns."""
 
     # Positions of the columns and rows on the array in millimetres, rising; (columns,).
     across: NDArray[np.float64]
@@ -46,7 +46,7 @@ class LensViews:
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
-        """Return the lenses in the image of the stop."""
+        """Return the lenses that lie in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
         refuse_if(
             abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
@@ -75,7 +75,7 @@ class LensViews:
 def decode_views(
     image: NDArray[np.float32], camera: PlenopticCamera, lens: Objective, white: NDArray[np.float32] | None
 ) -> xr.DataArray:
-    """Turn a capture of a Fourier microscope into a light field; see `decode`.
+    """Return a capture of a Fourier microscope as a light field; see `decode`.
 
     Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
     """
@@ -109,7 +109,7 @@ def decode_views(
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return the light that apertures of lenses receive, relative to an evenly lit stop."""
+    """Return the light that lens apertures receive, relative to a uniformly lit stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
@@ -138,7 +138,7 @@ def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np
 
 
 def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensViews) -> NDArray[np.float32]:
-    """Return the pictures upright, (v, u, rows, columns, channels): linear between pixels, 0 beyond the image."""
+    """Return the pictures upright, (v, u, rows, columns, channels), interpolated linearly; 0 beyond the image."""
     channels = image.shape[2]
     half = views.half
     result = np.zeros((*views.fraction.shape, 2 * half[1] + 1, 2 * half[0] + 1, channels), np.float32)

@@ -1,7 +1,7 @@
-"""Micro-images as they were recorded, lens by lens: the basis of a focused camera's depth.
+"""Micro-images as recorded, lens by lens: the basis of depth from focused cameras.
 
-A light field has square upright bins, which on other lattices are interpolated between lenses. Of a focused camera that
-destroys what its micro-images hold: detail finer than the pitch of the lenses.
+A light field has square upright bins, which on other lattices are interpolated between lenses. For a focused camera
+this destroys detail finer than the pitch of the lenses, which its micro-images hold.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .white_image import divide_by_weight
 
 @dataclass(frozen=True, eq=False)
 class MicroImages:
-    """Micro-images, sampled at steps of a pixel about each one's centre.
+    """Micro-images, sampled in steps of a pixel about each centre.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class MicroImages:
 
     @property
     def places(self) -> np.ndarray:
-        """Column and row among the bins, with fractions, of the middle of each lens, (rows, columns, 2)."""
+        """Column and row of the middle of each lens among the bins, with fractions, (rows, columns, 2)."""
         return (self.grid.centres() - self.bins.offset) / self.bins.spacing
 
 
@@ -99,7 +99,7 @@ def micro_images(
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:
-    """Return the micro-images of a light field that was decoded without interpolation between lenses."""
+    """Return the micro-images of a light field decoded without interpolation between lenses."""
     camera = camera_of(lf)
     bins = bin_grid(camera)
     refuse_if(

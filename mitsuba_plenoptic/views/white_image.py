@@ -40,7 +40,7 @@ _POINTS = 8
 
 
 class PupilFraction:
-    r"""Fraction of an endless pupil's light that each pixel gets through the camera's pupil.
+    r"""Fraction of the light from an endless pupil that each pixel receives through the camera's pupil.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
     position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
@@ -74,7 +74,7 @@ class PupilFraction:
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fraction for pixels that see (x, y) in the pupil plane through their lens's centre."""
+        """Return the fraction for pixels that see (x, y) of the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
@@ -86,7 +86,7 @@ class PupilFraction:
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
-    """Return the fraction of a unit square about (x, y) that lies within a disc of this radius about the origin."""
+    """Return the fraction of a unit square centred at (x, y) within a disc of this radius about the origin."""
     x, y = np.broadcast_arrays(x, y)
     distance = np.hypot(x, y)
     fraction = (distance < radius).astype(np.float64)
@@ -131,7 +131,7 @@ _log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
-    """Return the capture of a scene of uniform radiance 1 that a camera would record.
+    """Return the capture of a scene of uniform radiance 1, computed by rays.
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
@@ -316,7 +316,7 @@ def divide_by_weight(light: np.ndarray, weight: np.ndarray, alone: np.ndarray | 
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to light of a lens on the axis, which computed white images leave out."""
+    """Return the mean response of pixels to light of an on-axis lens, which computed white images leave out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
     # Importing this takes longer than most commands of a shell need in all.
@@ -337,7 +337,7 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
     """Return the white image of a camera with a real main lens, by rays from its pixels.
 
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
-    out over the pixels of a bin.
+    out within a bin.
     """
     types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
@@ -381,7 +381,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return the heights towards the main lens of lenses of micro-images (n, 2), relative to one on the axis."""
+        """Return the heights, towards the main lens and relative to the axis, of lenses with micro-images at (n, 2)."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)

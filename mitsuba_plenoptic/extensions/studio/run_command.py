@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic run``: the steps of a run file, those that are not finished."""
+"""``mitsuba-plenoptic run``: runs those steps of a run file that are not finished."""
 
 from __future__ import annotations
 
@@ -24,11 +24,10 @@ def run(
 ) -> None:
     """Run several commands that a file lists, and again only those whose inputs have changed.
 
-    A run file has a list of steps, each a command with its options by name,
-    and options that several steps share. [bold]--save-run[/bold] of a command
-    writes one. Files are named from the folder of the run file. What each
-    step has read and written is noted next to it, in RUN.steps.json. A run
-    that was stopped resumes where it was.
+    A run file has a list of steps, each a command with its options by name, and options that several steps share.
+    [bold]--save-run[/bold] of a command writes one. File names are relative to the folder of the run file.
+    RUN.steps.json, next to it, notes the files that each step has read and written. A run that was stopped resumes
+    where it was.
 
     [bold]Examples:[/bold]
 
@@ -98,7 +97,7 @@ def _is_by_waves(context: Any) -> bool:
 
 @contextlib.contextmanager
 def _naming_step(file: Path, number: int, step: RunStep, parameters: Mapping[str, Any]) -> Iterator[None]:
-    """Begin the line on a user's mistake with the run file and the step, and spell options as the file does."""
+    """Prefix a user's mistake with run file and step, and spell options as the file does, while the context is open."""
     try:
         yield
     except Exception as error:
@@ -114,7 +113,7 @@ def _naming_step(file: Path, number: int, step: RunStep, parameters: Mapping[str
 
 
 def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
-    """Refuse two steps that write the same file: each would undo the other."""
+    """Refuse two steps that write the same file, since each would undo the other."""
     found: dict[Path, int] = {}
     for number, step in enumerate(steps, 1):
         if "output" in step.options:
@@ -127,7 +126,7 @@ def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
 
 
 def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything that a step depends on except the files it reads; for scenes, the files they name as well."""
+    """Return everything on which a step depends, except the files it reads, but with the files that scenes name."""
     # Brings libraries that take a while to load.
     from ...report.stage_store import scene_fingerprint
 

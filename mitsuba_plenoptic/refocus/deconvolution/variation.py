@@ -1,4 +1,4 @@
-r"""Total variation of planes of bins, by which an iteration prefers even areas with sharp borders.
+r"""Total variation of planes of bins, by which an iteration prefers uniform areas with sharp borders.
 
 .. math:: \mathrm{TV}(x) = \sum \sqrt{(\Delta_1 x)^2 + (\Delta_2 x)^2 + \epsilon^2}
 
@@ -36,7 +36,7 @@ class Noise:
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Return the noise from `photons` if given, otherwise from the metadata that `expose` stored."""
+        """Return the noise for `photons`, if given, otherwise for the exposure that `expose` recorded."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
         if exposure is None:
@@ -52,14 +52,14 @@ class Noise:
 
     @property
     def shift(self) -> float:
-        """Variance of a dark pixel over the value that counts one electron."""
+        """Variance of a dark pixel divided by the value of one electron."""
         return self.dark * self.electrons
 
     def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
-        """Return the squared residual, weighted by the pixels' variances, over its expectation for noise alone.
+        """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
 
-        Pearson's statistic, of expectation 1; pixels that should be all but dark count less than it would have them,
-        since a single photon of light that the model does not know would outweigh all else.
+        This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than
+        Pearson's, since otherwise one photon of light unknown to the model would outweigh all pixels.
         """
         variance = np.maximum(model, 0) / np.float32(self.electrons) + np.float32(self.dark)
         weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
@@ -76,14 +76,14 @@ Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
 
 
 class TotalVariation:
-    """Total variation of planes."""
+    """Total variation of planes, with its gradient."""
 
     def __init__(self, differences: Sequence[Differences]) -> None:
         self._differences = differences
 
     @classmethod
     def of_cells(cls, cells: BinCells, lit: Sequence[CellSet]) -> TotalVariation:
-        """Return the total variation of bins that are grouped in the cells of each plane."""
+        """Return the total variation for bins grouped in the cells of each plane."""
         return cls([_differences(cells, some) for some in lit])
 
     @classmethod
@@ -115,7 +115,7 @@ class TotalVariation:
 
 
 def _differences(cells: BinCells, lit: CellSet) -> Differences:
-    """Return the differences of bins in cells."""
+    """Return the difference matrices of bins in cells."""
     across, down = cells.bins
     width, height = cells.bin_sizes
     index = lit.index
@@ -140,7 +140,7 @@ def _differences(cells: BinCells, lit: CellSet) -> Differences:
 
 
 def _steps(neighbours: list[tuple[NDArray[np.int64], NDArray[np.float64]]], scale: float) -> sparse.csr_matrix:
-    """Return the matrix of the steps from every bin to a mean of others; a bin that lacks one of these has none."""
+    """Return the matrix of differences from every bin to a mean of others; bins that lack one of them have none."""
     count = len(neighbours[0][0])
     bins = np.arange(count)
     whole = np.all([(number >= 0) | (share == 0) for number, share in neighbours], axis=0)
