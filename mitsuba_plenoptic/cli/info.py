@@ -70,8 +70,8 @@ def info(
 ) -> None:
     """Print what follows from a camera's parameters, and what is poor about the design.
 
-    Nothing is rendered. For a capture, how it was made is printed too. Warnings name
-    what would mend them, which --fix does.
+    Nothing is rendered. For a capture, how it was made is printed too.
+    Warnings name what would mend them, which --fix does.
 
     [bold]Examples:[/bold]
 

@@ -84,15 +84,14 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     methods = list(dict.fromkeys(one.method for one in results))
     distances = sorted({one.distance for one in results})
 
-    def panel(row: int, method: str, distance: float) -> Panel:
-        one = found.get((method, distance))
-        title = _distance(distance) if row == 0 else ""
+    def panel(method: str, distance: float) -> Panel:
+        one, title = found.get((method, distance)), _distance(distance)
         if one is None:
             return Panel(np.zeros((0, 0)), title)
         width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
         return Panel(one.image, title, width)
 
-    rows = [[panel(row, method, distance) for distance in distances] for row, method in enumerate(methods)]
+    rows = [[panel(method, distance) for distance in distances] for method in methods]
     return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
 
 
