@@ -207,7 +207,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     gap, margin = 0.26, 0.12
     wide = (_PAGE - 2 * gap - 2 * margin) / 3
     tall = wide * depth.shape[0] / depth.shape[1]
-    canvas = Canvas(_PAGE, _TITLE + tall + 0.5, _DPI)
+    canvas = Canvas(_PAGE, _TITLE + tall + 0.54, _DPI)
     unknown = "" if known.size == depth.size else "; hatched: unknown"
     parts: list[tuple[str, np.ndarray, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
