@@ -227,10 +227,9 @@ def sample_count(sensor: Any, spp: int | None) -> int:
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
     """Return the integrator of a light model; refuse integrators with extra outputs."""
     integrator = _integrator(scene, model, wave)
-    if integrator.aov_names():
-        raise InputError(
-            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
-        )
+    instead = advice(python="ground_truth(scene) returns depth and normals", shell="--aov writes depth and normals")
+    extra = ", ".join(integrator.aov_names())
+    refuse_if(extra, f"integrator: it has the extra outputs {extra}; a capture needs one without; {instead}")
     return integrator
 
 
