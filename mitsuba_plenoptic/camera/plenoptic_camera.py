@@ -338,8 +338,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Return the camera of a JSON text: an object of parameters, or of arguments of `matched`; those left out have
-        defaults.
+        """Return the camera of a JSON text: an object of parameters, or arguments of `matched`; others have defaults.
 
         The results that a calibration adds under ``calibration`` are ignored.
 

@@ -372,7 +372,7 @@ def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:
-    """Number of bins per lens that show the finest detail at a distance and no more: an `oversample` for `reconstruct`.
+    """Return the number of bins per lens that show the finest detail at a distance, for `reconstruct`.
 
     Parameters
     ----------

@@ -202,12 +202,13 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 def recorded_white(
     white: Capture | np.ndarray, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera] = ()
 ) -> np.ndarray:
-    """Return the pixels of a recorded white image, (rows, columns, channels), which can be of the capture's camera.
+    """Return the pixels of a recorded white image, (rows, columns, channels), if it fits the capture.
 
     Without a camera, or before views are sampled, a white image is checked but not yet scaled.
 
-    Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras, `lens_model` aside, and
-    an image of other pixels than `shape`, (rows, columns[, channels]), or of other channels than one or as many.
+    Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras (apart from
+    `lens_model`), and an image of another shape than `shape`, (rows, columns[, channels]), except that it may have one
+    channel.
     """
     given = white.image if isinstance(white, Capture) else as_array("white", white)
     if isinstance(white, Capture):
@@ -237,14 +238,15 @@ def scaled_white(
     camera: PlenopticCamera,
     lenses: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Divide a recorded white image by its radiance, channel by channel, and refuse one that does not fill the view.
+    """Return a recorded white image divided by its radiance, by channel; refuse one that does not fill the view.
 
     The radiance is the median of recorded over computed light among the quarter of the lenses that is nearest to the
     axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between
     microlenses with gaps.
 
-    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
-    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, divided by the computed light.
+    For wave captures this ratio is the same as for rays: lenses receive from their neighbours what they lose to them by
+    diffraction.
 
     Parameters
     ----------
@@ -301,9 +303,8 @@ def scaled_white(
 def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
     """Divide samples in place by the visible fraction of the pupil; set both to 0 where the fraction is too small.
 
-    Views keep the fraction as their weight, while reconstruction methods divide sums over bins.
-
-    So they do where a sample is not of one lens `alone`.
+    Views keep the fraction as their weight, while reconstruction methods divide sums over bins. Samples that do not
+    belong to one lens `alone` are set to 0, too.
     """
     fraction[(fraction < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
     np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)

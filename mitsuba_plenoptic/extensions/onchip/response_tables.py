@@ -339,9 +339,7 @@ class _Pupil:
 
 
 def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return two matrices from far-window to near-window samples, (near.across, far.across): one folds, one
-    interpolates.
-    """
+    """Return the two matrices, (near.across, far.across), that fold far-window samples, and interpolate near ones."""
     size = far.across - 1
 
     def interpolated(place: NDArray[np.float64]) -> NDArray[np.float64]:
