@@ -4,7 +4,8 @@ Everything goes through the command `mitsuba-plenoptic` and the files that it wr
 however different inside. Each version is an environment or the command itself. The same scenes are captured by both
 with the same seeds, and both refocus the old version's captures, so that errors do not mix. The differences of a file
 are relative to the old file: their L2 norm to its norm, and the largest of them to its largest value. Times are whole
-processes, old and new in turn; their ratios are taken pair by pair, and averaged as logarithms.
+processes, old and new in turn; their ratios are taken pair by pair, and averaged as logarithms. Processor time varies
+less than elapsed time where other work runs beside.
 
     python tools/compare_versions.py OLD NEW [--full] [-o out.md]
     python tools/compare_versions.py OLD NEW --only wave-capture coherent import [--pairs 11] [--quick]
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import resource
 import shlex
 import subprocess
 import sys
@@ -72,6 +74,8 @@ RECONSTRUCTIONS = {
 TIMES = {
     "wave-capture": "render letters -o out.exr --seed 1 --model wave -D lens_model=parabolic",
     "ray-capture": "render letters -o out.exr --seed 1 --model ray --spp 16",
+    "still-life-waves": "render still_life -o out.exr --seed 1 --model wave -D lens_model=parabolic",
+    "still-life-rays": "render still_life -o out.exr --seed 1 --model ray --spp 16",
     "coherent": "reconstruct wave.exr -o out.exr --method coherent --distance 210",
     "partial": "reconstruct wave.exr -o out.exr --method partial --interleave 2 --distance 210",
     "import": "-c 'import mitsuba_plenoptic'",
@@ -99,13 +103,13 @@ class Version:
             raise CommandError(f"{label}: {path}: there is no {COMMAND}")
         return cls(label, command)
 
-    def run(self, arguments: str, folder: Path, python: bool = False) -> tuple[float, str]:
-        """Run the command, or its environment's Python, in a folder; return the seconds and what it printed."""
+    def run(self, arguments: str, folder: Path, python: bool = False) -> tuple[float, float, str]:
+        """Run the command, or its environment's Python; return elapsed and processor seconds and what it printed."""
         # A link to the command may lie outside its environment; the Python beside it is itself a link, which stays.
         program = self.command.resolve().with_name("python") if python else self.command
         # With PYTHONPATH both versions could import the same package.
         environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-        start = time.perf_counter()
+        start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
         try:
             done = subprocess.run(
                 [program, *shlex.split(arguments)], cwd=folder, env=environment,
@@ -113,13 +117,14 @@ class Version:
             )  # fmt: skip
         except OSError as error:
             raise CommandError(f"{self.label}: {program}: {error.strerror}") from None
-        seconds = time.perf_counter() - start
+        seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+        processor = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
         shown = f"{self.label}: {program.name} {arguments}"
         if done.returncode:
             reason = (done.stderr.strip() or f"exit status {done.returncode}").splitlines()[-1]
             raise CommandError(f"{shown}: {reason}")
-        print(f"{seconds:6.2f} s  {shown}", file=sys.stderr, flush=True)
-        return seconds, done.stdout.strip()
+        print(f"{seconds:6.2f} s, processor {processor:6.2f} s  {shown}", file=sys.stderr, flush=True)
+        return seconds, processor, done.stdout.strip()
 
 
 @dataclass(frozen=True)
@@ -192,21 +197,21 @@ def compare_values(case: Case, old: Version, new: Version, work: Path) -> Iterat
 
 
 def compare_times(name: str, old: Version, new: Version, pairs: int, small: str, work: Path) -> list[str]:
-    """Time one of `TIMES` by both versions in turn; return its row's cells."""
+    """Time one of `TIMES` by both versions in turn; return its row's cells, elapsed times first."""
     if "wave.exr" in TIMES[name] and not (work / "wave.exr").exists():
         old.run(TIMES["wave-capture"].replace("out.exr", "wave.exr") + small, work)
-    command = TIMES[name] + (small if TIMES[name].startswith("render") else "")
+    command = TIMES[name] + (small if "letters" in TIMES[name] else "")
 
-    def seconds(version: Version) -> float:
-        return version.run(command, work, python=name == "import")[0]
+    def seconds(version: Version) -> tuple[float, float]:
+        return version.run(command, work, python=name == "import")[:2]
 
     # The first pair does not count: it fills the caches of files and of compiled kernels.
     times = np.array([[seconds(old), seconds(new)] for _ in range(pairs + 1)])[1:]
     logs = np.log(times[:, 1] / times[:, 0])
-    half = stats.t.ppf(0.975, pairs - 1) * logs.std(ddof=1) / math.sqrt(pairs)
-    low, middle, high = np.exp(logs.mean() + np.array([-half, 0, half]))
-    medians = (f"{median:.2f} s" for median in np.median(times, axis=0))
-    return [name, *medians, f"{middle:.3f}", f"{low:.3f} to {high:.3f}"]
+    half = stats.t.ppf(0.975, pairs - 1) * logs.std(axis=0, ddof=1) / math.sqrt(pairs)
+    low, middle, high = np.exp(logs.mean(axis=0) + np.multiply.outer([-1, 0, 1], half))
+    ratios = (cell for k in range(2) for cell in (f"{middle[k]:.3f}", f"{low[k]:.3f} to {high[k]:.3f}"))
+    return [name, *(f"{median:.2f} s" for median in np.median(times[..., 0], axis=0)), *ratios]
 
 
 def options_of(flag: str, values: tuple[object, ...]) -> str:
@@ -232,7 +237,7 @@ def compare(arguments: argparse.Namespace, work: Path) -> int:
     old, new = Version.find("old", arguments.old), Version.find("new", arguments.new)
     begin("", "command", "version")
     for version in (old, new):
-        write(version.label, str(version.command), version.run("--version", work)[1])
+        write(version.label, str(version.command), version.run("--version", work)[-1])
 
     chosen = arguments.only or [*CASES, *(TIMES if arguments.times else ())]
     status = 0
@@ -248,7 +253,7 @@ def compare(arguments: argparse.Namespace, work: Path) -> int:
             status |= verdict == "differs"
 
     if times := [name for name in TIMES if name in chosen]:
-        begin("time", "old, median", "new, median", "new / old", "its 95 % interval")
+        begin("time", "old, median", "new, median", "new / old", "95 % interval", "processor time", "95 % interval")
     small = options_of("-D", SMALL_LETTERS) if arguments.quick else ""
     for name in times:
         write(*compare_times(name, old, new, arguments.pairs, small, work))

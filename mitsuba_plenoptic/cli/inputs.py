@@ -16,7 +16,7 @@ from ..errors import InputError, naming, refuse_if, require_count, require_numbe
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
-from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
+from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -42,7 +42,7 @@ def numeric(text: str, default: str | None = None, *, unit: str = "N", panel: st
 
 
 Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene."), SCENE]
-CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), FILE]
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), RECORDING]
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
 
 Definitions = Annotated[
@@ -131,7 +131,7 @@ LightFieldSource = Annotated[
         "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or "
         ".tiff, with --white or --camera).",
     ),
-    FILE,
+    RECORDING,
 ]
 
 White = Annotated[

@@ -81,6 +81,12 @@ def _require_file(name: str, path: Path) -> None:
     refuse_if(not path.exists(), f"{path}: there is no such file")
 
 
+def _require_recording(name: str, path: Path) -> None:
+    scene = path.suffix == ".xml" if path.exists() else str(path) in scene_names()
+    refuse_if(scene, f"{path}: it is a scene: give what 'render' made of it")
+    _require_file(name, path)
+
+
 def require_camera_name(name: str, source: str) -> None:
     """Refuse a text that names no camera, that is, no preset, parameters, file or scene."""
     names = scene_names()
@@ -95,4 +101,5 @@ def require_camera_name(name: str, source: str) -> None:
 
 COUNTED, WAVELENGTH = Judged(require_count), Judged(lambda name, value: require_wavelength(value, name))
 WAVELENGTHS = Judged(_require_wavelengths)
-SCENE, CAMERA, FILE = Judged(_require_scene), Judged(require_camera_name), Judged(_require_file)
+SCENE, CAMERA = Judged(_require_scene), Judged(require_camera_name)
+FILE, RECORDING = Judged(_require_file), Judged(_require_recording)

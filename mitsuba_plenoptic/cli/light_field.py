@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ..errors import naming, refuse_if, require_choice, warn
+from ..errors import naming, refuse_if, require_suffix, warn
 from ..runtime.progress import progress_bar
-from .choices import ANIMATED, AXES, PICTURES, VIEW_METHODS
+from .choices import ANIMATED, AXES, LIGHT_FIELDS, PICTURES, VIEW_METHODS
 from .inputs import (
     CameraFile,
     Distances,
@@ -28,7 +28,7 @@ from .inputs import (
     output_option,
     require_in_sight,
 )
-from .judging import ends_in
+from .judging import ends_in, one_of
 
 
 def views(
@@ -304,6 +304,7 @@ def convert(
             help="Write a folder as those of the 4D Light Field Benchmark (HCI): a picture for each view, the "
             "geometry, and depth where ground truth is known.",
         ),
+        one_of(("hci",)),
     ] = None,
     white: White = None,
     view_count: ViewCount = None,
@@ -329,6 +330,8 @@ def convert(
 
       mitsuba-plenoptic convert folder -o lf.nc
     """
+    if layout is None:
+        require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
     from ..runtime.files import require_apart
     from ..views.light_field_files import HCI, open_light_field, require_light_field_path, save_light_field
@@ -337,7 +340,6 @@ def convert(
     if layout is None:
         require_light_field_path(output)
     else:
-        require_choice("format", layout, ("hci",))
         writer = format_of(HCI, "light field", f"format = {layout}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
     require_apart(output, source, white, truth)

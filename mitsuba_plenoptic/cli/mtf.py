@@ -11,7 +11,7 @@ import typer
 from ..errors import naming, refuse_if
 from ..refocus_options import METHODS
 from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
-from .judging import FILE, one_of
+from .judging import RECORDING, one_of
 
 if TYPE_CHECKING:
     from ..refocus import Reconstruction
@@ -23,7 +23,7 @@ def mtf(
         typer.Argument(
             metavar="CAPTURE", help="A capture, which is refocused to --distance, or a file that 'reconstruct' wrote."
         ),
-        FILE,
+        RECORDING,
     ],
     distance: Annotated[float | None, numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
     method: Annotated[

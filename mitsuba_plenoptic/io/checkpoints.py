@@ -57,30 +57,33 @@ _log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def locked(path: Path, refusal: str) -> Iterator[None]:
-    """Hold a lock file next to `path`; refuse if another process holds it.
+def locked(path: Path, refusal: str | None = None) -> Iterator[None]:
+    """Hold the lock file `path`; if another process holds it, refuse with a message, or wait without one.
 
     The system releases the lock when this process ends, however it ends. Windows and some network drives have no such
     lock; a warning tells of the latter.
     """
-    new = not path.parent.exists()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("w")
-    except OSError as error:
-        raise InputError(f"{path.parent}: {error.strerror}") from error
-    with file:
+    new, mine = not path.parent.exists(), False
+    while not mine:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("w")
+        except OSError as error:
+            raise InputError(f"{path.parent}: {error.strerror}") from error
         try:
             if sys.platform != "win32":
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if refusal else 0))
             # The process that had it may have removed the file between the two calls.
             mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
         except (BlockingIOError, FileNotFoundError):
-            mine = False
+            pass
         except OSError as error:
             mine = True
             warn(f"{path.parent}: it cannot be locked: {error.strerror}")
-        refuse_if(not mine, f"{refusal}; wait until it has ended")
+        if not mine:
+            file.close()
+            refuse_if(refusal is not None, f"{refusal}; wait until it has ended")
+    with file:
         try:
             yield
         finally:

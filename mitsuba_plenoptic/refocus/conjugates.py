@@ -157,22 +157,25 @@ class RealConjugates:
         lens = real.over_field(corner * max(fields), (min(inverse_distance), max(inverse_distance)))
         seen = behind_thin_lens(system)
         wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
+        # Pixels on each side that are not recorded.
         more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
-        return cls(_widened(seen, more), lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
+        seen = seen.replace(
+            detector_width=seen.detector_width + 2 * more * seen.pixel_size,
+            resolution=tuple(size + 2 * more for size in seen.resolution),
+            crop_offset=tuple(first + more for first in seen.crop_offset),
+            crop_size=seen.crop_size,
+        )
+        return cls(seen, lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
 
     def distance(self, distance: float) -> float:
         """Return the distance of an object plane from the thin lens of `camera`."""
         pupils = self.lens.fitted.pupils
         return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
 
-    def _inverse_distance(self, distance: float) -> float:
-        return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
-
     def _bound(self, positions: NDArray[np.float64], distance: float, which: Any = None) -> Light:
-        """Return the light of the conjugates of MLA points; points beyond the field receive no light."""
-        points = self.lens.points(
-            self.lens.within(positions), np.full(len(positions), self._inverse_distance(distance))
-        )
+        """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
+        inverse_distance = self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
+        points = self.lens.points(self.lens.within(positions), np.full(len(positions), inverse_distance))
         return self.lens.bind(points, which)
 
     def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
@@ -236,17 +239,6 @@ def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
         focal_length=1 / Pupils.of(lens).at_infinity,
         aperture_radius=lens.reach,
         mla_distance=float(lens.pupil_distance),
-    )
-
-
-def _widened(camera: PlenopticCamera, more: int) -> PlenopticCamera:
-    """Return the camera with `more` unrecorded pixels on each side."""
-    columns, rows = camera.resolution
-    return camera.replace(
-        detector_width=camera.detector_width + 2 * more * camera.pixel_size,
-        resolution=(columns + 2 * more, rows + 2 * more),
-        crop_offset=(camera.crop_offset[0] + more, camera.crop_offset[1] + more),
-        crop_size=camera.crop_size,
     )
 
 

@@ -40,11 +40,26 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
+    groups = [[distance] for distance in task.distances]
     if options["volume"]:
-        _require_different(task.distances)
-    groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
-    channels, planes = task.image.shape[2], len(task.distances)
-    work = Work.of((task.checkpoint and task.checkpoint.begin_arrays(**_inputs(task, options))) or {})
+        groups = [list(task.distances)]
+        for index, distance in enumerate(task.distances):
+            refuse_if(
+                distance in task.distances[:index],
+                f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
+            )
+    channels, planes, stored = task.image.shape[2], len(task.distances), None
+    if task.checkpoint:
+        stored = task.checkpoint.begin_arrays(
+            capture=digest(task.image),
+            camera=task.camera.to_dict(),
+            distances=list(task.distances),
+            oversample=task.oversample,
+            wavelengths=list(task.wavelengths),
+            exposure=task.exposure,
+            options=options,
+        )
+    work = Work.of(stored or {})
     count, done = channels * planes, len(work.solved)
     refuse_if(done > count or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {count}")
     works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
@@ -119,28 +134,6 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
         "resolution_limit": min(limit.frequency for limit in limits),
         "in_focus": any(limit.in_focus for limit in limits),
     }
-
-
-def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return all inputs that determine the result, by which a checkpoint recognises the same run."""
-    return {
-        "capture": digest(task.image),
-        "camera": task.camera.to_dict(),
-        "distances": list(task.distances),
-        "oversample": task.oversample,
-        "wavelengths": list(task.wavelengths),
-        "exposure": task.exposure,
-        "options": options,
-    }
-
-
-def _require_different(distances: Sequence[float]) -> None:
-    """Refuse a volume with coinciding planes, whose share of the light is undetermined."""
-    for index, distance in enumerate(distances):
-        refuse_if(
-            distance in distances[:index],
-            f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
-        )
 
 
 def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:

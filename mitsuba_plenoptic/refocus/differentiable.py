@@ -125,18 +125,15 @@ class RayRefocus:
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
-        return dr.custom(_RefocusOp, capture, self)
-
-    def _linearised(self, capture: NDArray[Any]) -> tuple[Any, Any, Any]:
-        return self.forward(capture), self.forward, self.adjoint
+        return dr.custom(_RefocusOp, capture, lambda pixels: (self.forward(pixels), self.forward, self.adjoint))
 
 
 class _RefocusOp(dr.CustomOp):
     """One use of a refocus object as a Dr.Jit operation."""
 
-    def eval(self, capture: Any, refocus: RayRefocus | CoherentRefocus) -> Any:
-        """Return the refocused capture."""
-        image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
+    def eval(self, capture: Any, linearised: Callable[[NDArray[Any]], tuple[Any, Any, Any]]) -> Any:
+        """Return the refocused capture, from a function that returns it with its jvp and its vjp."""
+        image, self._jvp, self._vjp = linearised(capture.numpy())
         self._kind = type(capture)
         return drjit_array(self._kind, image)
 
@@ -324,11 +321,7 @@ class CoherentRefocus:
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
-        return dr.custom(_RefocusOp, capture, self)
-
-    def _linearised(self, capture: NDArray[Any]) -> tuple[Any, Any, Any]:
-        at = self.at(capture)
-        return at.image, at.jvp, at.vjp
+        return dr.custom(_RefocusOp, capture, lambda pixels: ((at := self.at(pixels)).image, at.jvp, at.vjp))
 
 
 class _CoherentChannel:

@@ -322,6 +322,7 @@ class LensSet:
         )
         own, converging = self._own(which, x, y), [along_y[:, :, None], along_x[:, None, :]]
         shift = [_shift(c, axis.coordinate[:, 0], tile) for axis, c in zip(axes, centre.T, strict=True)]
+        wave_path = in_millimetres(tile.wavelength) * camera.mla_distance
         lens_type = camera.lattice.lens_type(*self._index[which].T) if len(types) > 1 else np.zeros(len(which))
         return LensBatch(
             bin=self.bin[which],
@@ -331,7 +332,8 @@ class LensSet:
             column=x.pixel[:, None, :],
             source=[*own, *converging] if len(own) == 1 else [a * b for a, b in zip(own, converging, strict=True)],
             shift=[shift[1][:, :, None], shift[0][:, None, :]],
-            tilt=[_tilt(c, tile) for c in centre.T[::-1]],
+            # Without the direction to the main lens's centre, and without its curvature.
+            tilt=[phasor((c[:, None] * tile.cell + tile.cell**2 / 2) / wave_path) for c in centre.T[::-1]],
             focal_length=types[lens_type.astype(int)],
             aperture=self._aperture,
         )
@@ -385,12 +387,6 @@ def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
     """Return the factor that shifts spectra along an axis from a lens's first pixel to the start of its cell."""
     way = centre + tile.cell[0] - first
     return phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch)))
-
-
-def _tilt(centre: np.ndarray, tile: LensTile) -> Field:
-    """Return the factor that removes, along an axis, the tilt towards the main lens's centre, and its curvature."""
-    wave_path = in_millimetres(tile.wavelength) * tile.camera.mla_distance
-    return phasor((centre[:, None] * tile.cell + tile.cell**2 / 2) / wave_path)
 
 
 def _aperture(tile: LensTile) -> np.ndarray:

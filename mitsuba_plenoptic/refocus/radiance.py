@@ -31,7 +31,7 @@ from ..optics.waves import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
 from ..runtime.limits import check_memory, single_threaded_blas
-from ..views.white_image import PupilFraction, recorded_white, scaled_white, white_image
+from ..views.white_image import PupilFraction, recorded_white, white_image
 from .conjugates import RealConjugates, ThinConjugates
 from .displacement import brought_back, displacements, is_known, rising, tilt
 from .lens_by_lens import (
@@ -99,7 +99,7 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -
             f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
             "it must be of the same wavelengths",
         )
-    scaled = scaled_white(pixels, white_pixels(capture.camera), capture.camera)
+    scaled = recorded_white(pixels, pixels.shape, [capture.camera], white_pixels(capture.camera))
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
 

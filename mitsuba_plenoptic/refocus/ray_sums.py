@@ -99,15 +99,10 @@ def ray_sums_vjp(
 ) -> np.ndarray:
     """Return the transpose of `ray_sums`, applied to bins."""
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
-    if axes is not None:
-        return _bin_image_vjp(bins, *axes, radius)
-    return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
-
-
-def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
-    """Return the transpose of `bin_image`, applied to bins."""
-    given = np.asarray(bins, np.float64)
-    pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
+    if axes is None:
+        return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
+    x, y = axes
+    pixels = np.einsum("jic,jr->ric", np.asarray(bins, np.float64), y.weights.toarray(), optimize=True)
     pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
     # In the precision in which the sums compare them.
     limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)

@@ -112,7 +112,9 @@ class Stages:
                 value = make(lambda done, total: self.notify(name, done, total))
                 entry = {"seconds": round(time.perf_counter() - start, 3)}
                 write(path, value)
-                note_step(log, settings, FilesUsed(written={path.absolute()}), **entry)
+                # Another process may make another stage meanwhile.
+                with locked(lock_of(log)):
+                    note_step(log, settings, FilesUsed(written={path.absolute()}), **entry)
         self.seconds[name] = entry["seconds"]
         self._finished(name, self.seconds[name], was_there)
         return value, step_key(settings)

@@ -22,7 +22,7 @@ from ..lenses.common import main_lens
 from ..prescription.objective import Objective
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, labelled
-from .white_image import MINIMUM_WEIGHT, divide_by_white, scaled_white
+from .white_image import MINIMUM_WEIGHT, divide_by_weight, recorded_white
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""
@@ -89,10 +89,11 @@ def decode_views(
         number = np.arange(views.fraction.size).reshape(views.fraction.shape)
         away = np.hypot(views.across, views.down[:, None])
         lenses = (np.broadcast_to(number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
-        weight = scaled_white(_sampled(white, camera, views), weight, camera, lenses)[..., 0]
-    divide_by_white(values, weight)
+        recorded = _sampled(white, camera, views)
+        weight = recorded_white(recorded, recorded.shape, [camera], weight, lenses)[..., 0]
+    weight = divide_by_weight(values, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
-    coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}
+    coordinates: dict[str, object] = {"weight": (DIMS, weight)}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
         coordinates[name] = (name, scale * positions, {"units": "mm", "long_name": f"{axis} on the stop"})
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):

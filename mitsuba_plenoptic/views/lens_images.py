@@ -19,7 +19,7 @@ from ..runtime.limits import require_memory
 from .coordinates import camera_of, grid_of, view_steps
 from .decode import checked_images, sample_lenses, view_window
 from .lens_grid import LensGrid, bin_grid, lens_grid, lens_types
-from .white_image import divide_by_white
+from .white_image import divide_by_weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +95,7 @@ def micro_images(
         f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
     )
     values, weight = sample_lenses(image, lenses, half), sample_lenses(reference, lenses, half)[..., 0]
-    divide_by_white(values, weight, alone)
-    return MicroImages(values, np.minimum(weight, 1), lenses, bin_grid(known), known)
+    return MicroImages(values, divide_by_weight(values, weight, alone), lenses, bin_grid(known), known)
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:

@@ -26,7 +26,7 @@ _LENSES = ".eslf.png"
 HCI = "parameters.cfg"
 """File in each folder of the 4D Light Field Benchmark, which belongs to an extension."""
 
-_SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
+SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
 """Of files to write; ``.mat`` belongs to an extension."""
 
 
@@ -110,7 +110,7 @@ def open_light_field(
         f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
     )
     raise InputError(
-        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(_SUFFIXES)} or .tiff, or is a "
+        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(SUFFIXES)} or .tiff, or is a "
         f"folder with {HCI}"
     )
 
@@ -184,7 +184,7 @@ def require_light_field_path(path: str | Path) -> Path:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    return require_writable(path, *_SUFFIXES)
+    return require_writable(path, *SUFFIXES)
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:

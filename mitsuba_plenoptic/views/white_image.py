@@ -1,4 +1,9 @@
-"""White images: computed by rays as the open fraction of the pupil, or recorded, checked and scaled."""
+"""White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled.
+
+Of a camera `white_image` is the one white capture by rays, and `recorded_white` the one that serves in its place. What
+a method of reconstruction makes of it is `mitsuba_plenoptic.refocus.radiance.white_sums`, its divisor.
+`mitsuba_plenoptic.design.white_mean` is a closed form, for sheets that take no capture.
+"""
 
 from __future__ import annotations
 
@@ -128,8 +133,6 @@ _log = logging.getLogger(__name__)
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
     """Return the capture of a scene of uniform radiance 1, computed by rays.
 
-    All views and all reconstruction methods use this white capture by rays.
-
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
     pupil. Behind a real main lens rays are traced from the pixels.
@@ -200,15 +203,41 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
 
 def recorded_white(
-    white: Capture | np.ndarray, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera] = ()
+    white: Capture | np.ndarray,
+    shape: tuple[int, ...],
+    cameras: Sequence[PlenopticCamera] = (),
+    computed: np.ndarray | None = None,
+    lenses: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Return the pixels of a recorded white image, (rows, columns, channels), if it fits the capture.
+    """Return a recorded white image, (rows, columns, channels), in units of its radiance if the computed one is given.
 
-    Without a camera, or before views are sampled, a white image is checked but not yet scaled.
+    The radiance of a channel is the median of recorded over computed light among the quarter of the lenses that is
+    nearest to the axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as
+    much between microlenses with gaps.
 
-    Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras (apart from
-    `lens_model`), and an image of another shape than `shape`, (rows, columns[, channels]), except that it may have one
-    channel.
+    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
+    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+
+    Parameters
+    ----------
+    white : Capture or array
+        The recorded image.
+    shape : (rows, columns[, channels])
+        Shape of the capture that it is to divide; the image has one channel or as many.
+    cameras : sequence of PlenopticCamera
+        Those by which a white `Capture` may be, `lens_model` aside; by the first one the image is scaled.
+    computed : (rows, columns) array, optional
+        `white_image` of the capture's camera. Default: the image is not scaled, as where there is no camera, or before
+        views are sampled.
+    lenses : pair of arrays, optional
+        For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
+        sample from the axis.
+
+    Raises
+    ------
+    InputError
+        If it is a mosaic of colours, has many saturated pixels, is by another camera or of another shape, or does not
+        fill the view.
     """
     given = white.image if isinstance(white, Capture) else as_array("white", white)
     if isinstance(white, Capture):
@@ -227,47 +256,18 @@ def recorded_white(
                 f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
             )
     require_pixels("white", given)
-    if given.shape[:2] != shape[:2] or given.ndim not in (2, 3) or given.shape[2:] not in ((), (1,), shape[2:]):
+    if given.shape not in (shape[:2], (*shape[:2], 1), shape):
         raise InputError(f"white of shape {given.shape}: it must have the pixels of the capture, {shape[:2]}")
-    return np.atleast_3d(given)
-
-
-def scaled_white(
-    white: np.ndarray,
-    computed: np.ndarray,
-    camera: PlenopticCamera,
-    lenses: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
-    """Return a recorded white image divided by its radiance, by channel; refuse one that does not fill the view.
-
-    The radiance is the median of recorded over computed light among the quarter of the lenses that is nearest to the
-    axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between
-    microlenses with gaps.
-
-    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, divided by the computed light.
-    For wave captures this ratio is the same as for rays: lenses receive from their neighbours what they lose to them by
-    diffraction.
-
-    Parameters
-    ----------
-    white, computed : arrays (rows, columns, channels) and (rows, columns)
-        The recorded image, and `white_image` of the camera.
-    camera : PlenopticCamera
-        The camera of both.
-    lenses : pair of arrays, optional
-        For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
-        sample from the axis.
-
-    Returns
-    -------
-    float32 array of the shape of `white`
-    """
+    image = np.atleast_3d(given)
+    if computed is None:
+        return image
     if lenses is None:
+        camera = cameras[0]
         x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
         lenses, computed = (lens_numbers(camera), np.hypot(x, y[:, None])), computed * _mean_response(camera)
     numbers, away, model = (values.ravel() for values in (*lenses, computed))
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
-    light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(white, -1, 0)], axis=-1)
+    light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
     expected = np.bincount(numbers, model)
     whole = (expected > 0) & (expected >= _WHOLE * expected.max(initial=0))
     ratio = light[whole] / expected[whole, None]
@@ -275,47 +275,44 @@ def scaled_white(
     refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
     limit = _DARKEST if least.min() < _DARKEST else _DIM
-    _require_most(
-        float(least.min()),
-        _DARKEST,
-        f"white: {np.count_nonzero(least < limit)} of {len(least)} lenses have less than {limit:g} of the light of the "
-        "brightest",
-        "it must fill the view",
-    )
+    # Where a lens's light lies: of white the common part of both images is nearly all.
+    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = image.sum(axis=-1).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[numbers]
+    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
+    for fraction, required, text in (
+        (
+            least.min(),
+            _DARKEST,
+            f"{np.count_nonzero(least < limit)} of {len(least)} lenses have less than {limit:g} of the light of the "
+            "brightest: it must fill the view",
+        ),
+        (
+            common,
+            _LEAST_COMMON,
+            f"{common:.0%} of its light is distributed over the micro-images as the camera distributes it: it must be "
+            "by this camera and fill the view of the whole pupil",
+        ),
+    ):
+        refuse_if(fraction < required, f"white: {text}")
+        if fraction < _DIM:
+            warn(f"white: {text}")
     near = radius[whole] <= np.quantile(radius[whole], _CENTRAL)
     radiance = np.median(ratio[near], axis=0)
     other = np.abs(radiance - 1) > _SAME_RADIANCE
     if other.any():
         _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
-    # Where a lens's light lies: of white the common part of both images is nearly all.
-    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
-    scaled = white.sum(axis=-1).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[numbers]
-    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
-    _require_most(
-        common,
-        _LEAST_COMMON,
-        f"white: {common:.0%} of its light is distributed over the micro-images as the camera distributes it",
-        "it must be by this camera and fill the view of the whole pupil",
-    )
-    return np.asarray(white / np.where(other, radiance, 1), np.float32)
+    return np.asarray(image / np.where(other, radiance, 1), np.float32)
 
 
-def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
-    """Divide samples in place by the visible fraction of the pupil; set both to 0 where the fraction is too small.
+def divide_by_weight(light: np.ndarray, weight: np.ndarray, alone: np.ndarray | bool = True) -> np.ndarray:
+    """Divide samples in place by their weights, the fractions of the pupil they see; return the weights, at most 1.
 
-    Views keep the fraction as their weight, while reconstruction methods divide sums over bins. Samples that do not
-    belong to one lens `alone` are set to 0, too.
+    Both are set to 0 where the weight is too small, or where a sample is not of one lens `alone`.
     """
-    fraction[(fraction < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
-    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
-    light[fraction == 0] = 0
-
-
-def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
-    """Refuse a white capture with less than a required fraction, and warn below one half."""
-    refuse_if(fraction < least, f"{text}: {rule}")
-    if fraction < _DIM:
-        warn(f"{text}: {rule}")
+    weight[(weight < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
+    np.divide(light, weight[..., None], out=light, where=weight[..., None] > 0)
+    light[weight == 0] = 0
+    return np.minimum(weight, 1)
 
 
 def _mean_response(camera: PlenopticCamera) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
 from ...errors import require_wavelength, warn
+from ...io.checkpoints import Checkpoint
 from ...views.grid_estimation import estimate_lens_grid
-from .fit_light import View, check_views
+from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
 
 
@@ -98,6 +100,7 @@ def coarse_fit(
     wavelength: float = 633.0,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> PlenopticCamera:
     """Return a camera from which `fit` converges, for a start whose lengths are some percent off.
 
@@ -120,6 +123,8 @@ def coarse_fit(
         As for `fit`, and as there by default. A parameter that ends at one is warned of.
     progress : callable, optional
         Called with the cameras that have been tried and the most that are.
+    checkpoint : Checkpoint, optional
+        Keeps the camera found with each blur, so that the same fit resumes from there after a stop.
 
     Raises
     ------
@@ -132,8 +137,14 @@ def coarse_fit(
     check_numbers(vector)
     low, high = vector.limits(bounds)
     models = RayModels(camera, given, require_wavelength(wavelength))
-    blurs = np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST)
-    found, tried = camera, 0
+    blurs = np.unique(np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST))[::-1].tolist()
+    found, tried, first = camera, 0, 0
+    if checkpoint:
+        facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": camera.to_dict()}
+        kept = checkpoint.begin_arrays(**facts, wavelength=wavelength, light_digest=light_digest(given))
+        if kept is not None:
+            x, tried = kept_numbers(kept, vector.values.shape)
+            found, first = vector.at(np.clip(x, low, high)), tried // _MOST_STEPS
 
     def count() -> None:
         nonlocal tried
@@ -141,12 +152,15 @@ def coarse_fit(
         if progress:
             progress(tried, _MOST_STEPS * len(blurs))
 
-    for blur in np.unique(blurs)[::-1].tolist():
+    for number, blur in enumerate(blurs[first:], first + 1):
         whole = blur >= _TELLS_LATTICE * camera.pixels_per_lens
         sought = np.array([not (whole and each.name in _LATTICE) for each in vector.components])
         if sought.any():
             some = vector.of(found).keep(np.array(vector.labels)[sought])
             found = _nearest(some, (low[sought], high[sought]), models, given, blur, count)
+        if checkpoint:
+            tried_in_all = np.array([number * _MOST_STEPS], np.float64)
+            checkpoint.save_arrays(partial(dict, numbers=vector.of(found).values, tried=tried_in_all))
     x = vector.of(found).values
     stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
     if stuck.any():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import astuple
 from functools import partial
 from typing import Any, Protocol
 
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
 from ...errors import (
-    InputError,
     refuse_if,
     require_accuracy,
     require_choice,
@@ -24,10 +22,9 @@ from ...errors import (
     warn,
 )
 from ...io.captures import MODELS
-from ...io.checkpoints import Checkpoint, digest
+from ...io.checkpoints import Checkpoint
 from ...light.lens_kinds import regular_array
-from ...points.pupil_weights import PupilWeights
-from .fit_light import PixelNoise, Pixels, View, by_model, check_views
+from .fit_light import PixelNoise, Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
 from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of
 
@@ -134,7 +131,7 @@ def fit(
             if label not in vector.labels
         }
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
-        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
+        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=light_digest(given)), *limits)
 
     def pixels_at(x: NDArray[np.float64]) -> Pixels:
         return Pixels.of(given, trial.expected(x), default)
@@ -232,20 +229,5 @@ class _Trials:
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:
             return start
-        x, tried = arrays.get("numbers"), arrays.get("tried")
-        if x is None or tried is None or x.shape != start.shape or tried.shape != (1,):
-            raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
-        self.count = int(tried[0])
+        x, self.count = kept_numbers(arrays, start.shape)
         return x
-
-
-def _digest(views: list[View]) -> str:
-    """Return a digest that identifies captures and their light."""
-    arrays: list[NDArray[Any] | None] = []
-    for view in views:
-        pupil = PupilWeights.of(view.pupil_weights, len(view.points))
-        noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
-        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
-        arrays += [None if view.saturation is None else np.asarray(view.saturation)]
-        arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
-    return digest(*arrays)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import mitsuba as mi
@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
 from ...io.captures import Capture, as_array, require_demosaiced, require_pixels, response_of
+from ...io.checkpoints import digest
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...light.render_capture import chosen_integrator, plenoptic_sensor
 from ...light.sampling import check_positions
 from ...light.scene_light import SceneLight
 from ...plugins.other_camera import with_camera
+from ...points.pupil_weights import PupilWeights
 from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
 from ...runtime.backend import one_at_a_time
@@ -307,3 +309,23 @@ def known_view(
     refuse_if(not len(found.positions), "scene: the camera sees nothing that shines")
     weights = found.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), found.positions)
     return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)
+
+
+def light_digest(views: list[View]) -> str:
+    """Return a digest that identifies captures and their light."""
+    arrays: list[NDArray[Any] | None] = []
+    for view in views:
+        pupil = PupilWeights.of(view.pupil_weights, len(view.points))
+        noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
+        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
+        arrays += [None if view.saturation is None else np.asarray(view.saturation)]
+        arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
+    return digest(*arrays)
+
+
+def kept_numbers(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[NDArray[np.float64], int]:
+    """Return a fit's numbers, and the count of cameras tried, from the arrays of its checkpoint."""
+    x, tried = arrays.get("numbers"), arrays.get("tried")
+    if x is None or tried is None or x.shape != shape or tried.shape != (1,):
+        raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
+    return x, int(tried[0])

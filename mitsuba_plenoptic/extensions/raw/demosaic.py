@@ -22,7 +22,7 @@ from ...errors import InputError, argument, refuse_if, require_choice, suggest_k
 from ...io.captures import EXPOSED, MOSAICS, QUAD, RECORDED, Capture, mosaic_of, recording_of
 from ...light.detector import filters
 from ...views.lens_grid import lens_numbers
-from ...views.white_image import recorded_white, scaled_white, white_image
+from ...views.white_image import recorded_white, white_image
 
 METHODS = ("micro-images", "plain")
 
@@ -114,9 +114,8 @@ def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
     """Return the white image, (rows, columns, 3), as the certainty of each pixel and channel."""
     if white is None:
         return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
-    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera])
-    if capture.camera.lens_data.is_thin:
-        image = scaled_white(image, white_image(capture.camera), capture.camera)
+    computed = white_image(capture.camera) if capture.camera.lens_data.is_thin else None
+    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera], computed)
     return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
 
 

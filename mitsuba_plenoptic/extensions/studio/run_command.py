@@ -45,8 +45,7 @@ def run(
     parameters = parameters_of(commands)
     steps = read_run_file(file, parameters)
     log = file.absolute().with_suffix(".steps.json")
-    alone = locked(lock_of(log), f"{file}: another process is running it")
-    with contextlib.chdir(file.parent), alone, resumable():
+    with contextlib.chdir(file.parent), contextlib.ExitStack() as alone, resumable():
         # All are parsed before the first is run, which may take long.
         contexts, by_waves = [], False
         for number, step in enumerate(steps, 1):
@@ -62,14 +61,21 @@ def run(
                 file,
                 VERSION,
             )
+        is_locked = False
         for number, (step, context) in enumerate(zip(steps, contexts, strict=True), 1):
             label = f"step {number} of {len(steps)}, {step.command}"
             with _naming_step(file, number, step, parameters[step.command]):
                 settings = _settings(step, parameters[step.command])
-                if finished_step(log, settings):
-                    typer.echo(f"{label}: up to date")
-                    continue
-                typer.echo(label)
+                entry = finished_step(log, settings)
+            # A run with nothing to do needs no lock, and its folder may be one that it may not write.
+            if entry is None and not is_locked:
+                alone.enter_context(locked(lock_of(log), f"{file}: another process is running it"))
+                is_locked, entry = True, finished_step(log, settings)
+            if entry is not None:
+                typer.echo(f"{label}: up to date")
+                continue
+            typer.echo(label)
+            with _naming_step(file, number, step, parameters[step.command]):
                 with context, files_used() as used:
                     commands[step.command].invoke(context)
                 note_step(log, settings, used)

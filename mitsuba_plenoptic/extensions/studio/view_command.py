@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ...cli.inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
-from ...cli.judging import ends_in
+from ...cli.judging import RECORDING, ends_in
 from ...errors import refuse_if
 from ...runtime.progress import progress_bar
 
@@ -21,6 +21,7 @@ def view(
             help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
             "reconstructions, a depth map.",
         ),
+        RECORDING,
     ],
     output: Annotated[
         Path | None,

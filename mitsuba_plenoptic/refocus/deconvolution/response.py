@@ -9,7 +9,7 @@ import contextlib
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from ...points.units import radiance_weight
 from ...runtime.backend import backend
 from ...runtime.batches import Box, Job, Part
 from .cells import BinCells, bins_matrix, to_bins
-from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
+from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation
 
 _ACCURACY = 0.01
@@ -254,17 +254,13 @@ class Response(StoredResponse):
         self.planes: list[PlaneResponse] = []
         for distance in distances:
             kernels = self._kernels(distance, asked, job, len(self.planes) * len(asked) * bins, total)
-            kernels = self._on_disk(kernels) * (len(groups) // len(kernels))
+            matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
+            stored = iter(self._stored(matrices, f"{len(self.planes)}"))
+            kernels = [
+                Kernel(kernel.steps, [replace(block, matrix=next(stored)) for block in kernel.blocks])
+                for kernel in kernels
+            ] * (len(groups) // len(kernels))
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
-
-    def _on_disk(self, kernels: list[Kernel]) -> list[Kernel]:
-        """Return kernels whose matrices are read from the folder, or unchanged without a folder."""
-        matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
-        stored = iter(self._stored(matrices, f"{len(self.planes)}"))
-        return [
-            Kernel(kernel.steps, [SampleBlock(b.rows, b.columns, b.steps, next(stored)) for b in kernel.blocks])
-            for kernel in kernels
-        ]
 
     def _kernels(
         self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
@@ -315,12 +311,14 @@ class Response(StoredResponse):
         camera, grid = self.cells.camera, self.cells.grid
         samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
         across, down = (samples / size + 2 for size in self.cells.size)
-        return float(4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * _period(camera))
+        return float(
+            4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths)
+        )
 
     def _require_memory(self, groups: int) -> None:
         def memory(oversample: int) -> float:
             each = [self._kernel_memory(distance, oversample) for distance in self._distances]
-            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(each)
+            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(each) if self._folder else sum(each))
             return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
@@ -370,8 +368,3 @@ def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
     without = camera.mla_medium == 1 and not any(camera.wavefront)
     by_rays = wavelength is None and camera.lens_model == "ideal" and without
     return by_rays or not camera.lens_data.converges
-
-
-def _period(camera: PlenopticCamera) -> int:
-    """Return the number of lenses in a cell."""
-    return len(camera.mla_focal_lengths)

@@ -115,11 +115,15 @@ def richardson_lucy(
         state = State(start, start)
     scale = float(np.linalg.norm(image))
     while True:
-        point = _start(state) if accelerate else state.found
+        point = state.found
+        if accelerate and state.momentum:
+            along = np.float32(state.momentum / (state.momentum + 3))
+            point = [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
         model = response.forward(point)
         if misfit is not None:
             state.misfits = [*state.misfits[-_SPAN:], misfit(image, model)]
-        stopped = _explained(state.misfits)
+        above = [value - 1 for value in state.misfits[-1 - _SPAN :]]
+        stopped = above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
         if stopped or state.done == iterations:
             break
         new = step.scaled(point, response.adjoint(step.ratio(model)))
@@ -127,8 +131,11 @@ def richardson_lucy(
             slopes = penalty[0].gradient(point, step.inside)
             new = [part / (1 + np.float32(penalty[1]) * slope) for part, slope in zip(new, slopes, strict=True)]
         if accelerate:
-            against = _dot(new, point, new, state.found) < 0
-            state.momentum = 0 if against else state.momentum + 1
+            along_way = sum(
+                float(np.vdot(part - start, part - last))
+                for part, start, last in zip(new, point, state.found, strict=True)
+            )
+            state.momentum = 0 if along_way < 0 else state.momentum + 1
         state.last, state.found = state.found, new
         state.done += 1
         if keep:
@@ -175,25 +182,6 @@ class RichardsonLucyStep:
         """Return bins multiplied by the adjoint of a ratio, divided by the bins' light."""
         parts = zip(point, back, self.weight, strict=True)
         return [z * np.maximum(part, 0) * gain for z, part, gain in parts]
-
-
-def _explained(misfits: list[float]) -> bool:
-    """Return whether the residual is as small as noise, or hardly decreases any more."""
-    above = [value - 1 for value in misfits[-1 - _SPAN :]]
-    return above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
-
-
-def _start(state: State) -> Values:
-    """Return the start point of the next step, extrapolated along the last step and nowhere negative."""
-    if state.momentum == 0:
-        return state.found
-    along = np.float32(state.momentum / (state.momentum + 3))
-    return [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
-
-
-def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
-    """Return the scalar product (a - b) . (c - d), summed over planes."""
-    return sum(float(np.vdot(w - x, y - z)) for w, x, y, z in zip(a, b, c, d, strict=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ over the shorter side, so that the gradient is at most :math:`2 + \sqrt 2`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -38,11 +39,9 @@ class Noise:
         """Return the noise for `photons`, if given, otherwise for the exposure that `expose` recorded."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
-        return None if exposure is None else cls._exposed(exposure)
-
-    @classmethod
-    def _exposed(cls, exposure: Any) -> Noise:
-        """Return a detector's noise from its exposure record (EMVA 1288, Release 4.0 Linear)."""
+        if exposure is None:
+            return None
+        # EMVA 1288, Release 4.0 Linear, equation for the digital number.
         with refusing("exposure of the capture: it is not one that 'expose' writes:", KeyError, TypeError):
             photons = exposure["photons"]
             detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
@@ -89,37 +88,30 @@ class TotalVariation:
 
     @classmethod
     def of_grids(cls, shapes: Sequence[tuple[int, int]]) -> TotalVariation:
-        """Return the total variation for planes of upright square bins, (rows, columns)."""
-        known = {shape: _grid_differences(shape) for shape in set(shapes)}
+        """Return the total variation of planes of upright square bins, (rows, columns)."""
+        known = {}
+        for shape in set(shapes):
+            number = np.arange(math.prod(shape)).reshape(shape)
+            right, below = np.full(shape, -1), np.full(shape, -1)
+            right[:, :-1], below[:-1] = number[:, 1:], number[1:]
+            whole = np.ones(number.size)
+            known[shape] = _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
         return cls([known[shape] for shape in shapes])
 
     def gradient(
         self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
     ) -> list[NDArray[np.float32]]:
         """Return the dimensionless gradient, one value for each bin."""
-        return [
-            _gradient(steps, part, mask) for steps, part, mask in zip(self._differences, values, inside, strict=True)
-        ]
-
-
-def _gradient(differences: Differences, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    flat, beyond = values.ravel(), (~inside.ravel()).astype(np.float32)
-    # Steps to bins that are not inside do not count.
-    steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
-    even = _SMOOTH * float(values[inside].mean()) if inside.any() else 0.0
-    length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
-    found = sum(matrix.T @ (step / length) for matrix, step in zip(differences, steps, strict=True))
-    return np.asarray(found, np.float32).reshape(values.shape)
-
-
-def _grid_differences(shape: tuple[int, int]) -> Differences:
-    """Return the difference matrices of upright square bins."""
-    rows, columns = shape
-    number = np.arange(rows * columns).reshape(shape)
-    right, below = np.full(shape, -1), np.full(shape, -1)
-    right[:, :-1], below[:-1] = number[:, 1:], number[1:]
-    whole = np.ones(rows * columns)
-    return _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
+        slopes = []
+        for differences, part, mask in zip(self._differences, values, inside, strict=True):
+            flat, beyond = part.ravel(), (~mask.ravel()).astype(np.float32)
+            # Steps to bins that are not inside do not count.
+            steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
+            even = _SMOOTH * float(part[mask].mean()) if mask.any() else 0.0
+            length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
+            slope = sum(matrix.T @ (step / length) for matrix, step in zip(differences, steps, strict=True))
+            slopes.append(np.asarray(slope, np.float32).reshape(part.shape))
+        return slopes
 
 
 def _differences(cells: BinCells, lit: CellSet) -> Differences:
