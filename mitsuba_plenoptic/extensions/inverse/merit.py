@@ -78,11 +78,24 @@ class RefocusedContrast:
 
     .. math:: \frac{1}{n m} \sum_{r, \nu} \frac{|\sum_j b_{rj} \, e^{-2 \pi i \nu \cdot x_j}|}{\sum_j b_{rj}}
 
-    with the bins b of each point r, refocused to its own distance, and frequencies :math:`\nu` along x and along y.
-    Refocusing is that of one camera, and held.
-
     with the bins b of each point r, refocused to its distance, and frequencies :math:`\nu` along x and along y. The
     refocusing of one camera is used for all.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera whose refocusing is used. Others may differ from it in ``mla_focal_length``, ``mla_fill`` and
+        ``wavefront``.
+    points : array (n, 3)
+        Scene points (X, Y, g) in the camera frame, in millimetres.
+    frequencies : sequence of float
+        In line pairs per bin of one lens, at most half of `oversample`.
+    wavelength : float
+        In nanometres.
+    oversample : int
+        Bins per lens along each axis.
+    accuracy, method
+        As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
 
     Raises
     ------
