@@ -338,9 +338,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Return the camera of a JSON text: an object of parameters, or arguments of `matched`; others have defaults.
+        """Return the camera of a JSON text, an object of parameters or of arguments of `matched`.
 
-        The results that a calibration adds under ``calibration`` are ignored.
+        Parameters that are left out have their defaults. What a calibration adds under ``calibration`` is ignored.
 
         Parameters
         ----------

@@ -372,7 +372,7 @@ def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:
-    """Return the number of bins per lens that show the finest detail at a distance, for `reconstruct`.
+    """Return the least bins per lens that show the finest detail at a distance: an `oversample` for `reconstruct`.
 
     Parameters
     ----------

@@ -89,9 +89,9 @@ class RefocusedContrast:
     points : array (n, 3)
         Scene points (X, Y, g) in the camera frame, in millimetres.
     frequencies : sequence of float
-        In line pairs per bin of one lens, at most half of `oversample`.
+        Spatial frequencies in line pairs per bin of one lens, at most half of `oversample`.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     oversample : int
         Bins per lens along each axis.
     accuracy, method

@@ -339,7 +339,7 @@ class _Pupil:
 
 
 def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the two matrices, (near.across, far.across), that fold far-window samples, and interpolate near ones."""
+    """Return the matrices that fold and that interpolate far-window samples to near ones, (near.across, far.across)."""
     size = far.across - 1
 
     def interpolated(place: NDArray[np.float64]) -> NDArray[np.float64]:
