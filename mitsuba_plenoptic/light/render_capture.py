@@ -42,6 +42,9 @@ each need 0.25 GiB in addition to the film."""
 _SAMPLES_PER_PASS = 2**14
 """Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
 
+_SOFTWARE = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
+"""Packages whose versions captures state."""
+
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
 """Parameters that captures hand on to the integrators."""
 
@@ -131,7 +134,16 @@ def render_capture(
     _require_film_memory(camera, spp)
     # Two sensors with the same camera must not share a checkpoint.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp, **which)
+    metadata: dict[str, Any] = {
+        "scene": scene.id(),
+        "variant": mi.variant(),
+        "integrator": getattr(integrator, "child", integrator).class_name(),
+        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
+        "software": {name: importlib.metadata.version(name) for name in _SOFTWARE},
+        "seed": seed,
+        "spp": spp,
+        **which,
+    }
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
@@ -225,39 +237,33 @@ def sample_count(sensor: Any, spp: int | None) -> int:
 
 
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the integrator for a model; refuse one with extra outputs."""
-    integrator = _integrator(scene, model, wave)
-    if integrator.aov_names():
-        raise InputError(
-            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
-        )
-    return integrator
+    """Return the scene's integrator, wrapped in a wave integrator or extracted from one as the model requires.
 
-
-def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped in a wave integrator or extracted from one as the model requires."""
+    One with extra outputs is refused.
+    """
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")
     if model is not None:
         require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
-    if not is_wave and model != "wave":
-        refuse_by_rays(**wave)
-        return integrator
-    if model == "ray":
-        refuse_by_rays(**wave)
-        return integrator.child
-    if is_wave and not wave:
-        return integrator
-    own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
-    # None means not given; Mitsuba's loader would end the process on it.
-    wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
-    try:
-        return mi.load_dict({**own, **wave, "child": child})
-    except RuntimeError as error:
-        raise InputError(mitsuba_sentence(error)) from None
+    if model == "ray" or (model is None and not is_wave):
+        refuse_by_rays(**wave)
+        integrator = child
+    elif wave or not is_wave:
+        own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
+        # None means not given; Mitsuba's loader would end the process on it.
+        wave = {name: value for name, value in wave.items() if value is not None}
+        try:
+            integrator = mi.load_dict({**own, **wave, "child": child})
+        except RuntimeError as error:
+            raise InputError(mitsuba_sentence(error)) from None
+    if integrator.aov_names():
+        raise InputError(
+            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
+        )
+    return integrator
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
@@ -292,19 +298,6 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
         # Light of one wavelength fills all channels of a colour film.
         deviation = np.repeat(deviation, channels, axis=2)
     return image, deviation
-
-
-def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
-    """Return the metadata that states how a capture was made."""
-    packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
-    return {
-        "scene": scene.id(),
-        "variant": mi.variant(),
-        "integrator": getattr(integrator, "child", integrator).class_name(),
-        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
-        "software": {name: importlib.metadata.version(name) for name in packages},
-        **settings,
-    }
 
 
 _RAYS = 2**20
@@ -366,13 +359,8 @@ def estimate_capture(
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    rate = _rays_per_second(scene, sensor, integrator, camera.shape, spp, seed)
-    return Cost(0, 0, float(camera.shape[0]) * camera.shape[1] * spp / rate, film_memory(camera, spp))
-
-
-def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Return rays per second, timed with evenly spaced rows of pixels in the order in which Mitsuba traces them."""
-    rows, columns = shape
+    # Rays of evenly spaced rows of pixels are timed, in the order in which Mitsuba traces them.
+    rows, columns = camera.shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))
     count = lines * columns * together
@@ -399,7 +387,7 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
     while seconds < _SECONDS:
         seconds += trace()
         passes += 1
-    return passes * count / seconds
+    return Cost(0, 0, float(rows) * columns * spp * seconds / (passes * count), film_memory(camera, spp))
 
 
 def _render_passes(
