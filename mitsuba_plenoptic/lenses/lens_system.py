@@ -76,7 +76,6 @@ class LensSystem(FiniteDistance):
         Raises
         ------
         InputError
-            If it has none.
             If the camera has no prescription.
         """
         if camera.prescription is None:

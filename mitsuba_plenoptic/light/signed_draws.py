@@ -304,7 +304,13 @@ class Draws:
         x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)
         if self.by_points:
-            point, aside = lattice.aperture_point(*random[:2]), self._diffracted(pixel, sample, seed)
+            # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
+            first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
+            energy = first * (_AIRY - 1)
+            low = mi.UInt32(energy)
+            ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
+            radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
+            point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
             weight = dr.ones(mi.Float, dr.width(sample))
             turn = dr.gather(mi.Float, self._turns, aims.kind)
             pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
@@ -328,15 +334,6 @@ class Draws:
         x, y = self._within(drawn.point)
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height
-
-    def _diffracted(self, pixel: Any, sample: Any, seed: Any) -> Pair:
-        """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""
-        first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
-        place = first * (_AIRY - 1)
-        low = mi.UInt32(place)
-        v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)
-        y, x = dr.sincos(2 * math.pi * second)
-        return v * x, v * y
 
     @cached_property
     def _airy(self) -> Any:
