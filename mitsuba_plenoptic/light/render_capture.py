@@ -19,7 +19,7 @@ from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap, Job
-from ..runtime.limits import largest_fitting, require_memory
+from ..runtime.limits import require_memory_for
 from .cost import Cost
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
@@ -131,7 +131,13 @@ def render_capture(
     if hasattr(integrator, "wavelengths"):
         spectrum = integrator.spectrum_of(scene, chosen)
         wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
-    _require_film_memory(camera, spp)
+    rows, columns = camera.shape
+    require_memory_for(
+        lambda width: film_memory(camera, spp, width),
+        columns,
+        f"capture of {columns} x {rows} pixels",
+        lambda width: f"{width} x {max(1, round(width * rows / columns))} pixels",
+    )
     # Two sensors with the same camera must not share a checkpoint.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
     metadata: dict[str, Any] = {
@@ -272,20 +278,6 @@ def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
     return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
-
-
-def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
-    """Refuse a film too large to render, before Mitsuba allocates it."""
-    rows, columns = camera.shape
-
-    def memory(width: int) -> float:
-        return film_memory(camera, spp, width)
-
-    def fitting(limit: float) -> str | None:
-        width = largest_fitting(memory, limit, columns)
-        return f"{width} x {max(1, round(width * rows / columns))} pixels" if width else None
-
-    require_memory(memory(columns), f"capture of {columns} x {rows} pixels", fitting)
 
 
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:

@@ -196,7 +196,9 @@ class Draws:
         camera = self._camera
         # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
-        return camera.lattice.neighbours(self._seen(self.widest) + beyond)
+        # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
+        apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
+        return camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
 
     def lights(self, aims: Aims) -> Any:
         """Return whether light through the lenses can reach the pixels."""
@@ -207,12 +209,6 @@ class Draws:
     def lit_lenses(self) -> float:
         """Return the mean count of lenses that light a pixel, counted in the middle of the detector."""
         return _lit_lenses(self._camera, self._longest, self._parts)
-
-    def _seen(self, radius: float) -> float:
-        """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
-        camera = self._camera
-        farthest = radius * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
-        return farthest * max(self.enlargements)
 
     @property
     def _step(self) -> float:
@@ -323,15 +319,11 @@ class Draws:
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
 
-    def _within(self, point: Pair) -> Pair:
-        """Return the nearest points on a lens."""
-        lattice = self._camera.lattice
-        (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
-        return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
-
     def crossed(self, drawn: Drawn) -> Pair:
         """Return the sideways path of light in the medium, and its depth, from the nearest points of lenses."""
-        x, y = self._within(drawn.point)
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*drawn.point), lattice.aperture_widths
+        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height
 

@@ -46,7 +46,10 @@ class PlaneWaves:
         low, high = first.min(0), first.max(0) + _WIDTH
         self._low, self._shape = low, (int(high[1] - low[1]), int(high[0] - low[0]))
         steps = np.arange(_WIDTH)
-        weights = [_bessel(place[:, axis, None] - (first[:, axis, None] + steps)) for axis in (0, 1)]
+        distances = (place[:, axis, None] - (first[:, axis, None] + steps) for axis in (0, 1))
+        inside = (np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2)) for distance in distances)
+        i0 = scipy.special.i0
+        weights = [(i0(_SHAPE * root) / i0(_SHAPE)).astype(np.float32) for root in inside]
         index = [first[:, axis, None] - low[axis] + steps for axis in (0, 1)]
         values = weights[1][:, :, None] * weights[0][:, None, :]
         columns = index[1][:, :, None] * self._shape[1] + index[0][:, None, :]
@@ -58,7 +61,7 @@ class PlaneWaves:
         order = np.arange(count) - count // 2
         # The Fourier transform of the Kaiser-Bessel function.
         root = np.sqrt(_SHAPE**2 - (math.pi * _WIDTH * (order / self._length)) ** 2)
-        self._correction = (1 / (_WIDTH * np.sinh(root) / root / scipy.special.i0(_SHAPE))).astype(np.float32)
+        self._correction = (1 / (_WIDTH * np.sinh(root) / root / i0(_SHAPE))).astype(np.float32)
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
@@ -115,9 +118,3 @@ def _embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> 
     padded = np.zeros(shape, np.complex64)
     padded[(slice(None),) * axis + (index % size,)] = values
     return padded
-
-
-def _bessel(distance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the Kaiser-Bessel function at distances in samples of the fine grid."""
-    inside = np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2))
-    return (scipy.special.i0(_SHAPE * inside) / scipy.special.i0(_SHAPE)).astype(np.float32)
