@@ -372,7 +372,10 @@ class SignedRaySum:
                 require_light(radiance)
             known, lit = known_means(radiance, counted, count, self._together)
             for number, own in zip(nodes, kept, strict=True):
-                sums.append(self._bring(lot, own, radiance, known, lit, number, lanes))
+                used, weights = self._nodes[number].mixture(lanes)
+                lights, means = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
+                weights = weights if lanes is None else self._spread(weights)
+                sums.append(self._bring(lot, own, lights, means, weights, lit, number))
         cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
         return Brought(sums, cosines)
@@ -413,18 +416,16 @@ class SignedRaySum:
         kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
+        weights: Sequence[Any],
         lit: Any,
         number: int,
-        lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, the mean coefficients of the rays of each cell."""
-        (first, start), (places, weight) = self._first(lot.pixels), kept
+        """Return, for each image of a node, the mean coefficients of the rays of each cell.
+
+        `weights` mix the radiances of rays, and their known means in cells, for each image.
+        """
         # Computed before the recorded loop, so as not to become a part of it.
-        node, coefficients = self._nodes[number], self._coefficients[number]
-        used, weights = node.mixture(lanes)
-        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
-        if lanes is not None:
-            weights = self._spread(weights)
+        (first, start), (places, weight), coefficients = self._first(lot.pixels), kept, self._coefficients[number]
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
