@@ -1,4 +1,4 @@
-"""Focusing a real main lens by moving a group of its elements, with the array where it is."""
+"""Focusing a real main lens by moving a group of its elements, while the array stays."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
         return replace(lens, surfaces=tuple(surfaces))
 
     def behind(shift: float) -> tuple[float, float]:
-        """Return focal length and distance from the rear principal plane to the array."""
+        """Return focal length and distance from the rear principal plane to the array, for a shift of the group."""
         figures = paraxial(moved(shift))
         end = before.length + (shift if last == len(lens.surfaces) - 1 else 0.0)
         return figures.focal_length, array - end - figures.rear_principal

@@ -1,4 +1,4 @@
-"""Extent of a scene point's light in a camera, and the sampling and window that its field needs.
+"""Extent of a scene point's light in a camera, and the sampling and window that the light's field needs.
 
 Directions are given as direction cosines, as in the angular spectrum.
 """
@@ -62,9 +62,9 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return points (n, m, 2) with points of the rim, the last ones, and blocked points moved inwards to open places.
+    """Return points (n, m, 2) with blocked points moved inwards to open places; the last ones are points of the rim.
 
-    Rim points move towards the mean of the open points, and other blocked points to it.
+    Rim points move towards the mean of the open points; other blocked points move to this mean.
     """
     if not is_open.any(1).all():
         # The beam is narrow and passes between these points.

@@ -89,7 +89,7 @@ def _check(
 
 
 def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
-    """Return the defaults of a scene's parameters, of several of one name the first, which Mitsuba uses."""
+    """Return the defaults of a scene's parameters; of several with one name the first, as in Mitsuba."""
     found: dict[str, str] = {}
     for root in roots:
         for each in root.iter("default"):
@@ -137,7 +137,7 @@ def _filled(text: str, values: Mapping[str, str]) -> str:
 
 
 def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
-    """Yield the files of any kind that have a name in the folders."""
+    """Yield existing files, of any kind, with a given name in the folders."""
     if not name or "\0" in name:
         return
     for folder in dict.fromkeys(folders):
@@ -150,7 +150,7 @@ def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
 
 
 def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a file that may never end, or whose header claims more data than exist or fit into memory."""
+    """Refuse a resource file that may never end, or whose header claims more data than exist or fit into memory."""
     status = file.stat()
     refuse_if(
         not stat.S_ISREG(status.st_mode),
@@ -198,7 +198,7 @@ KNOWN_PARAMETERS = {
 
 
 def unknown_parameter(plugin: str, name: str) -> str:
-    """Return the message on a parameter that a plugin does not have, with the one that was probably meant."""
+    """Return the message on a parameter that a plugin does not have, with the most similar known one."""
     return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
 
 
@@ -378,11 +378,11 @@ _LENGTHS = {"near_clip": 1e-2, "far_clip": 1e4, "focus_distance": None, "apertur
 
 
 def scale_nodes(nodes: Any, factor: float) -> None:
-    """Multiply the lengths of a parsed scene by a factor; refuse what would change its look, by name.
+    """Multiply the lengths of a parsed scene by a factor; refuse by name what would change the scene's look.
 
-    Radiance stays, so that surfaces and skies look the same. Lamps at points send `factor` squared as much, and media
-    are as many times thinner as paths through them get longer. A plenoptic camera is moved and keeps its own lengths,
-    which are millimetres in every scene.
+    Radiance stays, so that surfaces and skies look the same. The intensity of point lamps grows with the square of
+    `factor`, and media become thinner as paths through them get longer. A plenoptic camera is moved and keeps its
+    lengths, which are millimetres in every scene.
     """
     # Objects of the active variant that have lengths or may hold some that do.
     made = (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)

@@ -34,7 +34,7 @@ class PupilWeights:
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
-        """Return the pupil weights of `count` points, None if all points see the whole pupil alike.
+        """Return the pupil weights of `count` points, None if the whole pupil is open to all points alike.
 
         The weights have the shape (points, m, m): relative power, or booleans for the visible part. None means uniform
         power.
@@ -74,14 +74,14 @@ class PupilWeights:
         return replace(self, table=self.table[used], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
-        """Return for each point whether any light passes its pupil."""
+        """Return, for each point, whether any light passes the pupil."""
         return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
-        """Return the weights, and their square roots, averaged over samples of the pupil.
+        """Return the weights, and their square roots, averaged over each sample of the pupil.
 
-        The steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider than a
-        cell are treated as one cell wide.
+        Otherwise the steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider
+        than a cell are treated as one cell wide.
         """
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)

@@ -1,4 +1,4 @@
-"""Point spreads one by one, in the pixels that each of them reaches."""
+"""Point spreads one by one, each in the pixels that it reaches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TOGETHER_BYTES = 2**26
 
 @dataclass(frozen=True)
 class Spread:
-    """The point spread that some points share, in the pixels of a window of the image."""
+    """A point spread shared by some points, in the pixels of a window of the image."""
 
     points: NDArray[np.int64]
     window: tuple[slice, slice]
@@ -78,7 +78,7 @@ class PatchSpreads(PatchPlan):
             guards.check(guards.PATCH, loss)
 
     def _recorded(self, pattern: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Recorder]]:
-        """Yield the points, the shift and the pixels of each copy of a pattern that reaches any."""
+        """Yield points, shift and pixels of each copy of a pattern that reaches recorded pixels."""
         members = slice(self._first[pattern], self._last[pattern])
         shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
         for index, shift in enumerate(shifts):

@@ -27,8 +27,8 @@ class StoredOperator(CaptureOperator):
     """`CaptureOperator` that computes its point spreads once and stores them, one set per wavelength.
 
     `forward` and `adjoint` are then products with a sparse matrix, for any number of columns of weights or channels of
-    an image. Spreads are computed at the first product, by the executor of its `job`; checkpoints are not written. The
-    derivatives by the camera's parameters compute their fields anew, as those of `CaptureOperator` do.
+    an image. Point spreads are computed at the first product, by the executor of its `job`; checkpoints are not
+    written. Derivatives by camera parameters compute the fields anew, as in `CaptureOperator`.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class StoredOperator(CaptureOperator):
 
     @one_at_a_time
     def to_dense(self, *, job: Job | None = None) -> NDArray[Any]:
-        """Return the operator as an array between flat arrays.
+        """Return the operator as a dense matrix between flat arrays.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class StoredOperator(CaptureOperator):
         return self._matrices
 
     def _matrix(self, spreads: Any) -> Any:
-        """Collect spreads as the columns of a matrix (pixels, n)."""
+        """Return a matrix (pixels, n) with point spreads as its columns."""
         index = np.arange(math.prod(self.camera.shape), dtype=np.int32).reshape(self.camera.shape)
         empty = np.zeros(0, np.int32), np.zeros(0, self._dtype)
         columns = [empty] * len(self.points)
