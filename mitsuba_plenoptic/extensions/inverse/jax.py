@@ -62,7 +62,7 @@ def capture(
     parameters: Mapping[str, Any],
     weights: Any,
 ) -> Any:
-    """Return captures of points by a camera, differentiable once with respect to given parameters and to the weights."""
+    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights."""
     function = _latest(CameraCapture(make, camera, tuple(parameters)))
     values = (_required(name, value) for name, value in parameters.items())
     return _smooth.bind(_required("weights", weights), *values, function=function)

@@ -63,7 +63,7 @@ def capture(
     parameters: Mapping[str, torch.Tensor],
     weights: torch.Tensor,
 ) -> torch.Tensor:
-    """Return captures of points by a camera, differentiable once with respect to given parameters and to the weights."""
+    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights."""
     values = map(_required, parameters.values())
     return _Smooth.apply(_latest(CameraCapture(make, camera, tuple(parameters))), _required(weights), *values)
 
