@@ -111,7 +111,8 @@ def render(
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
     the camera and how it was made. A long wave capture keeps a checkpoint
-    next to the output, from which the same command continues after Ctrl-C or a crash.
+    next to the output, from which the same command continues after Ctrl-C or a
+    crash.
 
     [bold]Examples:[/bold]
 
@@ -281,7 +282,7 @@ def expose(
 
 
 def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
-    """Return a sentence about the time of a capture, and the change that shortens it at least cost."""
+    """Return a sentence that states the time of a capture, and the cheapest change that shortens it."""
     from ..light.render_capture import plenoptic_sensor
 
     if (method or getattr(scene.integrator(), "method", "")) == "points":

@@ -9,6 +9,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import COMMANDS
 from mitsuba_plenoptic.refocus import Volume, methods, write_volume
 from mitsuba_plenoptic.refocus_options import METHODS
+from mitsuba_plenoptic.views.light_field_files import save_light_field
 
 CAMERA = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 IMAGE = np.ones((64, 64), np.float32)
@@ -40,6 +41,10 @@ SUFFIXES = {
     "raw pictures": (
         lambda: mp.write_raw("a.jpg", mp.expose(mp.Capture(IMAGE, CAMERA), mp.Detector(), photons=100)),
         "expose {raw} -o a.jpg --photons 9",
+    ),
+    "light fields": (
+        lambda: save_light_field("a.jpg", mp.decode(IMAGE, camera=CAMERA)),
+        "convert {raw} -o a.jpg",
     ),
     "volumes": (
         lambda: write_volume("a.jpg", Volume(IMAGE[None], (240.0,), 0.1)),

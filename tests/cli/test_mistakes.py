@@ -69,6 +69,7 @@ def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, ru
         <default name="base" value="3"/><default name="size" value="$base"/><default name="of_part" value="$base"/>
         <default name="only" value="4"/><default name="width" value="$only"/><default name="spp" value="2"/>
         <!-- <float name="radius" value="$only"/> -->
+        <integrator type="path"/><emitter type="constant"/>
         <sensor type="plenoptic">
             <float name="detector_width" value="$width"/>
             <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from importlib.metadata import version
 from pathlib import Path
 
@@ -107,6 +109,23 @@ def test_a_file_that_another_process_runs_is_refused(folder, complaint):
     assert not log.exists()
 
 
+def test_a_finished_run_needs_no_folder_that_it_may_write(folder, fresh, monkeypatch):
+    assert fresh() == [1, 2, 3]
+    opened = Path.open
+
+    def denied(path, mode="r", *given, **options):
+        if "w" in mode:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return opened(path, mode, *given, **options)
+
+    monkeypatch.setattr(Path, "open", denied)
+    folder.chmod(0o555)  # for all but the superuser
+    try:
+        assert fresh() == []
+    finally:
+        folder.chmod(0o755)
+
+
 def test_save_run_repeats_a_command(raw, tmp_path, run):
     here, file = tmp_path / "results", tmp_path / "run.yaml"
     here.mkdir()
@@ -137,11 +156,11 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
     (tmp_path / "letters").mkdir()
     (tmp_path / "ray").write_text("")
     words = ["--spp", 1, "-D", "resolution=64", "--model", "ray"]
-    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml")
+    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml", "--quiet")
     run("views", "raw.exr", "-o", "views.png", "--count", 1, "--save-run", "runs/run.yaml")
     text = (tmp_path / "runs" / "run.yaml").read_text()
     assert "scene: letters" in text and "source: ../raw.exr" in text and "define: [resolution=64]" in text
-    assert "model: ray\n" in text
+    assert "model: ray\n" in text and "quiet" not in text
     before = read_capture("small.exr")
     (tmp_path / "small.exr").unlink()
     run("run", "runs/run.yaml")
