@@ -62,7 +62,8 @@ def test_parameters_of_a_camera_that_is_replaced_are_refused(name, tmp_path, com
 
 def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, run, complaint):
     (tmp_path / "part.xml").write_text(
-        '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="$of_part"/></shape></scene>'
+        '<scene version="3.0.0"><shape type="sphere"><float name="radius" value="$of_part"/>'
+        '<point name="center" x="0" y="0" z="240"/></shape></scene>'
     )
     scene = tmp_path / "scene.xml"
     scene.write_text("""<scene version="3.0.0">
