@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+import xarray as xr
+import yaml
+from scene_cases import letters
 
 from mitsuba_plenoptic import read_capture
-from mitsuba_plenoptic.cli import app, commands_of, main, step_commands
-from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
+from mitsuba_plenoptic.cli import app, commands_of, main
 from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.exr import read_exr
@@ -170,21 +172,25 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
 WORDS = ["0x10", "010", "1e5", "true", "null", "a: b", "#x", "- a", "é", "a,b", "1:30", '"', " a", "no", ".5", "@", "~"]
 
 
-def test_words_survive(tmp_path):
-    parameters = parameters_of(step_commands())
-    steps = [RunStep("render", {"scene": word, "define": [f"a={word}", word], "noise": True}) for word in WORDS]
-    for step in steps:
-        add_step(tmp_path / "run.yaml", step, parameters)
-    found = read_run_file(tmp_path / "run.yaml", parameters)
-    words = [[each.words(parameters["render"]) for each in given] for given in (found, steps)]
-    assert words[0] == words[1]
+def test_words_survive(raw, tmp_path, monkeypatch, run):
+    """Files whose names would be other values in YAML."""
+    monkeypatch.chdir(tmp_path)
+    for word in WORDS:
+        Path(word).write_bytes(raw.read_bytes())
+        run("reconstruct", "-o", "a.exr", "--distance", 240, "--save-run", "run.yaml", "--", word)
+        Path("a.exr").unlink()
+        run("run", "run.yaml")
+        assert Path("a.exr").exists()
+        Path("run.yaml").unlink()
 
 
-def test_values_by_name_are_definitions():
-    parameters = parameters_of(step_commands())
-    step = RunStep("sweep", {"scene": "letters", "output": "s.nc", "vary": {"distance": [210, 240.5], "spp": 1}})
-    words = ["--output=s.nc", "--vary=distance=210,240.5", "--vary=spp=1", "--", "letters"]
-    assert step.command_line(parameters["sweep"]) == words
+def test_values_by_name_are_definitions(tmp_path, run):
+    given = {"scene": "letters", "output": "s.nc", "vary": {"distance": [210, 240.5], "aperture_radius": 4}}
+    step = given | {"define": [f"{name}={value}" for name, value in letters(2).items()], "spp": 1}
+    (tmp_path / "run.yaml").write_text(yaml.safe_dump({"steps": [{"sweep": step}]}))
+    run("run", tmp_path / "run.yaml")
+    with xr.open_dataset(tmp_path / "s.nc") as found:
+        assert found.distance.values.tolist() == [210, 240.5] and found.aperture_radius.values.tolist() == [4]
 
 
 @pytest.mark.parametrize(
