@@ -112,7 +112,12 @@ class TestDecode:
         assert 0.5 < seen.mean() < 0.9
         np.testing.assert_allclose(lf.values[seen], 1, atol=1e-5)
         assert not lf.values[~seen].any()
-        assert lf.shape[2:] == camera.bin_count[::-1]
+        sizes = []
+        for axis in (1, 0):
+            first, last = camera.pixel_coordinates(axis)[[0, -1]] + np.array([-0.5, 0.5]) * camera.pixel_size
+            bins = (np.arange(camera.bin_count[axis]) - camera.bin_count[axis] / 2 + 0.5) * camera.micro_image_pitch
+            sizes.append(np.sum((bins >= first) & (bins <= last)))
+        assert lf.shape[2:] == tuple(sizes)
         middle = lf.sizes["u"] // 2
         np.testing.assert_allclose(lf.weight[middle, middle, 2:-2, 2:-2], 1, atol=1e-3)
 

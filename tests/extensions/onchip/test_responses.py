@@ -5,8 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.camera import has_small_lenses
+from mitsuba_plenoptic import InputError, render_capture
 from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
 from mitsuba_plenoptic.extensions.onchip import response_tables
 from mitsuba_plenoptic.extensions.onchip.plane_waves import Zones, pixels_per_lens
@@ -273,11 +272,6 @@ def test_gaps_between_lenses_leave_the_brightness_of_a_wall():
 def test_what_responses_do_not_describe_is_refused_by_name(changes, message):
     with pytest.raises(InputError, match=message):
         pixels_per_lens(camera_of(2.0, 40).replace(**changes))
-
-
-def test_only_lenses_of_a_few_wavelengths_need_responses():
-    assert has_small_lenses(camera_of(2.0, 4), 550.0)
-    assert not has_small_lenses(PlenopticCamera(), 550.0)
 
 
 def test_diffraction_orders_behind_small_lenses_lose_light_along_their_directions(monkeypatch):
