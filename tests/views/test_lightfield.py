@@ -112,11 +112,12 @@ class TestDecode:
         assert 0.5 < seen.mean() < 0.9
         np.testing.assert_allclose(lf.values[seen], 1, atol=1e-5)
         assert not lf.values[~seen].any()
-        sizes = []
-        for axis in (1, 0):
-            first, last = camera.pixel_coordinates(axis)[[0, -1]] + np.array([-0.5, 0.5]) * camera.pixel_size
-            bins = (np.arange(camera.bin_count[axis]) - camera.bin_count[axis] / 2 + 0.5) * camera.micro_image_pitch
-            sizes.append(np.sum((bins >= first) & (bins <= last)))
+        sizes = camera.bin_count[::-1]
+        if camera.is_cropped:
+            # Those whose micro-image is centred in the recorded window.
+            pixels = [camera.pixel_coordinates(axis) for axis in (1, 0)]
+            bins = [(np.arange(size) - size / 2 + 0.5) * camera.micro_image_pitch for size in sizes]
+            sizes = [np.sum((x[0] <= at) & (at <= x[-1])) for x, at in zip(pixels, bins, strict=True)]
         assert lf.shape[2:] == tuple(sizes)
         middle = lf.sizes["u"] // 2
         np.testing.assert_allclose(lf.weight[middle, middle, 2:-2, 2:-2], 1, atol=1e-3)
