@@ -89,6 +89,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     axes.set_ylim(-1.1e3 * half, 1.1e3 * half)
     medium = f", in a medium of index {camera.mla_medium:g}" if camera.mla_medium != 1 else ""
     _frame(axes, f"parallel rays to the detector{medium}", "um behind the array")
+    axes.set_ylabel("um from its centre", fontsize=8, color=_INK, labelpad=2)
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np.float64], wavelength: float) -> None:

@@ -118,7 +118,7 @@ def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
 
 
 def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
-    """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
+    """Return the coordinates in mm, on the array, of an upright grid's bins along x (axis 0) or y (axis 1)."""
     pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
     return np.asarray(rays.chief_point(p, camera.mla_distance, camera.reduced_distance))

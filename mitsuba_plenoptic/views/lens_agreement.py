@@ -1,16 +1,17 @@
-r"""How well the micro-images of neighbouring lenses of a focused camera agree that a bin is at some distance.
+r"""Agreement of the micro-images of neighbouring lenses of a focused camera on the distance of each bin.
 
-They hold detail that is finer than the pitch of the lenses, so that views, of one sample a lens, are aliased. What a
-lens shows at the view u, its neighbour, k lens pitches from it, shows at :math:`u + k / \delta`, for the disparity
+Micro-images hold detail finer than the pitch of the lenses, so that views, with one sample per lens, are aliased. What
+a lens shows at the view u, a neighbour k lens pitches from it shows at :math:`u + k / \delta`, for the disparity
 :math:`\delta` in lenses per view: samples are interpolated within micro-images, never between lenses (Perwass and
-Wietzke 2012). Neighbours are those of any lattice, and of any type: of a multi-focus array the nearest are of others.
+Wietzke 2012). Neighbours are lenses of any lattice and of any type: in a multi-focus array the nearest neighbours have
+other types.
 
-A sample near the rim of its micro-image gets light through a part of its lens only, whose middle is a mean point
-:math:`\bar m` beside the lens's centre. Where the lens is out of focus it then shows what one through the centre shows
-:math:`\bar m (\kappa / \Delta P + 1 / (\delta D_2))` views away: the difference, on the detector, of the pencils
+A sample near the rim of its micro-image receives light only through a part of its lens, whose mean point :math:`\bar m`
+lies beside the lens's centre. If the lens is out of focus, the sample shows what a sample through the centre shows
+:math:`\bar m (\kappa / \Delta P + 1 / (\delta D_2))` views away: the difference on the detector between the pencils
 through both points, with :math:`\kappa` of `PlenopticCamera.pupil_shift` and the step :math:`\Delta P` of the pupil
-from view to view. Where a sample was recorded that belongs at a place is found by repetition, as its mean point is not
-known before; with the mean point of that place, depths of a camera of three focal lengths were 1 % off.
+from view to view. The recorded place of a sample is found iteratively, as its mean point is not known before; with the
+mean point at the nominal place, depths of a camera of three focal lengths were 1 % off.
 """
 
 from __future__ import annotations
@@ -174,10 +175,11 @@ class LensComparison:
 
     @cached_property
     def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Effects of the pupil's rim on the samples of a lens of each type, two arrays (2, v, u) along v and u.
+        """Effects of the pupil's rim on the samples of each lens type: two arrays (2, v, u), along v and u.
 
-        Mean point, in mm, of the part of the lens that a sample sees the pupil through; and by how many pixels the
-        light of the sample was recorded off it: inwards, as less comes from where less of the lens is open.
+        The first is the mean point, in mm, of the part of the lens through which a sample sees the pupil; the second is
+        the displacement in pixels of the sample's recorded light: inwards, as less light comes from where less of the
+        lens is open.
         """
         camera = self._images.camera
         position = (np.arange(_POINTS) + 0.5) / _POINTS
