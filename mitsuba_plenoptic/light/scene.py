@@ -327,6 +327,9 @@ def loading(what: str = "") -> Iterator[None]:
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
+        # Mitsuba names what a plugin in Python raised in an error, Ctrl-C as well.
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
         # A traceback states lines of Python.
         line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error).partition("Traceback")[0])
         where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
