@@ -108,7 +108,18 @@ def decode(
         fraction /= np.float32(np.median(middle[middle > 0]))
     weight = divide_by_weight(light, fraction, alone[:, :, None, None])
     lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses)
-    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+    if truth is None:
+        return lf
+    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
+    refuse_if(
+        not are_alike(regular_array(truth.camera), camera)
+        or any(plane.shape != lf.shape[:4] for plane in planes.values()),
+        "truth: it is of another camera than the light field",
+    )
+    whole = {"shape_index": np.int32}
+    return lf.assign_coords(
+        {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
+    )
 
 
 def checked_images(
@@ -154,19 +165,6 @@ def checked_images(
             computed[..., None] if reference is None else recorded_white(reference, reference.shape, [known], computed)
         )
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, known
-
-
-def _coordinates(
-    truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
-) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Return ground truth as coordinates of its camera's light field."""
-    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
-    refuse_if(
-        not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
-        "truth: it is of another camera than the light field",
-    )
-    whole = {"shape_index": np.int32}
-    return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
