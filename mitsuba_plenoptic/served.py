@@ -1,4 +1,4 @@
-"""What `mitsuba_plenoptic` serves by name: public names, public modules, and modules by their names in version 1.0."""
+"""The names that `mitsuba_plenoptic` serves: public names, public modules, and module names of version 1.0."""
 
 from __future__ import annotations
 

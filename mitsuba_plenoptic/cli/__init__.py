@@ -118,17 +118,13 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
 def _outline() -> typer.Typer:
     """Return the command with all subcommands as help texts only, without importing their modules."""
     made = _command()
-    for name in COMMANDS:
-        made.command(name, help=_docstring(name))(lambda: None)
+    for name, path in COMMANDS.items():
+        spec = importlib.util.find_spec(path)
+        module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
+        # A group of commands has no function of its name.
+        own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
+        made.command(name, help=ast.get_docstring(next(own, module)))(lambda: None)
     return made
-
-
-def _docstring(name: str) -> str | None:
-    """Return the docstring of a subcommand's function, or of the file for a group of commands, read from source."""
-    spec = importlib.util.find_spec(COMMANDS[name])
-    module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
-    own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
-    return ast.get_docstring(next(own, module))
 
 
 def _called(words: Sequence[str]) -> list[str]:
@@ -177,7 +173,7 @@ def _for_all(
             "-v",
             "--verbose",
             help="Print details, too: what is read, written and set, with times.",
-            callback=lambda wanted: _be_verbose() if wanted else None,
+            callback=lambda wanted: _logger.setLevel(logging.DEBUG) if wanted else None,
             is_eager=True,
             expose_value=False,
             rich_help_panel="Every command",
@@ -191,10 +187,6 @@ def _be_quiet() -> None:
     # Progress, too, is silent at this level.
     _logger.setLevel(logging.CRITICAL)
     warnings.showwarning = lambda *_, **__: None
-
-
-def _be_verbose() -> None:
-    _logger.setLevel(logging.DEBUG)
 
 
 def step_commands() -> dict[str, Any]:
@@ -229,7 +221,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Progress begins before the options are read, thus before --quiet is.
             silent = not called or not words or not {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), contextlib.nullcontext() if silent else _plain_lines(words[0]):
+            with at_shell(_OPTIONS), contextlib.ExitStack() as shown:
+                if not silent:
+                    from ..runtime.progress import plain_lines
+
+                    shown.enter_context(plain_lines(words[0]))
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == _STOPPED:
@@ -273,33 +269,25 @@ def _is_usage(error: Exception) -> bool:
     return hasattr(error, "format_message")
 
 
-def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
-    """Return the context `plain_lines` for a command that computes."""
-    from ..runtime.progress import plain_lines
-
-    return plain_lines(command)
-
-
 @contextlib.contextmanager
 def _remarks() -> Iterator[None]:
     """Print the library's warnings and remarks, such as the time of a long rendering, on standard error."""
-    handler = logging.Handler()
-    handler.emit = _print_record  # type: ignore[method-assign]
-    level = _logger.level
+
+    def emit(record: logging.LogRecord) -> None:
+        detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
+        _complain(f"{detail}{record.getMessage()}")
+
+    handler, level = logging.Handler(), _logger.level
+    handler.emit = emit  # type: ignore[method-assign]
     _logger.addHandler(handler)
     _logger.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _print_warning
+            warnings.showwarning = lambda message, *_, **__: _complain(f"warning: {message}")
             yield
     finally:
         _logger.setLevel(level)
         _logger.removeHandler(handler)
-
-
-def _print_record(record: logging.LogRecord) -> None:
-    detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
-    _complain(f"{detail}{record.getMessage()}")
 
 
 def _with_options(message: str, options: Mapping[str, str]) -> str:
@@ -323,7 +311,3 @@ def _fail(message: str) -> int:
 
 def _complain(message: str) -> None:
     print(f"{PROGRAM}: {' '.join(message.split())}", file=sys.stderr)
-
-
-def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    _complain(f"warning: {message}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -21,9 +21,6 @@ from .inputs import (
 from .judging import COUNTED, WAVELENGTH
 from .stages import stage_lines
 from .stopping import Resume
-
-if TYPE_CHECKING:
-    pass
 
 
 def compare(

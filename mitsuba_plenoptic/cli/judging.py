@@ -72,11 +72,6 @@ def _require_wavelengths(name: str, text: str) -> None:
         require_wavelength(part, name)
 
 
-def _require_scene(name: str, value: str) -> None:
-    if not Path(value).is_file():
-        scene_path(value)
-
-
 def _require_file(name: str, path: Path) -> None:
     refuse_if(not path.exists(), f"{path}: there is no such file")
 
@@ -101,5 +96,6 @@ def require_camera_name(name: str, source: str) -> None:
 
 COUNTED, WAVELENGTH = Judged(require_count), Judged(lambda name, value: require_wavelength(value, name))
 WAVELENGTHS = Judged(_require_wavelengths)
-SCENE, CAMERA = Judged(_require_scene), Judged(require_camera_name)
+SCENE = Judged(lambda _, scene: Path(scene).is_file() or scene_path(scene))
+CAMERA = Judged(require_camera_name)
 FILE, RECORDING = Judged(_require_file), Judged(_require_recording)

@@ -143,10 +143,11 @@ def reconstruct(
     """Refocus a capture to one or several distances.
 
     A reconstruction has one bin per microlens by default, and the
-    orientation of an ordinary photograph. The distance may be inf. Pictures of one run share one scale,
-    so that their brightness compares. Bins that no light can reach, at the
-    borders of a crop, are NaN in OpenEXR and black in a picture. A raw picture
-    (.png or .tiff) of a real camera needs its [bold]--camera[/bold].
+    orientation of an ordinary photograph. The distance may be inf. Pictures of
+    one run share one scale, so that their brightness compares. Bins that no
+    light can reach, at the borders of a crop, are NaN in OpenEXR and black in a
+    picture. A raw picture (.png or .tiff) of a real camera needs its
+    [bold]--camera[/bold].
 
     [bold]Examples:[/bold]
 

@@ -111,7 +111,8 @@ def render(
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
     the camera and how it was made. A long wave capture keeps a checkpoint
-    next to the output, from which the same command continues after Ctrl-C or a crash.
+    next to the output, from which the same command continues after Ctrl-C or a
+    crash.
 
     [bold]Examples:[/bold]
 

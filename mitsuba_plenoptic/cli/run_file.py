@@ -47,7 +47,8 @@ def parameters_of(commands: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _by_name(command: Any) -> dict[str, Any]:
-    shown = (one for one in command.params if not {"--help", "--save-run"} & set(one.opts))
+    # Commands are not given those that every command has, such as --quiet.
+    shown = (one for one in command.params if one.expose_value and "--save-run" not in one.opts)
     return {max(one.opts, key=len).lstrip("-"): one for one in shown}
 
 

@@ -1,8 +1,8 @@
 r"""The microlens array as a sum of diffraction orders, up to a highest direction.
 
-The transmission of an array is a product of factors: of a function of x and one of y if it is separable, else of a
-single function of both. Each factor is periodic in the frame of the lattice, and therefore a sum of orders. Along an
-axis of pitch :math:`D_2` these are :math:`\lambda / D_2` apart in direction cosine:
+The transmission of an array is a product of factors: one function of x and one of y if it is separable, otherwise a
+single function of both. Each factor is periodic in the lattice frame, and therefore a sum of orders. Along an axis of
+pitch :math:`D_2` the orders are :math:`\lambda / D_2` apart in direction cosine:
 
 .. math:: t(x) = \sum_q c_q \, e^{2 \pi i q x / D_2}, \qquad
           c_q = \frac{1}{D_2} \int_\mathrm{lens} e^{-i \pi (x - c)^2 / \lambda f_2} \, e^{-2 \pi i q x / D_2} dx,

@@ -1,6 +1,6 @@
 r"""Aberrations of microlenses for light from different points of the pupil.
 
-Microlenses refract direction cosines, and light lands in proportion to slopes. Light that meets a lens of power 1/f
+Microlenses refract direction cosines, while light lands in proportion to slopes. Light that meets a lens of power 1/f
 with the direction cosines s leaves the point m of the lens with :math:`s - m/f`, and lands at
 
 .. math:: m + z\, T(s - m/f), \qquad T(s) = \frac{s}{\sqrt{1 - s^2 / n^2}} ,
@@ -13,8 +13,8 @@ the square of s. Kernels with this phase change with s nearly as a polynomial of
           \qquad b = (s_u, s_v, s_u^2, s_u s_v, s_v^2).
 
 The changes :math:`\varphi_{nk}` resemble each other. A few combinations of them, the *oblique kernels*, therefore
-suffice (principal components: Jolliffe, "Principal component analysis", section 3.5); their images are combinations of
-those of the functions, with factors that depend on s.
+suffice (principal components: Jolliffe, "Principal component analysis", section 3.5). The coefficients of their images
+are those of the functions times factors that depend on s.
 """
 
 from __future__ import annotations

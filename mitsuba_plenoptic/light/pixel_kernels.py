@@ -1,12 +1,13 @@
 r"""Kernels on the grid of pixels, and images of pixels made from the coefficients of rays in cells.
 
-Rays are collected in cells, p across a pixel. The coefficients of each place of a cell in its pixel have a kernel on
-the grid of pixels, the sum of the cells' kernel over a pixel. So have the products of a pixel's coefficients with the
-terms by which kernels change with the direction of light (`oblique`), which is that of the pixel's centre. These
-kernels resemble each other, because a pixel does not distinguish where light lands in it. Responses of pixels are
-therefore projected onto a few patterns, the principal components in random light (Jolliffe, "Principal component
-analysis", section 3.5), and there is one image for each pattern. The first pattern is the response to even light, which
-is exact; what the others lack of the light of a response is added to it, so that all light is kept.
+Rays are collected in cells, p across a pixel. The coefficients at each place of a cell in its pixel have a kernel on
+the grid of pixels: the cells' kernel summed over a pixel. The products of a pixel's coefficients with the terms by
+which kernels change with the direction of light (`oblique`) also have kernels; the direction is that of the pixel's
+centre. All these kernels resemble each other, because a pixel does not distinguish where light lands in it. Responses
+of pixels are therefore projected onto a few patterns, the principal components in random light (Jolliffe, "Principal
+component analysis", section 3.5), and there is one image for each pattern. The first pattern is the response to uniform
+light, which is exact; light of a response that the other patterns lack is added to the first, so that all light is
+kept.
 """
 
 from __future__ import annotations

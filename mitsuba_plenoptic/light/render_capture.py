@@ -265,10 +265,9 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
             integrator = mi.load_dict({**own, **wave, "child": child})
         except RuntimeError as error:
             raise InputError(mitsuba_sentence(error)) from None
-    if integrator.aov_names():
-        raise InputError(
-            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
-        )
+    instead = advice(python="ground_truth(scene) returns depth and normals", shell="--aov writes depth and normals")
+    extra = ", ".join(integrator.aov_names())
+    refuse_if(extra, f"integrator: it has the extra outputs {extra}; a capture needs one without; {instead}")
     return integrator
 
 

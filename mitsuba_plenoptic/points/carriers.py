@@ -1,11 +1,12 @@
-r"""Waves on the pupil that the fields of points of similar distance are but for smooth factors: tilts, or spheres.
+r"""Waves on the pupil common to the fields of points of similar distance, up to smooth factors: tilts or spheres.
 
 The factors are functions of the pupil point and the scene point: see `pupil_sums`. A parabolic main lens adds the same
 phase to the light of all points. Their fields then differ mainly by tilts; sums of tilts are non-uniform Fourier
 transforms (`Tilts`).
 
-An ideal main lens turns the sphere of each point into one about the point's own image, and these differ by much more
-than tilts: by 41 waves at f/2, 3.5 mm off the axis. With the vergence v behind the lens and the slopes u of the point,
+An ideal main lens turns the sphere around each point into a sphere around the point's image, and these spheres differ
+by much more than tilts: by 41 waves at f/2, 3.5 mm off the axis. With the vergence v behind the lens and the slopes u
+of the point,
 
 .. math:: p(P, X) = \frac{1}{\lambda v} \left((1 + u^2)^{1/2} - (1 + |v P + u|^2)^{1/2}\right) .
 

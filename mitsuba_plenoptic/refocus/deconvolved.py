@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError, argument, refuse_if
 from ..io.checkpoints import digest
 from ..runtime.batches import Job
-from .deconvolution.fourier import FourierResponse
-from .deconvolution.response import Response
+from .deconvolution.fourier import response_of
 from .deconvolution.solver import Solved, State, Work, richardson_lucy
 from .deconvolution.variation import Noise
 from .methods import Found, Progress, Task, method, portion, work_of
@@ -116,11 +114,6 @@ def _solve(
         radiance, light = (made.to_image(part, plane) for part in parts)
         visible = np.where(light >= LEAST_SEEN, radiance, np.float32(np.nan))
         yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
-
-
-def response_of(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
-    """Return the class of a camera's response."""
-    return FourierResponse if camera.lens_data.images_stop else Response
 
 
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:

@@ -35,8 +35,9 @@ from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..runtime.limits import check_memory
 from .conjugates import ThinConjugates
+from .deconvolution.fourier import response_of
 from .deconvolution.solver import RichardsonLucyStep, Values
-from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
+from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from .lens_by_lens import fine_bins
 from .passages import BinSums
 from .planning import plan, require_feasible

@@ -98,7 +98,8 @@ def is_known(camera: PlenopticCamera) -> bool:
 def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
     """Return the relative rise of radiance per mm of the MLA plane, 1 on the axis, for the scenes of `rising`.
 
-    Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
+    The farthest position on the bins that counts, and a pixel's displacement there per pupil displacement, are also
+    returned.
     """
     at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil

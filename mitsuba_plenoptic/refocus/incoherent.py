@@ -22,7 +22,7 @@ import dataclasses
 import numpy as np
 
 from ..runtime.batches import Job
-from .deconvolved import response_of
+from .deconvolution.fourier import response_of
 from .methods import Task, method, portion, work_of
 from .radiance import captures, to_radiance, white_pixels, white_sums
 

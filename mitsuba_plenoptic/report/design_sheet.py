@@ -35,26 +35,28 @@ _Line = tuple[str, str, str, str]
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
     """Return a camera's parameters and derived quantities as rows; diffraction only with a wavelength."""
-    if camera.objective is not None or isinstance(camera.main_lens, Collimator):
-        if camera.objective is not None:
-            seen = _microscope_groups(camera, camera.objective, wavelength)
-        else:
-            seen = {"Telescope": _telescope(camera, wavelength)}
-        common = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
-        return [Row(group, *line) for group, lines in (seen | common).items() for line in lines]
-    groups = {
-        "Main lens": _main_lens(camera),
-        **(
-            {} if camera.prescription is None else {"Surfaces of the main lens": _surfaces(camera, camera.prescription)}
-        ),
-        "Microlenses": _microlenses(camera),
-        "Detector": _detector(camera),
-        "Micro-images": _micro_images(camera),
-        "Resolution": _resolution(camera, wavelength),
-        "Refocusing": _refocusing(camera, wavelength),
-    }
-    if wavelength is not None:
-        groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    if (lens := camera.objective) is not None:
+        groups = {"Objective": _objective(camera, lens)}
+        groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
+        if wavelength is not None:
+            groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
+        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+    elif isinstance(camera.main_lens, Collimator):
+        groups = {"Telescope": _telescope(camera, wavelength)}
+        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+    else:
+        groups = {"Main lens": _main_lens(camera)}
+        if camera.prescription is not None:
+            groups["Surfaces of the main lens"] = _surfaces(camera, camera.prescription)
+        groups |= {
+            "Microlenses": _microlenses(camera),
+            "Detector": _detector(camera),
+            "Micro-images": _micro_images(camera),
+            "Resolution": _resolution(camera, wavelength),
+            "Refocusing": _refocusing(camera, wavelength),
+        }
+        if wavelength is not None:
+            groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
     return [Row(group, *line) for group, lines in groups.items() for line in lines]
 
 
@@ -348,15 +350,6 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
         note = f"{_four(spot / camera.pixel_size)} pixels, centre to first zero, at {wavelength:g} nm"
         rows.append(("spot of a microlens", _four(1e3 * spot), "um", note))
     return rows + _aberrations(camera)
-
-
-def _microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[_Line]]:
-    """Return the groups of the sheet about the objective and the view through it."""
-    groups = {"Objective": _objective(camera, lens)}
-    groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
-    if wavelength is not None:
-        groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
-    return groups
 
 
 def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:

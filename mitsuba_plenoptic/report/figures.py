@@ -84,15 +84,14 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     methods = list(dict.fromkeys(one.method for one in results))
     distances = sorted({one.distance for one in results})
 
-    def panel(row: int, method: str, distance: float) -> Panel:
-        one = found.get((method, distance))
-        title = _distance(distance) if row == 0 else ""
+    def panel(method: str, distance: float) -> Panel:
+        one, title = found.get((method, distance)), _distance(distance)
         if one is None:
             return Panel(np.zeros((0, 0)), title)
         width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
         return Panel(one.image, title, width)
 
-    rows = [[panel(row, method, distance) for distance in distances] for row, method in enumerate(methods)]
+    rows = [[panel(method, distance) for distance in distances] for method in methods]
     return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
 
 
@@ -208,7 +207,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     gap, margin = 0.26, 0.12
     wide = (_PAGE - 2 * gap - 2 * margin) / 3
     tall = wide * depth.shape[0] / depth.shape[1]
-    canvas = Canvas(_PAGE, _TITLE + tall + 0.5, _DPI)
+    canvas = Canvas(_PAGE, _TITLE + tall + 0.54, _DPI)
     unknown = "" if known.size == depth.size else "; hatched: unknown"
     parts: list[tuple[str, np.ndarray, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),

@@ -73,7 +73,10 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
     """Return a close-up at the place where a capture has the most contrast from lens to lens."""
     camera = experiment.camera
     columns, rows = camera.bin_count
-    gradient = np.hypot(*np.gradient(_resize_mean(experiment.ray.image, rows, columns)))
+    of_lenses = experiment.ray.image
+    for axis, count in enumerate((rows, columns)):
+        of_lenses = np.stack([part.mean(axis) for part in np.array_split(of_lenses, count, axis)], axis)
+    gradient = np.hypot(*np.gradient(of_lenses))
     half = _LENSES // 2
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
@@ -93,12 +96,6 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
         first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))
         spans.append(slice(first, first + size))
     return Zoom(title, spans[0], spans[1])
-
-
-def _resize_mean(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Return an image averaged over a grid of `rows` x `columns` cells."""
-    by_row = np.stack([part.mean(axis=0) for part in np.array_split(image, rows, axis=0)])
-    return np.stack([part.mean(axis=1) for part in np.array_split(by_row, columns, axis=1)], axis=1)
 
 
 _DPI = 160
@@ -205,7 +202,8 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
 
     The label states the bar's length and the plane in which it is measured.
     """
-    length = _bar_length(width)
+    digit = 10.0 ** math.floor(math.log10(0.3 * width))
+    length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
     fraction, label = length / width, f"{length:g} mm {plane}".strip()
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")
@@ -217,12 +215,6 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
         axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=size, va="center", **frame)
     else:
         axes.text(x, y + 1.8 * height, label, color=colour, size=size, va="bottom", path_effects=outline, **frame)
-
-
-def _bar_length(width: float) -> float:
-    """Return a round length, in mm, for a scale bar in a field of a given width."""
-    digit = 10.0 ** math.floor(math.log10(0.3 * width))
-    return next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:

@@ -56,10 +56,20 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
     if not known.all():
         opaque = np.tile(known, (bits // 8, 1)).astype(np.uint8) * 255
         pixels = np.dstack([pixels, opaque])
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG")
-    source = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    source = data_url("png", encoded(Image.fromarray(pixels), format="PNG"))
     return {"source": source, "bits": bits, "full": full, "channels": 1 if image.ndim == 2 else 3}
+
+
+def encoded(picture: Image.Image, **options: Any) -> bytes:
+    """Return the content of a picture's file, by Pillow's options for saving it."""
+    buffer = io.BytesIO()
+    picture.save(buffer, **options)
+    return buffer.getvalue()
+
+
+def data_url(kind: str, content: bytes) -> str:
+    """Return the URL that holds the content of a picture's file."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def enlarge(image: np.ndarray, scale: int) -> np.ndarray:

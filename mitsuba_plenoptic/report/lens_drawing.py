@@ -17,7 +17,7 @@ from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
 from ..runtime.files import require_writable
-from .framing import Canvas
+from .framing import Canvas, scale_bar
 
 _ACROSS = 201
 """Rays across the pupil."""
@@ -222,7 +222,9 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     canvas = Canvas(10.6, 7.4)
     _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, camera.prescription.name or "main lens")
     for index, part in enumerate(_FIELDS):
-        _spot(canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8), camera, part * corner)
+        spots = canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8)
+        _spot(spots, camera, part * corner)
+    spots.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     _curves(canvas.axes(7.3, 4.6, 1.1, 2.1), canvas.axes(9.1, 4.6, 1.1, 2.1), camera, corner)
     canvas.save(path)
 
@@ -260,6 +262,8 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     axes.plot([array] * 2, [-corner, corner], color=_INK, linewidth=2)
     axes.invert_xaxis()
     axes.set_aspect("equal", adjustable="datalim")
+    axes.apply_aspect()
+    scale_bar(axes, abs(float(np.diff(axes.get_xlim())[0])), below=True)
     sizes = f"f = {camera.focal_length:.4g} mm, f/{camera.f_number:.3g}, microlenses at the right"
     axes.set_title(f"{name}: {sizes}", size=10, color=_INK, loc="left")
 
@@ -279,7 +283,6 @@ def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
     axes.set_aspect("equal")
     axes.set_title(f"spot at {height:.3g} mm", size=9, color=_INK, loc="left")
     axes.set_xlabel(f"square: a microlens, {1e3 * pitch:.3g} um", size=7, color=_INK)
-    axes.legend(fontsize=6, loc="upper right", frameon=False, markerscale=4, handletextpad=0, borderpad=0)
 
 
 def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float) -> None:

@@ -59,20 +59,14 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     peak = float(reference.max())
     mean_square = float(np.mean((image - reference) ** 2, dtype=np.float64))
     total = float(reference.sum(dtype=np.float64))
+    ssim = 1.0 if min(image.shape) >= _WINDOW else None
+    if ssim is not None and peak > 0:
+        ssim = float(skimage.metrics.structural_similarity(image, reference, win_size=_WINDOW, data_range=peak))
     return ImageMetrics(
         psnr=10 * math.log10(peak**2 / mean_square) if mean_square > 0 and peak > 0 else math.inf,
-        ssim=_similarity(image, reference, peak),
+        ssim=ssim,
         energy=float(image.sum(dtype=np.float64)) / total if total > 0 else 1.0,
     )
-
-
-def _similarity(image: np.ndarray, reference: np.ndarray, peak: float) -> float | None:
-    """Return the structural similarity of two images, None if they are smaller than its window."""
-    if min(image.shape) < _WINDOW:
-        return None
-    if peak <= 0:
-        return 1.0
-    return float(skimage.metrics.structural_similarity(image, reference, win_size=_WINDOW, data_range=peak))
 
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:

@@ -97,10 +97,11 @@ def drjit_array(kind: Any, numbers: Any) -> Any:
 
 
 def packets(array: NDArray[Any], kind: Any = None) -> NDArray[Any]:
-    """Return a NumPy array, or a copy of another type of numbers, in memory from which kernels read whole packets.
+    """Return a NumPy array, or a copy of it in another type, in memory from which kernels read whole packets.
 
-    Kernels also read beyond the end. Where this ends with a page, and the next page is none of the process, reading it
-    ends the process. Arrays whose memory is not known to hold their last packet are therefore copied, too.
+    Kernels also read beyond the end of an array. If the array ends with a page, and the next page does not belong to
+    the process, this read would end the process. Arrays not known to own their whole last packet are therefore copied,
+    too.
     """
     kind = array.dtype if kind is None else np.dtype(kind)
     if array.dtype == kind and array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
@@ -273,9 +274,9 @@ def rsqrt(value: Any) -> Any:
 
 
 def quotient(index: Any, divisor: int, types: Any = mi) -> Any:
-    """Return the whole quotients of Dr.Jit's indices below 2^32, of its modules of types or the active variant's.
+    """Return the integer quotients of Dr.Jit indices below 2^32 by a divisor, in types of the active variant or others.
 
-    They are products, several times faster than Dr.Jit's division of integers.
+    They are computed as products, several times faster than Dr.Jit's integer division.
     """
     return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 

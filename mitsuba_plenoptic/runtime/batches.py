@@ -349,7 +349,10 @@ class Cluster:
         distributed = require_module("distributed", "workers: they need dask.distributed: pip install distributed")
         failure = ""
         with contextlib.ExitStack() as opened:
-            opened.enter_context(_quiet())
+            # Dask would log tracebacks of errors that are reported anyway.
+            logger = logging.getLogger("distributed.client")
+            opened.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL + 1)
             try:
                 address: Any = self._scheduler
                 if self._count:
@@ -419,18 +422,6 @@ class Cluster:
             ) from None
         except (CancelledError, OSError) as error:
             raise InputError(f"{self._name}: the connection was lost: {_line(error)}") from None
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep Dask from logging tracebacks of errors that are reported anyway."""
-    logger = logging.getLogger("distributed.client")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:

@@ -88,7 +88,14 @@ def light_field(
             pupil_places(camera, views),
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
-        coordinates[spatial] = (spatial, *_object_coordinate(lens_places(camera, bins, axis), camera, "xy"[axis]))
+        places, distance = -lens_places(camera, bins, axis), camera.focus_distance
+        if 0 < distance < math.inf:
+            places, units = places * distance / camera.mla_distance, "mm"
+            name = f"{'xy'[axis]} in the object plane at {distance:.6g} mm"
+        else:
+            places, units = places / camera.mla_distance, "1"
+            name = f"slope in {'xy'[axis]}; no real plane is in focus"
+        coordinates[spatial] = (spatial, places, {"units": units, "long_name": name})
     attributes = {}
     if camera is not None:
         attributes["camera"] = json.dumps(camera.to_dict())
@@ -111,21 +118,10 @@ def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
 
 
 def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
-    """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
+    """Return the coordinates in mm, on the array, of an upright grid's bins along x (axis 0) or y (axis 1)."""
     pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
     return np.asarray(rays.chief_point(p, camera.mla_distance, camera.reduced_distance))
-
-
-def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:
-    """Return lens coordinates projected to the plane in focus, in mm, or as slopes if there is no such plane."""
-    distance = camera.focus_distance
-    if 0 < distance < math.inf:
-        return -c * distance / camera.mla_distance, {
-            "units": "mm",
-            "long_name": f"{axis} in the object plane at {distance:.6g} mm",
-        }
-    return -c / camera.mla_distance, {"units": "1", "long_name": f"slope in {axis}; no real plane is in focus"}
 
 
 def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:

@@ -91,13 +91,21 @@ def decode(
     elif grid is not None:
         lenses, bins = grid, _upright(grid)
     half, alone = view_window(camera, lenses)
-    _require_memory(image, bins, lenses, half)
+    views, (height, width, channels) = 2 * half + 1, image.shape
+    # Light and white, each as sampled and in the order of the light field; and the images.
+    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
+    require_memory(
+        4.0 * samples + 12.0 * height * width,
+        f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
+    )
     resampling = None if lenses == bins else _between_lenses(lenses, bins)
 
     light = _sample(image, lenses, half, resampling, bins)
     fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
     if camera is None:
-        fraction /= _brightness(fraction[half, half])
+        middle = fraction[half, half]
+        refuse_if(not (middle > 0).any(), "white: it is black in the middle of every micro-image")
+        fraction /= np.float32(np.median(middle[middle > 0]))
     weight = divide_by_weight(light, fraction, alone[:, :, None, None])
     lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses)
     return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
@@ -159,24 +167,6 @@ def _coordinates(
     )
     whole = {"shape_index": np.int32}
     return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
-
-
-def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
-    """Refuse a light field too large for the memory before it is sampled."""
-    views, channels = 2 * half + 1, image.shape[2]
-    # Light and white, each as sampled and in the order of the light field; and the images.
-    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
-    require_memory(
-        4.0 * samples + 12.0 * image.shape[0] * image.shape[1],
-        f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
-    )
-
-
-def _brightness(middle: np.ndarray) -> np.float32:
-    """Return a typical value of a white image in the middle of micro-images."""
-    lit = middle[middle > 0]
-    refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
-    return np.float32(np.median(lit))
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:

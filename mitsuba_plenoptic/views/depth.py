@@ -49,18 +49,19 @@ def depth_map(
 ) -> xr.Dataset:
     r"""Return the depth of every bin of the central view, with a confidence.
 
-    For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
-    unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
-    `plane_choice` makes probabilities of it, with those of neighbouring bins, takes the most probable plane, refined by
-    a parabola, and tests whether it explains more than it would of noise alone, and how many neighbours agree.
+    For planes spaced in disparity the unexplained fraction of the variance of views is measured: for an unfocused
+    camera by `agreement.view_disagreement`, for the micro-images of a focused one by `lens_agreement.LensComparison`.
+    `plane_choice` turns the fractions of each bin and its neighbours into probabilities, takes the most probable plane,
+    refined by a parabola, and tests whether it explains more than it would for pure noise, and how many neighbours
+    agree.
 
     The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
     1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
-    where stripes may be finer than two lenses or, of a focused camera, have a period of less than five pixels within
-    micro-images. It is unknown, too, where most neighbours are at other distances. The confidence is 0 where views
-    agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
-    Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
-    there is unknown in the same way.
+    where stripes may be finer than two lenses or, for a focused camera, have a period of less than five pixels within
+    micro-images. It is also unknown where most neighbours are at other distances. The confidence is 0 where views agree
+    best at an end of the search, or within 1 % of it: the point is then probably at least that near, or that far. Near
+    the plane in focus on a focused camera's array, neighbouring lenses see nothing in common; depths there are unknown
+    for the same reason.
 
     Parameters
     ----------

@@ -53,7 +53,10 @@ class LensViews:
             f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
             "of the detector; turn the array by a whole number of right angles",
         )
-        half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
+        # Width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle.
+        room = float(lattice.pitches[0]), float(lattice.row_distance)
+        upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
+        half = tuple(math.floor(width / (2 * p) - 0.5) for width in (room if upright else room[::-1]))
         refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
         reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
         lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
@@ -101,14 +104,6 @@ def decode_views(
         coordinates[name] = (name, steps, {"units": "mm", "long_name": f"{axis} in the native object plane"})
     attributes = {"camera": json.dumps(camera.to_dict())}
     return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
-
-
-def _room(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return width and height of a rectangle about each lens's centre that overlaps no other rectangle."""
-    lattice = camera.lattice
-    along, across = float(lattice.pitches[0]), float(lattice.row_distance)
-    upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
-    return (along, across) if upright else (across, along)
 
 
 def _in_stop(

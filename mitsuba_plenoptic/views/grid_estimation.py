@@ -135,10 +135,16 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
         inside = ((centres > radius + 1) & (centres < size - radius - 1)).all(1)
         refuse_if(inside.sum() < 16, f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
         index, centres = index[inside], centres[inside]
-        blocks = np.array_split(centres, -(-len(centres) // _BLOCK))
-        measured, light = (
-            np.concatenate(parts) for parts in zip(*(_centroids(image, block, radius) for block in blocks), strict=True)
+        # Of the light within a disc about each centre.
+        of_blocks = (
+            centroids(
+                pixels_around(image, block, math.ceil(radius) + 1),
+                block,
+                lambda distance: (radius + 0.5 - distance).clip(0, 1),
+            )
+            for block in np.array_split(centres, -(-len(centres) // _BLOCK))
         )
+        measured, light = (np.concatenate(parts) for parts in zip(*of_blocks, strict=True))
         used = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
         used &= moved < 3 * np.median(moved[used]) + 0.5
@@ -155,12 +161,6 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
     rows, shifted = lattice_rows(vectors, _SAME / whole)
     steps = np.round(np.linalg.solve(rows.T, (index[used] @ vectors).T).T * 2) / 2
     return *_rows_at_right_angles(steps, measured[used]), shifted
-
-
-def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return centroid and brightness of the image in a disc about each centre, above the darkest pixel in it."""
-    patches = pixels_around(image, centres, math.ceil(radius) + 1)
-    return centroids(patches, centres, lambda distance: (radius + 0.5 - distance).clip(0, 1))
 
 
 def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -94,7 +94,12 @@ class FirstHits:
         """Return lengths of rays unfolded at plane mirrors, up to the mirror image."""
         length = dr.select(met, hit.t, dr.inf)
         for _ in range(_REFLECTIONS):
-            met = met & _is_plane_mirror(hit, ray)
+            # Plane surfaces that only reflect, without scattering.
+            flags = hit.bsdf(ray).flags()
+            reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
+            both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
+            is_plane = dr.squared_norm(hit.dn_du) + dr.squared_norm(hit.dn_dv) == 0
+            met = met & reflects & is_plane & (both_sides | (hit.wi.z > 0))
             onward = hit.to_world(mi.reflect(hit.wi))
             # Mitsuba's rays start off the surface, along its normal; these start as far off it along themselves.
             gap = dr.dot(hit.spawn_ray(onward).o - hit.p, hit.n) / dr.dot(onward, hit.n)
@@ -108,15 +113,6 @@ class FirstHits:
 def _flags() -> Any:
     """Return the flags of an intersection with derivatives of normals, by which plane surfaces are recognised."""
     return mi.RayFlags.All | mi.RayFlags.dNSdUV
-
-
-def _is_plane_mirror(hit: Any, ray: Any) -> Any:
-    """Return a mask of hits on plane, purely specular mirrors."""
-    flags = hit.bsdf(ray).flags()
-    reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
-    both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
-    plane = dr.squared_norm(hit.dn_du) + dr.squared_norm(hit.dn_dv) == 0
-    return reflects & plane & (both_sides | (hit.wi.z > 0))
 
 
 @suggest_keywords

@@ -1,16 +1,17 @@
-r"""How well the micro-images of neighbouring lenses of a focused camera agree that a bin is at some distance.
+r"""Agreement of the micro-images of neighbouring lenses of a focused camera on the distance of each bin.
 
-They hold detail that is finer than the pitch of the lenses, so that views, of one sample a lens, are aliased. What a
-lens shows at the view u, its neighbour, k lens pitches from it, shows at :math:`u + k / \delta`, for the disparity
+Micro-images hold detail finer than the pitch of the lenses, so that views, with one sample per lens, are aliased. What
+a lens shows at the view u, a neighbour k lens pitches from it shows at :math:`u + k / \delta`, for the disparity
 :math:`\delta` in lenses per view: samples are interpolated within micro-images, never between lenses (Perwass and
-Wietzke 2012). Neighbours are those of any lattice, and of any type: of a multi-focus array the nearest are of others.
+Wietzke 2012). Neighbours are lenses of any lattice and of any type: in a multi-focus array the nearest neighbours have
+other types.
 
-A sample near the rim of its micro-image gets light through a part of its lens only, whose middle is a mean point
-:math:`\bar m` beside the lens's centre. Where the lens is out of focus it then shows what one through the centre shows
-:math:`\bar m (\kappa / \Delta P + 1 / (\delta D_2))` views away: the difference, on the detector, of the pencils
+A sample near the rim of its micro-image receives light only through a part of its lens, whose mean point :math:`\bar m`
+lies beside the lens's centre. If the lens is out of focus, the sample shows what a sample through the centre shows
+:math:`\bar m (\kappa / \Delta P + 1 / (\delta D_2))` views away: the difference on the detector between the pencils
 through both points, with :math:`\kappa` of `PlenopticCamera.pupil_shift` and the step :math:`\Delta P` of the pupil
-from view to view. Where a sample was recorded that belongs at a place is found by repetition, as its mean point is not
-known before; with the mean point of that place, depths of a camera of three focal lengths were 1 % off.
+from view to view. The recorded place of a sample is found iteratively, as its mean point is not known before; with the
+mean point at the nominal place, depths of a camera of three focal lengths were 1 % off.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..camera import PlenopticCamera
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -61,7 +61,12 @@ class LensComparison:
 
     def __init__(self, images: MicroImages) -> None:
         self._images = images
-        self._values = _smoothed(images.values, images.weight)
+        # Smoothed within micro-images, weighted by the part of the pupil that samples see.
+        total, seen = images.values * images.weight[..., None], images.weight
+        for axis in (2, 3):
+            total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
+            seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
+        self._values = np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -170,14 +175,16 @@ class LensComparison:
 
     @cached_property
     def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Effects of the pupil's rim on the samples of a lens of each type, two arrays (2, v, u) along v and u.
+        """Effects of the pupil's rim on the samples of each lens type: two arrays (2, v, u), along v and u.
 
-        Mean point, in mm, of the part of the lens that a sample sees the pupil through; and by how many pixels the
-        light of the sample was recorded off it: inwards, as less comes from where less of the lens is open.
+        The first is the mean point, in mm, of the part of the lens through which a sample sees the pupil; the second is
+        the displacement in pixels of the sample's recorded light: inwards, as less light comes from where less of the
+        lens is open.
         """
         camera = self._images.camera
         position = (np.arange(_POINTS) + 0.5) / _POINTS
-        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, position)])
+        # Evenly on a lens's aperture, in mm from its centre.
+        point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         found = []
         reach = len(_SPREAD) // 2
         offset = np.arange(-reach, reach + 1)
@@ -208,22 +215,6 @@ def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndar
     """Return weighted sums of samples along both axes, where samples exist for all weights."""
     part = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(part * 1.0, down, axis=0), across, axis=1)
     return np.asarray(part[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
-
-
-def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return samples smoothed within their micro-images, weighted by the visible part of the pupil."""
-    total, seen = values * weight[..., None], weight
-    for axis in (2, 3):
-        total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
-        seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
-    return np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
-
-
-def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points spread evenly over a lens's aperture, in mm from its centre."""
-    s, t = np.meshgrid(position, position)
-    x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
-    return np.asarray(x), np.asarray(y)
 
 
 def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:

@@ -229,7 +229,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarr
 
 
 def reduced(vectors: np.ndarray) -> np.ndarray:
-    """Return the two shortest vectors of the lattice that two span, at no less than a right angle (Lagrange)."""
+    """Return the two shortest vectors of the lattice that two vectors span, at no less than 90 degrees (Lagrange)."""
     a, b = vectors
     while True:
         if a @ a > b @ b:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -275,8 +276,16 @@ def read_labelled(path: str | Path) -> xr.DataArray:
                 not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
                 f"{path}: there is no such folder of Zarr",
             )
-            require_zarr(path)
-            _require_zarr_memory(path)
+            zarr = require_zarr(path)
+            for record in path.rglob("*"):
+                if record.name in _ZARR_RECORDS:
+                    require_size(record, _LARGEST_RECORD)
+            # Chunks may be larger than their arrays.
+            sizes = [
+                array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
+                for _, array in zarr.open_group(str(path), mode="r").arrays()
+            ]
+            require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
             stored = xr.load_dataarray(path, engine="zarr")
     with naming(path):
         lf = require_light_field(stored)
@@ -285,20 +294,6 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     return lf
 
 
-def _require_zarr_memory(path: Path) -> None:
-    """Refuse a Zarr folder with arrays, or chunks of arrays, that would not fit into memory."""
-    import zarr
-
-    for file in path.rglob("*"):
-        if file.name in _ZARR_RECORDS:
-            require_size(file, _LARGEST_RECORD)
-    sizes = [
-        array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
-        for _, array in zarr.open_group(str(path), mode="r").arrays()
-    ]
-    require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
-
-
-def require_zarr(path: Path) -> None:
-    """Refuse a Zarr file if the package zarr is not installed."""
-    require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")
+def require_zarr(path: Path) -> Any:
+    """Return the package zarr, or refuse a file of Zarr without it."""
+    return require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")

@@ -146,14 +146,15 @@ def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.nd
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the most probable planes with fractions, evidence on whether they are right, and agreeing neighbours.
 
-    Evidence, (4, rows, columns), is logarithms but for the first: one; the log odds that the plane is right, if the
-    evidence of the bin's surroundings, on average, is taken at its word, as repeated texture agrees at several
-    distances about as well; the deviation on the best plane over the brightness, or 0.06 where it is less, since at
-    edges of what is in front, on gloss and on steep surfaces no plane explains the views; and by how many deviations of
-    noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone would leave on the best of
-    all planes.
+    The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane is
+    right, if the average evidence of the bin's surroundings is taken literally, since repeated texture agrees at
+    several distances about as well. The third is the deviation on the best plane over the brightness, or 0.06 where it
+    is less: at edges of foreground objects, on gloss and on steep surfaces no plane explains the views. The fourth is
+    by how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what pure noise
+    would leave on the best of all planes.
 
-    Last comes the fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
+    The last result is the fraction of neighbours that, by their own evidence, are within twice the tolerance of this
+    plane.
     """
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(found.ratio, axis=0)

@@ -155,11 +155,11 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
     (tmp_path / "letters").mkdir()
     (tmp_path / "ray").write_text("")
     words = ["--spp", 1, "-D", "resolution=64", "--model", "ray"]
-    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml")
+    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml", "--quiet")
     run("views", "raw.exr", "-o", "views.png", "--count", 1, "--save-run", "runs/run.yaml")
     text = (tmp_path / "runs" / "run.yaml").read_text()
     assert "scene: letters" in text and "source: ../raw.exr" in text and "define: [resolution=64]" in text
-    assert "model: ray\n" in text
+    assert "model: ray\n" in text and "quiet" not in text
     before = read_capture("small.exr")
     (tmp_path / "small.exr").unlink()
     run("run", "runs/run.yaml")

@@ -179,6 +179,13 @@ def test_outputs_of_dark_pixels_are_zero(camera_dict):
     assert np.all((depth[radius < 4.6] > 249.9) & (depth[radius < 4.6] < 250.5))
 
 
+def test_captures_of_scenes_with_extra_outputs_name_what_has_them(camera_dict):
+    path = {"type": "aov", "aovs": "d:depth", "of": {"type": "path"}}
+    scene = mi.load_dict({"type": "scene", "integrator": path, "sensor": camera_dict(resolution=64)})
+    with pytest.raises(InputError, match=r"the extra outputs .*d\.T; .* ground_truth\(scene\) returns depth"):
+        render_capture(scene, spp=1)
+
+
 def test_shutter_times_reach_the_rays(camera_dict):
     sensor = mi.load_dict(camera_dict(shutter_open=0.25, shutter_close=0.75))
     ray, _ = sensor.sample_ray(0.5, 0.5, [0.5, 0.5], [0.5, 0.5])

@@ -1,4 +1,4 @@
-r"""Partitions of the microlenses into subsets that are propagated one by one, for the verdict about the paper.
+r"""Partitions of the microlenses into subsets that are propagated separately, for a verdict about the paper.
 
 A partition is an array of labels, one per lens; lenses of equal labels share a coherent wave. Its rows and columns are
 the lattice indices j and i of the lenses of recorded pixels, so that for a square array it is arranged like the

@@ -1,7 +1,8 @@
 """Folders of the 4D Light Field Benchmark (HCI) as light fields.
 
 A folder has views ``input_Cam000.png`` and so on, row by row, and ``parameters.cfg``. Folders written by this package
-have a section more there, with the camera, the radiance of white, and the channel count, as views are in colour.
+have a further section there, with the camera, the radiance of white, and the number of channels, as views are always in
+colour.
 """
 
 from __future__ import annotations

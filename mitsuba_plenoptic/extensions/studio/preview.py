@@ -180,7 +180,7 @@ def _pose(scene: Any, position: Any) -> Any:
 
 
 def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of a box around the scene's objects in the sensor's frame; lamps count only among lamps."""
+    """Return the corners of a box around the scene's objects in the sensor's frame, without lamps if possible."""
     objects = [shape for shape in scene.shapes() if not shape.is_emitter()] or list(scene.shapes())
     refuse_if(not objects, "scene: it has no objects to be framed")
     to_camera = scene.sensors()[0].world_transform().inverse()

@@ -31,6 +31,7 @@ from ...runtime.backend import backend
 from ...runtime.batches import Job
 from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
 from .kernels import StoredResponse, require_response_memory
+from .response import Response
 from .variation import TotalVariation
 
 _MEMORY = 2 * 2**30
@@ -204,6 +205,11 @@ class FourierResponse(StoredResponse):
             return spectra + 12 * bins + 6 * spread + 24.0 * math.prod(self._size)
 
         require_response_memory(memory, self._oversample, distances)
+
+
+def response_of(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
+    """Return the kind of the response of a camera."""
+    return FourierResponse if camera.lens_data.images_stop else Response
 
 
 def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:

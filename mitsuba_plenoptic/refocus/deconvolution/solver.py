@@ -1,4 +1,4 @@
-r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the noise or after a given count.
+r"""Richardson and Lucy's iteration, plain or accelerated, stopped by the noise or after a given number of steps.
 
 .. math:: x \leftarrow \frac{x}{A^T 1} \, A^T \frac{y + \beta}{A x + \beta}
 
@@ -19,8 +19,8 @@ The iteration stops where the residual, weighted by the variances of the pixels,
 principle (Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit
 the noise. It also stops where the excess of the residual over noise hardly falls any more.
 
-A penalty P of weight :math:`\lambda` on what x may look like, its total variation for one (see `variation`), divides
-each step (Green 1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microscopy Research and Technique 69, 260):
+A penalty P of weight :math:`\lambda` on x, such as its total variation (see `variation`), divides each step (Green
+1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microscopy Research and Technique 69, 260):
 
 .. math:: x \leftarrow \frac{x}{A^T 1 \, (1 + \lambda \nabla P(x))} \, A^T \frac{y + \beta}{A x + \beta}
 """
