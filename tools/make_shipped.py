@@ -54,7 +54,7 @@ def text() -> str:
             tables[kind] |= dict.fromkeys(getattr(record, kind), name)
     body = "\n".join(fields) or "        pass"
     return (
-        '"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""\n\n'
+        '"""Names of everything that the shipped extensions add; written by ``tools/make_shipped.py``."""\n\n'
         "from __future__ import annotations\n\n"
         "from typing import TYPE_CHECKING\n\n"
         f"SHIPPED: dict[str, dict[str, str]] = {json.dumps(tables, indent=4)}\n\n"
@@ -62,7 +62,7 @@ def text() -> str:
         "if TYPE_CHECKING:\n" + "\n".join(imports) + "\n\n"
         f"    __all__ = {json.dumps(sorted(public), indent=8)}\n\n"
         "    class ShippedParameters:\n"
-        '        """Parameters of the camera that extensions add."""\n\n' + body + "\n"
+        '        """Camera parameters that shipped extensions add."""\n\n' + body + "\n"
     )
 
 

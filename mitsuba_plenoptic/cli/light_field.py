@@ -55,9 +55,8 @@ def views(
 ) -> None:
     """Show the scene from many positions on the main lens.
 
-    Each view is an image with one pixel a lens, as a camera with a small
-    aperture at that position would take it. The mosaic shows the views as they
-    lie on the pupil, the upper left first, seen from behind the camera.
+    Each view is an image with one pixel per microlens, as a camera with a small aperture at that position would take
+    it. The mosaic arranges the views as they lie on the pupil, seen from behind the camera, the upper left first.
 
     [bold]Examples:[/bold]
 
@@ -238,10 +237,9 @@ def depth(
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
-    Depth is measured from the main lens along the axis. The confidence is an
-    estimate of the probability that it is within 1 %; below half the depth is
-    unknown. It is 0 where the views agree best at an end of the search. Where
-    ground truth is known, the depth's error is printed.
+    Depth is measured from the main lens along the axis. The confidence estimates the probability that a depth is within
+    1 %; below 0.5 the depth is unknown. It is 0 where the views agree best at an end of the search range. With a known
+    ground truth, the error of the depth is printed.
 
     [bold]Example:[/bold]
 
@@ -316,8 +314,7 @@ def convert(
 ) -> None:
     """Decode a capture into a light field, or translate between formats of light fields.
 
-    NetCDF and Zarr keep all about it, axes, weights and camera, for xarray and
-    for the other commands.
+    NetCDF and Zarr keep the whole light field, with axes, weights and camera, for xarray and for the other commands.
 
     [bold]Examples:[/bold]
 

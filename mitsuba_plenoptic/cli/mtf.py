@@ -43,9 +43,8 @@ def mtf(
 ) -> None:
     """Measure the modulation transfer function from one slanted edge in a refocused image.
 
-    The edge may lie anywhere, turned by 1 to 20 degrees against the bins. The
-    transfer function is that across the edge, of camera and reconstruction
-    together, in cycles per bin and in line pairs per millimetre of the object.
+    The edge may lie anywhere, turned by 1 to 20 degrees against the bins. The transfer function is measured across the
+    edge, for camera and reconstruction together, in cycles per bin and in line pairs per millimetre of the object.
 
     [bold]Examples:[/bold]
 
@@ -85,7 +84,7 @@ def mtf(
 
 
 def _parsed(region: str | None, seen: Reconstruction) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of a region in bins."""
+    """Return left, top, width and height, in bins, of the region that an option states."""
     rows, columns = seen.image.shape[:2]
     if region is None:
         return 0, 0, columns, rows

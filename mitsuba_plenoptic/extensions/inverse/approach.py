@@ -1,4 +1,4 @@
-"""Coarse fits: a camera near enough to the true one for `fit` to converge."""
+"""Coarse fits that bring a camera close enough to the true one for `fit` to converge."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
 
 
 def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
-    """Return the camera whose nearest lenses are at given positions."""
+    """Return the camera with an array adjusted so that its lenses nearest to the given positions lie on them."""
     lattice = camera.lattice
     i, j = lattice.cell(*position.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
@@ -102,12 +102,12 @@ def coarse_fit(
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> PlenopticCamera:
-    """Return a camera from which `fit` converges, for a start that is some percent off in every length.
+    """Return a camera from which `fit` converges, for a start whose lengths are some percent off.
 
-    A fit does not converge if the spots of the model do not overlap those of a capture. Here both are blurred, at first
-    so that they overlap and then less and less, and the least squares of their differences are found with the fast ray
-    model. Because of the blur, and of diffraction, which the ray model neglects, the error of the result is larger than
-    that due to photon noise.
+    A fit does not converge if the spots of the model do not overlap the spots of a capture. Here both are blurred, at
+    first enough to overlap, then less and less, and the squared differences are minimised with the fast ray model.
+    Because of the blur, and of diffraction, which the ray model neglects, the result is less accurate than photon noise
+    would allow.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def _nearest(
     blur: float,
     count: Callable[[], None],
 ) -> PlenopticCamera:
-    """Return the camera whose captures, blurred by some pixels, are nearest to the views; count the cameras tried."""
+    """Return the camera whose captures, blurred by some pixels, are nearest to the views; `count` counts the trials."""
     from scipy.ndimage import gaussian_filter
     from scipy.optimize import least_squares
 

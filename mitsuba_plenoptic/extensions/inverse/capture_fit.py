@@ -1,4 +1,4 @@
-"""Fitting parameters of a camera to captures of known light: least squares with the captures' own derivatives."""
+"""Fits of camera parameters to captures of known light, by least squares with derivatives of the captures."""
 
 from __future__ import annotations
 
@@ -50,16 +50,15 @@ def fit(
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
-    r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
+    r"""Find the camera parameters that explain captures of known light best, by the wave model or the ray model.
 
     The weighted squares of the residuals are minimised by a trust region method (``scipy.optimize.least_squares``). The
-    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays;
-    its captures have kinks, and its deviations are those of the mean slopes over a deviation, to the side on which the
-    captures change less.
-    The light does not change. If the noise is that of counted electrons, its variance is the one that the model
-    expects, which is updated after a first fit: variances from the data would give bright pixels the wrong weights and
-    bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one; deviations and
-    chi-square take that into account.
+    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays.
+    Ray captures have kinks; therefore the standard deviations come from mean slopes over one deviation, on the side
+    where the captures change less. The light is held fixed. The variance of photon noise is computed from the model's
+    expected image and updated after a first fit, since variances from the data would give bright pixels the wrong
+    weights and bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one;
+    deviations and chi-square take that into account.
 
     A warning is issued if chi-square differs from 1 by more than five of its deviations, if a parameter ends at a
     bound, or if the search has not converged.
@@ -189,7 +188,7 @@ def _model_of(
 
 
 class _Trials:
-    """Cameras that are tried, of which the last one is remembered."""
+    """Cameras tried by a fit, of which the latest one is remembered."""
 
     def __init__(
         self,
@@ -206,7 +205,7 @@ class _Trials:
         self._slopes: NDArray[np.float64] | None = None
 
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the captures of a camera of these parameters."""
+        """Return the captures of the camera with the parameters x."""
         if self._x is None or not np.array_equal(x, self._x):
             self._model = self._model_of(self._vector.at(x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
@@ -216,7 +215,7 @@ class _Trials:
         return self._images
 
     def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of that, which are asked for where a step has led to a better camera."""
+        """Return the derivatives of the captures at x, requested only where a step led to a better camera."""
         images = self.expected(x)
         if self._checkpoint:
             self._checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
@@ -225,7 +224,7 @@ class _Trials:
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
-        """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or the start."""
+        """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or else the start."""
         self._checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic fit``: a camera from captures of known scenes."""
+"""``mitsuba-plenoptic fit``: camera parameters from captures of known scenes."""
 
 from __future__ import annotations
 
@@ -82,10 +82,8 @@ def fit(
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
 
-    It starts from the captures' own camera, or from --camera. Noise and
-    saturation of captures that 'expose' made are those of their detector.
-    Changes of several numbers at once that hardly change the captures are
-    printed.
+    The fit starts from the captures' own camera, or from --camera. Captures made by 'expose' have the noise and
+    saturation of their detector. Joint changes of several parameters that hardly change the captures are printed.
 
     [bold]Example:[/bold]
 
@@ -162,7 +160,7 @@ def fit(
 
 
 def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
-    """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
+    """Return the noise and saturation stored in a capture; refuse a capture whose noise is unknown or given twice."""
     from . import fitting
 
     noise, saturation = fitting.noise_of(capture)

@@ -1,4 +1,4 @@
-"""Known light of a capture, and the noise of its pixels."""
+"""The known light of a capture, and the noise of its pixels."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _NEGATIVE = 6.0
 
 @dataclass(frozen=True)
 class PixelNoise:
-    r"""Noise of a detector: photon noise of counted electrons, and the variance of dark pixels.
+    r"""Noise of a detector's pixels: photon noise, and the variance of dark pixels.
 
     The variance of a pixel whose expected value is :math:`v` is :math:`(E v + d) / E^2`.
 
@@ -110,12 +110,12 @@ class Pixels:
 
     @classmethod
     def of(cls, views: Sequence[View], expected: NDArray[np.float64], default: PixelNoise | None) -> Pixels:
-        """Return the noise of views whose pixels are expected to have some values; `default` where a view has none."""
+        """Return the noise of views' pixels at expected values; `default` is for views without noise of their own."""
         return cls(*map(np.stack, zip(*map(_pixels, views, expected, [default] * len(views)), strict=True)))
 
 
 def by_model(view: View, default: PixelNoise | None) -> bool:
-    """Return whether the noise of a view, or its choice of pixels, depends on the model's expected image."""
+    """Return whether the noise of a view, or its set of used pixels, depends on the model's expected image."""
     return view.saturation is not None or isinstance(default if view.noise is None else view.noise, PixelNoise)
 
 
@@ -164,7 +164,7 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
 
 @dataclass(frozen=True)
 class View:
-    r"""A capture, and the light that it shows.
+    r"""A capture, and the light that was captured.
 
     A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `points.units.brightness` returns as B:
     a capture in the unit of ``plenoptic_wave``. Behind a real main lens each point counts by the part of the pupil
@@ -241,13 +241,13 @@ class View:
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """Mask of the pixels, (rows, columns), that neither `mask` nor saturation excludes."""
+        """Mask (rows, columns) of the pixels that neither `mask` nor saturation excludes."""
         used = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
         return used if self.saturation is None else used & (self.image < self.saturation)
 
 
 def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:
-    """Refuse an empty list, captures whose size differs from the camera's, and captures that show no light.
+    """Refuse an empty list of views, captures of another size than the camera's, and captures without light.
 
     `default` is the noise of views that have none.
     """
@@ -272,7 +272,7 @@ def known_view(
     mask: Any = None,
     saturation: float | None = None,
 ) -> View:
-    """Return a view of a scene's capture, whose points are found as for the wave captures' method ``points``.
+    """Return a view of a scene's capture; its points are found as by method ``points`` of wave captures.
 
     Parameters
     ----------

@@ -35,10 +35,9 @@ def view(
 ) -> None:
     """Make a page to look at a capture: viewpoint, focus, micro-images.
 
-    The page is one HTML file that any browser opens from disk; it loads
-    nothing. Drag to move the viewpoint, click to refocus. The page refocuses
-    by rays, from views of the capture; reconstructions and focal stacks that
-    are given are shown as they were computed.
+    The page is one HTML file that any browser opens from disk, without loading anything else. Drag to move the
+    viewpoint, click to refocus. The page refocuses by rays, from views of the capture; given reconstructions and focal
+    stacks are shown as computed.
 
     [bold]Examples:[/bold]
 
