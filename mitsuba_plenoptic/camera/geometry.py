@@ -188,13 +188,7 @@ class CameraGeometry(CameraParameters):
         return min(self.mla_pitches) / self.pixel_size
 
     def require_resolved(self) -> None:
-        """Refuse a camera whose lenses are narrower than a pixel, for computations that proceed lens by lens.
-
-        Raises
-        ------
-        InputError
-            If the lenses are narrower than a pixel.
-        """
+        """Refuse a camera whose lenses are narrower than a pixel, for computations that proceed lens by lens."""
         if self.pixels_per_lens < 1:
             raise InputError(
                 f"mla_pitch = {min(self.mla_pitches):g}: it is less than a pixel of {self.pixel_size:g}, so that no "
@@ -202,18 +196,7 @@ class CameraGeometry(CameraParameters):
             )
 
     def require_lens(self, what: str) -> None:
-        """Refuse a camera with an objective, for quantities that only lenses at a finite distance have.
-
-        Parameters
-        ----------
-        what : str
-            The quantity, as the beginning of the message.
-
-        Raises
-        ------
-        InputError
-            If the main lens is an objective.
-        """
+        """Refuse a camera with an objective, for a quantity, `what`, that only lenses at a finite distance have."""
         refuse_if(
             not self.lens_data.converges,
             f"main_lens = {self.lens_data.label}: {what} is not defined behind an objective; "
@@ -221,20 +204,7 @@ class CameraGeometry(CameraParameters):
         )
 
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:
-        """Refuse a camera with a real main lens, for computations that support only thin lenses.
-
-        Parameters
-        ----------
-        what : str
-            The computation, as the beginning of the message.
-        instead : str
-            The alternative that the message offers to leaving the lens out.
-
-        Raises
-        ------
-        InputError
-            If the camera has a real main lens.
-        """
+        """Refuse a camera with a real main lens, which `what` does not support; the message offers `instead`."""
         if not self.lens_data.converges:
             instead = "reconstruct a wave capture with method deconvolved"
         refuse_if(
@@ -243,18 +213,7 @@ class CameraGeometry(CameraParameters):
         )
 
     def require_no_objective(self, what: str) -> None:
-        """Refuse a camera with an objective, for computations that support thin main lenses and prescriptions.
-
-        Parameters
-        ----------
-        what : str
-            The computation, as the beginning of the message.
-
-        Raises
-        ------
-        InputError
-            If the main lens is an objective.
-        """
+        """Refuse a camera with an objective, which `what`, for thin main lenses and prescriptions, does not support."""
         refuse_if(
             not self.lens_data.converges,
             f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only",

@@ -35,20 +35,21 @@ class Judged:
 def judging(function: Callable[..., None]) -> Callable[..., None]:
     """Return a command that checks its option values when it is called, not when a run file is parsed."""
     parameters = inspect.signature(function, eval_str=True).parameters
-    judges = {
-        name: one.judge
-        for name, parameter in parameters.items()
-        for one in getattr(parameter.annotation, "__metadata__", ())
-        if isinstance(one, Judged)
-    }
+    judges = []
+    for name, parameter in parameters.items():
+        notes = getattr(parameter.annotation, "__metadata__", ())
+        # Some options have another name than the argument, such as --format.
+        spelt = [word for one in notes for word in getattr(one, "param_decls", None) or () if word.startswith("--")]
+        shown = spelt[0].strip("-").replace("-", "_") if spelt else name
+        judges += [(name, shown, one.judge) for one in notes if isinstance(one, Judged)]
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
-        for name, judge in judges.items():
+        for name, shown, judge in judges:
             value = options[name]
             for one in value if isinstance(value, list) else [value]:
                 if one is not None:
-                    judge(name, one)
+                    judge(shown, one)
         function(**options)
 
     return command

@@ -77,7 +77,10 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
         focal_length, b = behind(shift)
         return b * vergence(focal_length, distance / scale) - 1
 
-    shifts = np.linspace(*_range(lens, first, last, array - before.length), _STEPS)
+    # The group can move towards the array and towards the scene, up to the next surfaces.
+    room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else array - before.length
+    ahead = lens.surfaces[first - 1].thickness if first > 0 else room
+    shifts = np.linspace(-(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room, _STEPS)
     values = np.array([missed(shift) for shift in shifts])
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     refuse_if(
@@ -116,10 +119,3 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
             f"group = {short_repr(group)}: glass follows surface {number + 1}: a group moves in air",
         )
     return first, last
-
-
-def _range(lens: Prescription, first: int, last: int, behind: float) -> tuple[float, float]:
-    """Return how far a group can move, in mm, towards the scene and towards the array with the gap `behind`."""
-    room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else behind
-    ahead = lens.surfaces[first - 1].thickness if first > 0 else room
-    return -(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room

@@ -76,7 +76,6 @@ class LensSystem(FiniteDistance):
         Raises
         ------
         InputError
-            If it has none.
             If the camera has no prescription.
         """
         if camera.prescription is None:
@@ -174,13 +173,13 @@ class LensSystem(FiniteDistance):
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
-        point, direction, is_open, _ = self._follow(position, slope)
-        return *self._in_camera(point, direction), is_open
-
-    def _in_camera(self, point: Any, direction: Any) -> tuple[tuple[Any, Any, Any], Pair]:
+        tx, ty = slope
+        N = rsqrt(1 + tx * tx + ty * ty)
+        x, y = (m / self.scale for m in position)
+        start = (x, y, -self.back_distance / self.scale)
+        point, (L, M, N), is_open, _ = sequential.follow(self._backwards, start, (tx * N, ty * N, N))
         x, y, z = (self.scale * value for value in point)
-        L, M, N = direction
-        return (x, y, self.front + z), (L / N, M / N)
+        return (x, y, self.front + z), (L / N, M / N), is_open
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
@@ -230,15 +229,6 @@ class LensSystem(FiniteDistance):
             step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
             slope, other = slope - step, slope
         return slope
-
-    def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
-        """Return the result of `sequential.follow` for rays from the MLA, in the prescription's lengths."""
-        tx, ty = slope
-        N = rsqrt(1 + tx * tx + ty * ty)
-        x, y = (m / self.scale for m in position)
-        return sequential.follow(
-            self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares
-        )
 
     @property
     def light(self) -> float:

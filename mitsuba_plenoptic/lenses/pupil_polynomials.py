@@ -154,19 +154,8 @@ class PupilPolynomial:
         return total
 
     def gradient(self, pupil: Pair) -> tuple[Any, Any, Any]:
-        """Return the values at pupil positions, and their derivatives along x and y."""
+        """Return the values at pupil positions, and their derivatives along x and y, by Horner's rule as in `value`."""
         s, t = self._invariants(pupil)
-        value, along_s, along_t = self._sum(s, t)
-        along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
-        x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
-        return value, x, y
-
-    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
-        (x, y), (u, v) = pupil, self.field
-        return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
-
-    def _sum(self, s: Any, t: Any) -> tuple[Any, Any, Any]:
-        """Return the value and its derivatives by both invariants, by Horner's rule in powers of the mixed one."""
         rows: list[tuple[Any, Any]] = []
         value, slope = 0.0 * s, 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
@@ -178,7 +167,13 @@ class PupilPolynomial:
         for row, slope in reversed(rows):
             along_t = along_t * t + value
             value, along_s = value * t + row, along_s * t + slope
-        return value, along_s, along_t
+        along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
+        x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
+        return value, x, y
+
+    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
+        (x, y), (u, v) = pupil, self.field
+        return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
 
 @dataclass(frozen=True)

@@ -161,8 +161,11 @@ def follow(
             root = B * B - A * C
             is_open = is_open & (root > 0)
             t = C / (B + safe_sqrt(root, LEAST))
-            if surface.asphere:
-                t = _meet(surface, (x, y), (L, M, N), t)
+            for _ in range(NEWTON_STEPS if surface.asphere else 0):
+                X, Y = x + t * L, y + t * M
+                square = X * X + Y * Y
+                rise = _slope(surface, square) * (X * L + Y * M)
+                t = t - (t * N - height(surface, square)) / (N - rise)
             x, y, z = x + t * L, y + t * M, t * N
             s = s + t
         else:
@@ -194,14 +197,3 @@ def _slope(surface: Element, square: Any) -> Any:
         slope = slope + 2 * order * coefficient * power
         power = power * square
     return slope
-
-
-def _meet(surface: Element, position: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
-    """Return the ray parameter, measured from the vertex's plane, at which a ray meets an asphere."""
-    (x, y), (L, M, N) = position, direction
-    for _ in range(NEWTON_STEPS):
-        X, Y = x + t * L, y + t * M
-        square = X * X + Y * Y
-        rise = _slope(surface, square) * (X * L + Y * M)
-        t = t - (t * N - height(surface, square)) / (N - rise)
-    return t

@@ -34,7 +34,18 @@ MOST_DEVIATIONS = 3.0
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
     place, focal = camera.mla_jitter
-    x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
+    start = int(hashed(np.array([camera.mla_seed], np.uint32))[0])
+    lens, module = hashed(hashed(_words(i) ^ start) ^ _words(j)), dr if dr.is_array_v(i) else np
+    deviates = []
+    for number in range(3):
+        # Two uniform numbers make a normal one (Box and Muller 1958).
+        words = [hashed(lens ^ (0x9E3779B9 * (2 * number + part + 1) & 0xFFFFFFFF)) >> 9 for part in (0, 1)]
+        if module is dr:
+            words = [dr.float32_array_t(type(word))(word) for word in words]
+        first, second = ((word + 0.5) * 2.0**-23 for word in words)
+        deviate = module.sqrt(-2 * module.log(first)) * module.cos(2 * math.pi * second)
+        deviates.append(module.clip(deviate, -MOST_DEVIATIONS, MOST_DEVIATIONS))
+    x, y, f = deviates
     return place * x, place * y, 1 + focal * f
 
 
@@ -87,24 +98,6 @@ def _words(index: Any) -> Any:
     if not dr.is_array_v(index):
         return np.asarray(index, np.int64).astype(np.uint32)
     return dr.uint32_array_t(type(index))(dr.int32_array_t(type(index))(index))
-
-
-def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
-    """Return a normal deviate by the method of Box and Muller (1958), clipped at `MOST_DEVIATIONS`."""
-    first, second = (_uniform(i, j, 2 * number + part, seed) for part in (0, 1))
-    if dr.is_array_v(first):
-        value = dr.sqrt(-2 * dr.log(first)) * dr.cos(2 * math.pi * second)
-        return dr.clip(value, -MOST_DEVIATIONS, MOST_DEVIATIONS)
-    return np.clip(np.sqrt(-2 * np.log(first)) * np.cos(2 * math.pi * second), -MOST_DEVIATIONS, MOST_DEVIATIONS)
-
-
-def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
-    """Return values uniformly distributed between 0 and 1, both excluded."""
-    start = int(hashed(np.array([seed], np.uint32))[0])
-    bits = hashed(hashed(hashed(i ^ start) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
-    if dr.is_array_v(bits):
-        return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
-    return (bits.astype(np.float64) + 0.5) * 2.0**-23
 
 
 _COSINES = 32

@@ -42,11 +42,6 @@ def terms(u: Any, v: Any) -> list[Any]:
     return [u, v, u * u, u * v, v * v]
 
 
-def _changes_of_terms(u: Any, v: Any, du: Any, dv: Any) -> list[Any]:
-    """Return the changes of `terms` due to small changes of the cosines."""
-    return [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv]
-
-
 def phase(u: Any, v: Any, cosines: tuple[float, float], power: float, index: float, enlargement: float) -> Any:
     """Return the nonlinear part of the path for points of a lens, in millimetres, in units of the reduced distance.
 
@@ -141,7 +136,10 @@ class Oblique:
         scale = np.float32(1 / self.largest)
         u, v = cosines * scale
         none, one = np.zeros_like(u), np.full_like(u, scale)
-        parts = [_changes_of_terms(u, v, *change) if self.count else [] for change in ((one, none), (none, one))]
+        parts = [
+            [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv] if self.count else []
+            for du, dv in ((one, none), (none, one))
+        ]
         return np.reshape(np.array(parts, np.float32), (2, -1, *u.shape))
 
 

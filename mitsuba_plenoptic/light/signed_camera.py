@@ -41,7 +41,7 @@ from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of
 from .scene_light import require_finite
-from .signed_colours import Lanes, mixed
+from .signed_colours import mixed
 from .signed_draws import Drawn, Kept, Lot
 from .signed_rays import SignedRaySum
 
@@ -134,9 +134,9 @@ class CameraTangents(_CameraSum):
         kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
+        weights: Sequence[Any],
         lit: Any,
         number: int,
-        lanes: Lanes | None,
     ) -> list[list[Any]]:
         """Return each cell's values for each kernel, their slopes and their changes, for each image of a node.
 
@@ -144,11 +144,7 @@ class CameraTangents(_CameraSum):
         """
         (first, start), (drawn, _) = self._first(lot.pixels), self._drawn_rays(lot.pixels, lot.key)
         pixel, key = self._spread(lot.pixels.index), lot.key
-        node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
-        used, weights = node.mixture(lanes)
-        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
-        if lanes is not None:
-            weights = self._spread(weights)
+        table, width = self._coefficients[number], self._by_width[number]
         assert isinstance(table, RayCoefficients)  # others are refused
         _, direction, _ = self._groups[0][0].through_pupil(drawn.pupil, drawn.place, drawn.height)
         with dr.resume_grad():

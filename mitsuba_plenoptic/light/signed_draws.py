@@ -196,7 +196,9 @@ class Draws:
         camera = self._camera
         # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
-        return camera.lattice.neighbours(self._seen(self.widest) + beyond)
+        # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
+        apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
+        return camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
 
     def lights(self, aims: Aims) -> Any:
         """Return whether light through the lenses can reach the pixels."""
@@ -207,12 +209,6 @@ class Draws:
     def lit_lenses(self) -> float:
         """Mean number of lenses that light a pixel, counted in the middle of the detector."""
         return _lit_lenses(self._camera, self._longest, self._parts)
-
-    def _seen(self, radius: float) -> float:
-        """Return the distance on the array of rays from one detector point to pupil points `radius` apart."""
-        camera = self._camera
-        farthest = radius * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
-        return farthest * max(self.enlargements)
 
     @property
     def _step(self) -> float:
@@ -304,7 +300,13 @@ class Draws:
         x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)
         if self.by_points:
-            point, aside = lattice.aperture_point(*random[:2]), self._diffracted(pixel, sample, seed)
+            # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
+            first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
+            energy = first * (_AIRY - 1)
+            low = mi.UInt32(energy)
+            ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
+            radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
+            point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
             weight = dr.ones(mi.Float, dr.width(sample))
             turn = dr.gather(mi.Float, self._turns, aims.kind)
             pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
@@ -317,26 +319,13 @@ class Draws:
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
 
-    def _within(self, point: Pair) -> Pair:
-        """Return the points of a lens nearest to given points."""
-        lattice = self._camera.lattice
-        (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
-        return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
-
     def crossed(self, drawn: Drawn) -> Pair:
         """Return the lateral path of light in the medium behind the lens, and the medium's depth."""
-        x, y = self._within(drawn.point)
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*drawn.point), lattice.aperture_widths
+        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height
-
-    def _diffracted(self, pixel: Any, sample: Any, seed: Any) -> Pair:
-        """Return random displacements of light on the array by the whole pupil's diffraction, an Airy pattern."""
-        first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
-        place = first * (_AIRY - 1)
-        low = mi.UInt32(place)
-        v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)
-        y, x = dr.sincos(2 * math.pi * second)
-        return v * x, v * y
 
     @cached_property
     def _airy(self) -> Any:

@@ -237,7 +237,13 @@ class SignedRaySum:
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield, in lots, the pixels of a box with each lens that lights them."""
         size = max(1, _LANES // self._together)
-        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, self._kept_of(box, seeds)), pixels) != 0
+        # Near pixels, and one of each square of the others, have rays.
+        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
+        drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
+        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
+        one_of_each = np.kron(drawn, np.ones_like(squares)) == np.tile(squares, shape)
+        held = ~self._far(box) | one_of_each[: box.rows, : box.columns]
+        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, held), pixels) != 0
         for steps in self._draws.candidates:
             aims = self._draws.aims(Pixels(box, pixels, steps))
             seen = kept & self._draws.lights(aims)
@@ -265,14 +271,6 @@ class SignedRaySum:
             )
         )
         return np.asarray(rows[:, None] | columns)
-
-    def _kept_of(self, box: Box, seeds: np.random.SeedSequence) -> NDArray[np.bool_]:
-        """Return a mask of the pixels of a box that have rays: all near ones, and one in each square of far ones."""
-        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
-        chosen = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
-        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
-        kept = np.kron(chosen, np.ones_like(squares)) == np.tile(squares, shape)
-        return ~self._far(box) | kept[: box.rows, : box.columns]
 
     def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[NDArray[np.float32]]]]]:
         """Yield the lots of all blocks, and the gradients with respect to the images made from the lots.
@@ -325,25 +323,23 @@ class SignedRaySum:
         made = time.perf_counter() - start
         count = self._bins.rows * self._bins.columns
         convolved, memory = cost_of(convolutions, self._blocks[0], count)
-        # The first run compiles the kernels, and is left out.
-        seconds = [self._timed(self._some(_CELLS // self._parts**2), seed) for seed in range(3)]
+        pixels, seconds = self._some(_CELLS // self._parts**2), []
+        for seed in range(3):
+            with busy_drjit():
+                dr.sync_thread()
+                start = time.perf_counter()
+                self._trace(self._bins, pixels, np.random.SeedSequence(seed))
+                dr.sync_thread()
+                seconds.append((time.perf_counter() - start) / dr.width(pixels))
         plans = [node.plan for node in self._nodes if not node.plan.by_points]
         tables = sum(part.nbytes for plan in plans for part in plan.table)
+        # The first run compiles the kernels, and is left out.
         return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
 
     def _some(self, count: int) -> Any:
         """Return the indices of `count` evenly spaced pixels."""
         every = self._bins.rows * self._bins.columns
         return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
-
-    def _timed(self, pixels: Any, seed: int) -> float:
-        """Return the seconds per pixel that tracing the rays of pixels takes."""
-        with busy_drjit():
-            dr.sync_thread()
-            start = time.perf_counter()
-            self._trace(self._bins, pixels, np.random.SeedSequence(seed))
-            dr.sync_thread()
-            return (time.perf_counter() - start) / dr.width(pixels)
 
     def _lanes(self, pixels: Pixels, turn: int, seed: int) -> list[Lanes | None]:
         """Return the wavelengths of the rays of pixels in one pass, for each group of nodes."""
@@ -373,7 +369,10 @@ class SignedRaySum:
                 require_light(radiance)
             known, lit = known_means(radiance, counted, count, self._together)
             for number, own in zip(nodes, kept, strict=True):
-                sums.append(self._bring(lot, own, radiance, known, lit, number, lanes))
+                used, weights = self._nodes[number].mixture(lanes)
+                lights, means = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
+                weights = weights if lanes is None else self._spread(weights)
+                sums.append(self._bring(lot, own, lights, means, weights, lit, number))
         cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
         return Brought(sums, cosines)
@@ -414,18 +413,16 @@ class SignedRaySum:
         kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
+        weights: Sequence[Any],
         lit: Any,
         number: int,
-        lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, the mean coefficients of the rays of each cell."""
-        (first, start), (places, weight) = self._first(lot.pixels), kept
+        """Return, for each image of a node, the mean coefficients of the rays of each cell.
+
+        `weights` mix the radiances of rays, and their known means in cells, for each image.
+        """
         # Computed before the recorded loop, so as not to become a part of it.
-        node, coefficients = self._nodes[number], self._coefficients[number]
-        used, weights = node.mixture(lanes)
-        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
-        if lanes is not None:
-            weights = self._spread(weights)
+        (first, start), (places, weight), coefficients = self._first(lot.pixels), kept, self._coefficients[number]
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0

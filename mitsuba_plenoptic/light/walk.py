@@ -186,13 +186,13 @@ class Walk:
         fields, across, _, _ = found.points.shape
         u, v = x * c + y * s, y * c - x * s
         at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
+        # Outside its border the map continues with the border's values, which lie outside the pupil.
         u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
         return u * c - v * s, u * s + v * c
 
     @functools.cached_property
     def _round_pupil(self) -> Any:
         assert self.lens.round_map is not None
-        # Outside its border the map continues with the border's values, which lie outside the pupil.
         return mi.Texture3f(
             drjit_array(mi.TensorXf, self.lens.round_map.points),
             filter_mode=dr.FilterMode.Linear,

@@ -154,6 +154,11 @@ def known_index(name: str, value: Any) -> Glass:
     return glass
 
 
+def excess_index(glass: Glass, wavelength: float) -> float:
+    """Return the refractive index of a material at a wavelength, less 1 for air."""
+    return float(glass.at(wavelength)) - 1
+
+
 def per_millimetre(wavelength: float) -> float:
     """Return the number of waves in a millimetre, from a wavelength in nanometres."""
     return 1 / (require_wavelength(wavelength) * MM_PER_NM)

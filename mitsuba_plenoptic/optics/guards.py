@@ -205,20 +205,7 @@ def watch() -> Iterator[dict[str, float]]:
 
 
 def check(guard: Guard, fraction: float) -> None:
-    """Record a fraction of the power, and raise an error if it exceeds the guard's bound.
-
-    Parameters
-    ----------
-    guard : Guard
-        The guard.
-    fraction : float
-        The measured fraction, from 0 to 1.
-
-    Raises
-    ------
-    PhysicsError
-        If the fraction exceeds `refuse`.
-    """
+    """Record a fraction of the power, from 0 to 1; raise a `PhysicsError` if it exceeds the guard's `refuse`."""
     require(guard, fraction)
     fraction = max(0.0, fraction)
     findings = _findings.get()
@@ -229,39 +216,13 @@ def check(guard: Guard, fraction: float) -> None:
 
 
 def require(guard: Guard, fraction: float) -> None:
-    """Raise an error if a fraction of the power exceeds the guard's bound, without recording the fraction.
-
-    Parameters
-    ----------
-    guard : Guard
-        The guard.
-    fraction : float
-        The measured fraction, from 0 to 1.
-
-    Raises
-    ------
-    PhysicsError
-        If the fraction exceeds `refuse`.
-    """
+    """Raise a `PhysicsError` if a fraction of the power exceeds the guard's `refuse`, without recording it."""
     if fraction > guard.refuse:
         raise PhysicsError(_sentence(guard, fraction))
 
 
 def check_window(in_rim: float, before: float = 0.0) -> None:
-    """Record the growth of a field's power in the rim of its window during propagation, as a fraction of its power.
-
-    Parameters
-    ----------
-    in_rim : float
-        The fraction after propagation.
-    before : float
-        The fraction before propagation.
-
-    Raises
-    ------
-    PhysicsError
-        If light has wrapped around the window.
-    """
+    """Record the fraction of a field's power in its window's rim, `in_rim`, and the growth since `before`."""
     check(WINDOW, in_rim)
     check(WRAPPED, in_rim - before)
 

@@ -212,7 +212,8 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     samples = given if overwrite else backend_of(given).empty(given.shape, np.complex64)
     if not overwrite:
         samples[...] = given
-    pitch, distance, wavelength = _check(pitch, distance, wavelength)
+    pitch, distance = require_number("pitch", pitch, positive=True), require_number("distance", distance)
+    wavelength = require_wavelength(wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
     packed = fft2_packed(drjit_array(libraries.types.UInt64, as_words(samples)), shape)
     guard.see_spectrum(packed)
@@ -243,8 +244,8 @@ def advance(
     whole spectrum. `paraxial` and `beyond_paraxial` are as in `transfer`.
     """
     packed = drjit_array(array_module().UInt64, as_words(spectrum))
-    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial, beyond_paraxial)
-    return as_field(packed, spectrum.shape)
+    how = {"shift": shift, "paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
+    return as_field(_advance(packed, spectrum.shape, pitch, distance, wavelength, part, **how), spectrum.shape)
 
 
 def _advance(
@@ -253,12 +254,10 @@ def _advance(
     pitch: float | tuple[float, float],
     distance: float,
     wavelength: float,
-    shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
-    paraxial: bool = False,
-    beyond_paraxial: bool = False,
+    **how: Any,
 ) -> Any:
-    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
+    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""
     types = array_types(packed)
     rows, columns = shape
     row, column = rows_and_columns(types, rows, columns)
@@ -266,8 +265,7 @@ def _advance(
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    kind = {"paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
-    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift, **kind))
+    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, **how))
 
 
 def transfer(
@@ -310,11 +308,3 @@ def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float)
     position, size = types.Int32(index), dr.opaque(types.Int32, count)
     order = dr.select(2 * position < size, position, position - size)
     return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))
-
-
-def _check(pitch: float, distance: float, wavelength: float) -> tuple[float, float, float]:
-    return (
-        require_number("pitch", pitch, positive=True),
-        require_number("distance", distance),
-        require_wavelength(wavelength),
-    )

@@ -280,7 +280,26 @@ def make_class() -> type:
             return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
-            return self._by_points(scene, sensor) if self.method == POINTS else self._signed(scene, sensor)
+            if self.method == SIGNED_RAYS:
+                return self._signed(scene, sensor)
+            camera = regular_array(PlenopticCamera.from_sensor(sensor))
+            require_ideal(camera)
+            spectrum, upsampling = self.spectrum_of(scene, sensor), None
+            if mi.is_spectral:
+                wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
+                responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
+                colour.require_spectra(scene, wavelengths, responses)
+            require_matte(scene, sensor, self.child, camera)
+            if spectrum is None:
+                spectrum = Spectrum.lines(*self.wavelengths)
+            else:
+                upsampling = self.colours.upsampling(spectrum)
+                if (nodes := self.colours.nodes) is not None:
+                    bands = 1 if self.colours.bandwidth is None else len(self.wavelengths)
+                    spectrum = spectrum.interpolated(nodes * bands)
+            each = spectrum.wavelengths if mi.is_spectral else (None,)
+            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in each]
+            return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def _signed(self, scene: Any, sensor: Any) -> SignedCapture:
             colours = self.colours.signed(sensor.film().base_channels_count())
@@ -293,24 +312,6 @@ def make_class() -> type:
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
-
-        def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:
-            camera = regular_array(PlenopticCamera.from_sensor(sensor))
-            require_ideal(camera)
-            spectrum = self.spectrum_of(scene, sensor)
-            if mi.is_spectral:
-                wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
-                responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
-                colour.require_spectra(scene, wavelengths, responses)
-            require_matte(scene, sensor, self.child, camera)
-            upsampling = None if spectrum is None else self.colours.upsampling(spectrum)
-            nodes = None if spectrum is None else self.colours.total_nodes()
-            spectrum = Spectrum.lines(*self.wavelengths) if spectrum is None else spectrum
-            each = spectrum.wavelengths if mi.is_spectral else (None,)
-            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in each]
-            if nodes is not None:
-                spectrum = spectrum.interpolated(nodes)
-            return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""

@@ -93,7 +93,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     """Return the camera described by a plugin's properties and by its film, the detector."""
     with naming(plugin):
         given = {
-            name: _READERS[entry.form](props, name) if entry.form in _READERS else _plain(props[name])
+            name: _read_parameter(_plain(props[name]), name, entry.form)
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
@@ -106,63 +106,40 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     return camera
 
 
-def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
-    """Return one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
-    value = _plain(props[name])
-    if isinstance(value, str):
-        with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
-            value = [float(part) for part in value.split(",")]
-    elif not hasattr(value, "__len__"):
-        value = [value]
-    return tuple(require_number(name, _plain(number)) for number in value)
-
-
-def _read_position(props: Any, name: str) -> tuple[float, ...]:
-    """Return the x and y of a position, given as a pair or as a point or vector whose z is 0."""
-    position = _read_numbers(props, name)
-    return position[:2] if len(position) == 3 and position[2] == 0 else position
-
-
-def _text_for(read: Callable[..., Any], what: str) -> Callable[[Any, str], Any]:
-    """Return the reader of values given as files or as text, which the function `read` accepts."""
-
-    def read_text(props: Any, name: str) -> Any:
-        source = _plain(props[name])
-        if not isinstance(source, str):
-            raise InputError(f"{name} = {source!r}: it must be text: {what}")
-        return read(source, lambda path: str(mi.file_resolver().resolve(path)))
-
-    return read_text
-
-
-def _read_glass(props: Any, name: str) -> Any:
-    """Return a glass, given as a name, a refractive index or the text of a JSON object."""
-    source = _plain(props[name])
-    if not isinstance(source, str) or not source.lstrip().startswith("{"):
-        return source
-    with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
-        return json.loads(source)
-
-
-def _read_response(props: Any, name: str) -> Any:
-    """Return a photodiode response, given as a file or as the text of a JSON object."""
-    source = _plain(props[name])
-    if not isinstance(source, str) or source.lstrip().startswith("{"):
-        return source
-    return str(mi.file_resolver().resolve(source))
-
-
-_READERS = {
-    Form.SEVERAL: _read_numbers,
-    Form.NUMBERS: _read_numbers,
-    Form.PLACE: _read_position,
-    Form.LENS: _text_for(read_lens, "a file or a bundled lens"),
-    Form.GLASS: _read_glass,
-    Form.SHAPE: _text_for(known_shape, "a JSON file, or its content"),
-    Form.SCREEN: _text_for(known_screen, "a JSON file, or its content"),
-    Form.RESPONSE: _read_response,
+_TEXTS: dict[Form, tuple[Callable[..., Any], str]] = {
+    Form.LENS: (read_lens, "a file or a bundled lens"),
+    Form.SHAPE: (known_shape, "a JSON file, or its content"),
+    Form.SCREEN: (known_screen, "a JSON file, or its content"),
 }
-"""Readers for the forms of parameters that scene files write differently from Python."""
+"""Readers of values that are given as files or their texts, and what these are."""
+
+
+def _read_parameter(value: Any, name: str, form: Form) -> Any:
+    """Return a camera's parameter of a form that scene files may write differently from Python."""
+
+    def resolved(path: str) -> str:
+        return str(mi.file_resolver().resolve(path))
+
+    is_text, is_object = isinstance(value, str), isinstance(value, str) and value.lstrip().startswith("{")
+    if form in (Form.SEVERAL, Form.NUMBERS, Form.PLACE):
+        if is_text:
+            with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
+                value = [float(part) for part in value.split(",")]
+        elif not hasattr(value, "__len__"):
+            value = [value]
+        numbers = tuple(require_number(name, _plain(number)) for number in value)
+        # Points and vectors have a z.
+        return numbers[:2] if form is Form.PLACE and len(numbers) == 3 and numbers[2] == 0 else numbers
+    if form in _TEXTS:
+        read, what = _TEXTS[form]
+        refuse_if(not is_text, f"{name} = {value!r}: it must be text: {what}")
+        return read(value, resolved)
+    if form is Form.GLASS and is_object:
+        with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
+            return json.loads(value)
+    if form is Form.RESPONSE and is_text and not is_object:
+        return resolved(value)
+    return value
 
 
 def put(film: Any, image: NDArray[np.float32], channels: int) -> None:
@@ -290,10 +267,6 @@ class Colours:
             return basis
         # Sums over wavelengths approximate integrals; the matrix is corrected so that grey remains exactly grey.
         return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
-
-    def total_nodes(self) -> int | None:
-        """Return the number of wavelengths at which point spreads are computed; None means as many as needed."""
-        return None if self.nodes is None else self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters by name, as for ``mi.load_dict``."""

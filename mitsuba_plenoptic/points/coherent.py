@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_choice
+from ..errors import InputError, refuse_if
 from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import Footprint, footprint
@@ -29,7 +29,7 @@ from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_microlenses, pixel_integrals
 from .nonuniform import POINT_BYTES
-from .pupil_sums import Layer, layers, memory
+from .pupil_sums import Layer, carrier_type, layers
 
 PLANES = ("pupil", "array", "detector")
 """Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
@@ -61,12 +61,20 @@ class CoherentFields:
         self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
         self._pupil = PupilGrid(lens, self.grids.wide_origin, self._pupil_pitch)
         self._parts = layers(system, lens, points)
-        sums = max(memory(lens, points[part], self._pupil) for part in self._parts)
+        kinds = [carrier_type(lens, points[part], self._pupil) for part in self._parts]
+        # An upper bound of the memory of a layer's field, without that of each point.
+        sums = max(kind.memory(lens, points[part], self._pupil) for kind, part in zip(kinds, self._parts, strict=True))
         check_memory(POINT_BYTES * len(points) + sums + 8.0 * self.grids.wide_pupil**2, what)
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
-        pupil = self._on_pupil(amplitudes)
+        grid = self._pupil
+        inner = np.zeros((grid.count, grid.count), np.complex64)
+        for part, layer in self._layers:
+            layer.add(amplitudes[part], inner)
+        field = backend().arrays.zeros(self.shape("pupil"), np.complex64)
+        field[grid.rows, grid.columns] = backend().arrays.asarray(inner)
+        pupil = SampledField(field, self.grids.wide_origin, self._pupil_pitch)
         if plane == "pupil":
             return pupil
         array = at_mla(self.system.camera, self.system.wavelength, self.grids, pupil)
@@ -86,12 +94,25 @@ class CoherentFields:
 
     def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
         """Return the inner product of each point's field with samples of one of the planes."""
-        arrays = backend().arrays
-        field = arrays.array(samples, np.complex64)
+        camera, grids = self.system.camera, self.grids
+        field: Field = backend().arrays.array(samples, np.complex64)
         if plane == "detector":
-            field = self._before_microlenses(field)
+            # Back to the array, and through the microlenses.
+            with resting_drjit():
+                spectrum = fft2(field)
+            wavelength = camera.medium_wavelength(self.system.wavelength)
+            spectrum = advance(spectrum, grids.pitch, -camera.detector_distance, wavelength)
+            with resting_drjit():
+                field = fft2(spectrum, inverse=True).conj()
+            pass_microlenses(self.system, grids, field)
+            field = field.conj()
         if plane != "pupil":
-            field = self._behind_pupil(field)
+            # Back from the array to the pupil.
+            with resting_drjit():
+                spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
+            spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
+            with resting_drjit():
+                field = fft2(spectrum, inverse=True)
         field = np.ascontiguousarray(backend().to_host(field[self._pupil.rows, self._pupil.columns]))
         result = np.empty(len(self._points), np.complex64)
         for part, layer in self._layers:
@@ -115,36 +136,6 @@ class CoherentFields:
     @cached_property
     def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
         return [(part, Layer(self.system, self._lens, self._points[part], self._pupil)) for part in self._parts]
-
-    def _on_pupil(self, amplitudes: NDArray[np.complex64]) -> SampledField:
-        grid = self._pupil
-        inner = np.zeros((grid.count, grid.count), np.complex64)
-        for part, layer in self._layers:
-            layer.add(amplitudes[part], inner)
-        field = backend().arrays.zeros(self.shape("pupil"), np.complex64)
-        field[grid.rows, grid.columns] = backend().arrays.asarray(inner)
-        return SampledField(field, self.grids.wide_origin, self._pupil_pitch)
-
-    def _before_microlenses(self, field: Field) -> Field:
-        """Return a detector field carried back through the adjoints of the propagation and of the microlenses."""
-        camera = self.system.camera
-        with resting_drjit():
-            spectrum = fft2(field)
-        wavelength = camera.medium_wavelength(self.system.wavelength)
-        spectrum = advance(spectrum, self.grids.pitch, -camera.detector_distance, wavelength)
-        with resting_drjit():
-            field = fft2(spectrum, inverse=True).conj()
-        pass_microlenses(self.system, self.grids, field)
-        return field.conj()
-
-    def _behind_pupil(self, field: Field) -> Field:
-        """Return a field on the array carried back to the pupil by the adjoint of the propagation."""
-        grids, camera = self.grids, self.system.camera
-        with resting_drjit():
-            spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
-        spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
-        with resting_drjit():
-            return fft2(spectrum, inverse=True)
 
 
 def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
@@ -171,22 +162,8 @@ def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
     return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))
 
 
-def require_plane(plane: Any) -> str:
-    """Return the name of a plane, or refuse it."""
-    return require_choice("plane", plane, PLANES)
-
-
-def check_amplitudes(amplitudes: Any, count: int) -> NDArray[np.complex64]:
-    """Return amplitudes as a complex array (n,); refuse anything else."""
-    return _complex("amplitudes", amplitudes, (count,), "one complex number for each point")
-
-
-def check_samples(samples: Any, shape: tuple[int, int], plane: str) -> NDArray[np.complex64]:
-    """Return samples of a field in a plane as a complex array; refuse a wrong shape."""
-    return _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
-
-
-def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+def complex_array(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+    """Return values as a complex array of a shape; refuse anything else."""
     try:
         array = np.asarray(values, np.complex64)
     except (TypeError, ValueError, OverflowError):

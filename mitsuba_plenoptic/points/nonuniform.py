@@ -46,7 +46,10 @@ class PlaneWaves:
         low, high = first.min(0), first.max(0) + _WIDTH
         self._low, self._shape = low, (int(high[1] - low[1]), int(high[0] - low[0]))
         steps = np.arange(_WIDTH)
-        weights = [_bessel(place[:, axis, None] - (first[:, axis, None] + steps)) for axis in (0, 1)]
+        distances = (place[:, axis, None] - (first[:, axis, None] + steps) for axis in (0, 1))
+        inside = (np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2)) for distance in distances)
+        i0 = scipy.special.i0
+        weights = [(i0(_SHAPE * root) / i0(_SHAPE)).astype(np.float32) for root in inside]
         index = [first[:, axis, None] - low[axis] + steps for axis in (0, 1)]
         values = weights[1][:, :, None] * weights[0][:, None, :]
         columns = index[1][:, :, None] * self._shape[1] + index[0][:, None, :]
@@ -56,7 +59,9 @@ class PlaneWaves:
             shape=(n, self._shape[0] * self._shape[1]),
         )
         order = np.arange(count) - count // 2
-        self._correction = (1 / _bessel_transform(order / self._length)).astype(np.float32)
+        # The Fourier transform of the Kaiser-Bessel function.
+        root = np.sqrt(_SHAPE**2 - (math.pi * _WIDTH * (order / self._length)) ** 2)
+        self._correction = (1 / (_WIDTH * np.sinh(root) / root / i0(_SHAPE))).astype(np.float32)
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
@@ -94,38 +99,22 @@ def length(count: int) -> int:
 
 def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return `count` samples about the origin along an axis, from frequencies that begin at index `first`."""
-    shape = list(spectrum.shape)
-    shape[axis] = size
-    padded = np.zeros(shape, np.complex64)
-    _put(padded, (first + np.arange(spectrum.shape[axis])) % size, spectrum, axis)
+    padded = _embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
     whole = fft(padded, axis=axis, inverse=True, norm="forward")
     return np.take(whole, (np.arange(count) - count // 2) % size, axis)
 
 
 def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
-    shape = list(samples.shape)
-    shape[axis] = size
-    padded = np.zeros(shape, np.complex64)
-    _put(padded, (np.arange(samples.shape[axis]) - samples.shape[axis] // 2) % size, samples, axis)
+    padded = _embedded(samples, np.arange(samples.shape[axis]) - samples.shape[axis] // 2, size, axis)
     whole = fft(padded, axis=axis)
     return np.take(whole, (first + np.arange(count)) % size, axis)
 
 
-def _put(array: Field, index: NDArray[np.int64], values: Field, axis: int) -> None:
-    if axis == 0:
-        array[index] = values
-    else:
-        array[:, index] = values
-
-
-def _bessel(distance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the Kaiser-Bessel function at distances in samples of the fine grid."""
-    inside = np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2))
-    return (scipy.special.i0(_SHAPE * inside) / scipy.special.i0(_SHAPE)).astype(np.float32)
-
-
-def _bessel_transform(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Fourier transform of `_bessel` at frequencies in cycles per sample of the fine grid."""
-    root = np.sqrt(_SHAPE**2 - (math.pi * _WIDTH * frequency) ** 2)
-    return np.asarray(_WIDTH * np.sinh(root) / root / scipy.special.i0(_SHAPE))
+def _embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
+    """Return values at an index, modulo `size`, along an axis of zeros."""
+    shape = list(values.shape)
+    shape[axis] = size
+    padded = np.zeros(shape, np.complex64)
+    padded[(slice(None),) * axis + (index % size,)] = values
+    return padded

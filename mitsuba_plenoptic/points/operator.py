@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -138,8 +138,9 @@ class CaptureOperator(CoherentPoints):
         self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
         self._differentials: Differentials | None = None
 
-    def _coherent_fields(self) -> CoherentFields:
-        """Return the plan of the points' fields at the operator's only wavelength; refuse several wavelengths."""
+    @cached_property
+    def coherent_fields(self) -> CoherentFields:
+        """The fields of the points at the operator's only wavelength; several wavelengths are refused."""
         wavelengths = [part.wavelength for part in self._channels.parts(1)]
         refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
         refuse_if(
@@ -165,8 +166,8 @@ class CaptureOperator(CoherentPoints):
 
         Returns
         -------
-        float32 array (rows, columns) or (rows, columns, channels)
-            Integrals over the recorded pixels.
+        array (rows, columns) or (rows, columns, channels)
+            Integrals over the recorded pixels, float32 or of the ``dtype`` of a `StoredOperator`.
 
         Raises
         ------
@@ -175,13 +176,27 @@ class CaptureOperator(CoherentPoints):
         PhysicsError
             If too much of the light is lost (see `optics.guards`).
         """
-        factors = self._check(weights)
-        _, matrix = self._channels.mixing(factors.shape[1])
-        job = job or Job()
         with guards.watch():
-            shape, items = (*self.camera.shape, len(matrix)), self._items
-            image = job.run(self.tasks(factors, job), shape, items, lambda: self._facts(factors))
-        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+            image = self._image(self._check(weights), job or Job())
+        return image[..., 0] if np.ndim(weights) == 1 and image.shape[2] == 1 else image
+
+    def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
+        """Return the image (rows, columns, channels) of checked weights (n, columns)."""
+        _, matrix = self._channels.mixing(weights.shape[1])
+        pupils = self._pupil_weights
+
+        def facts() -> dict[str, Any]:
+            arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
+            return {
+                "camera": self.camera.to_dict(),
+                "spectrum": self._channels.light,
+                "method": self._method,
+                "accuracy": self._accuracy,
+                "points_digest": digest(self.points, weights, *arrays),
+            }
+
+        shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
+        return job.run(self.tasks(weights, job), shape, items, facts)
 
     @one_at_a_time
     def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
@@ -204,18 +219,24 @@ class CaptureOperator(CoherentPoints):
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        channels = self._channels.check_image(image, self.camera.shape)
+        channels = self._channels.check_image(image, self.camera.shape, self._dtype)
         wavelengths, _ = self._channels.mixing(channels.shape[2])
-        job = job or Job()
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
-            done = 0
-            for part in self._channels.parts(channels.shape[2]):
-                given = mix(channels, part.after.T)
-                plan = self._plans.checked(part.wavelength, job, given.shape[2])
-                result += plan.gather(given, job, done, self._items) @ part.before.T
-                done += len(self.points)
+            parts = self._channels.parts(channels.shape[2])
+            for part, products in self._products(channels, parts, job or Job()):
+                result += products @ part.before.T
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+
+    def _products(
+        self, image: NDArray[Any], parts: Iterator[SpectralSum], job: Job
+    ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
+        """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
+        count = len(self.points)
+        for number, part in enumerate(parts):
+            given = mix(image, part.after.T)
+            plan = self._plans.checked(part.wavelength, job, given.shape[2])
+            yield part, plan.gather(given, job, number * count, self.sums * count)
 
     @one_at_a_time
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
@@ -404,23 +425,6 @@ class CaptureOperator(CoherentPoints):
                 return self._plans.checked(part.wavelength, job, given.shape[1]).sum(given)
 
             yield SumTask(len(self.points), plan, partial(mix, matrix=part.after))
-
-    @property
-    def _items(self) -> int:
-        """Number of point spreads in all sums."""
-        return self.sums * len(self.points)
-
-    def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
-        """Return the facts that identify a sum in checkpoints."""
-        pupils = self._pupil_weights
-        arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
-        return {
-            "camera": self.camera.to_dict(),
-            "spectrum": self._channels.light,
-            "method": self._method,
-            "accuracy": self._accuracy,
-            "points_digest": digest(self.points, factors, *arrays),
-        }
 
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as an array (n, columns); refuse anything else."""

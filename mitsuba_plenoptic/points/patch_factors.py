@@ -126,7 +126,11 @@ class PatchFactors:
         pupil, power = self._pupil(self._elements(self.shapes[0]))
         dr.schedule(power)  # together with the pupil, since it is a sum over it
         yield pupil
-        scale = self._scale(self._elements(self.shapes[0][:1]), power)
+        # The factor on each field that makes its intensity a density of the fraction of the power.
+        lit, wavelength = power > 0, self._elements(self.shapes[0][:1]).wavelength
+        steps, lam = self._constant(math.prod(self._steps)), self._constant(in_millimetres(wavelength))
+        scale = drjit_array(self._types.Float64, self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
+        scale = dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
         for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
             elements = self._elements(shape)
             yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
@@ -214,14 +218,6 @@ class PatchFactors:
         """Return the camera-frame components of a vector given in the lattice frame."""
         angle = self._grid.rotation + elements.turned
         return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))
-
-    def _scale(self, elements: Elements, power: Any) -> Any:
-        """Return the factor on each field that makes its intensity a density of the fraction of the power."""
-        lit = power > 0
-        steps = self._constant(math.prod(self._steps))
-        lam = self._constant(in_millimetres(elements.wavelength))
-        scale = drjit_array(self._types.Float64, self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
-        return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
     def _position(self, patch: Any, sample: Any, axis: int) -> Any:
         """Return the coordinate on the MLA of samples of points."""

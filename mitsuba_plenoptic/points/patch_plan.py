@@ -235,24 +235,20 @@ class PatchPlan:
             [np.unique(self._shifts[self._first[p] : self._last[p]], axis=0, return_inverse=True) for p in chunk]
             for chunk in self._chunks
         ]
-        batches = (
-            self._gather(chunk, [shifts for shifts, _ in some], samples)
-            for chunk, some in zip(self._chunks, copies, strict=True)
-        )
+
+        def batches() -> Iterator[Gather]:
+            for chunk, some in zip(self._chunks, copies, strict=True):
+                fields = self._fields(chunk)
+                moved = [Copies(shifts, np.ones((len(shifts), 1), np.float32)) for shifts, _ in some]
+                box = reached(fields.placement.corner, int(fields.placement.samples[0]), moved)
+                yield Gather(fields, moved, self._tile(samples, box))
+
         members = [int((self._last - self._first)[chunk].sum()) for chunk in self._chunks]
-        results = job.each(batches, members, done + self._count - sum(members), total)
+        results = job.each(batches(), members, done + self._count - sum(members), total)
         for chunk, some, products in zip(self._chunks, copies, results, strict=True):
             for pattern, (_, copy), product in zip(chunk, some, products, strict=True):
                 result[self._order[self._first[pattern] : self._last[pattern]]] = gain * product[copy.reshape(-1)]
         return result
-
-    def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
-        """Return a chunk with the image samples of its tile; samples outside the recorded area are zero."""
-        fields = self._fields(chunk)
-        placement = fields.placement
-        copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
-        box = reached(placement.corner, int(placement.samples[0]), copies)
-        return Gather(fields, copies, self._tile(samples, box))
 
     def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
         """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros."""

@@ -46,13 +46,10 @@ class PixelAxis:
     @cached_property
     def weights(self) -> scipy.sparse.csr_array:
         """Weights of the integrals over the pixels."""
-        return self._integrals_of_means() if self.means else self._integrals(moment=False)
-
-    def _integrals_of_means(self) -> scipy.sparse.csr_array:
-        """Return the weights of integrals up to edges, interpolated from integrals up to the borders of samples.
-
-        They are interpolated by the polynomial through six borders.
-        """
+        if not self.means:
+            return self._integrals(moment=False)
+        # Integrals up to edges are interpolated from integrals up to the borders of samples, by a polynomial between
+        # six borders.
         edges = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch + 0.5
         first = np.floor(edges).astype(np.int64) - (_BORDERS // 2 - 1)
         at, places = edges - first, np.arange(_BORDERS)

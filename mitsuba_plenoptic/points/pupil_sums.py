@@ -45,6 +45,12 @@ _NODES = range(6, 49, 2)
 _TRIED = 64
 """Points of a layer for which the interpolation is tried, and positions on the pupil."""
 
+_DIAGONALS = np.array(
+    [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)],
+    np.float64,
+)
+"""Directions in the tilt along x and y, and nearness, of a layer's points."""
+
 _BASIS = 2048
 """Largest number of points of a layer from which its products are found."""
 
@@ -75,7 +81,10 @@ class Layer:
         self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
         x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
-        basis = _principal(self._remainder(x, y, points, some))
+        # Orthonormal functions that represent the factors of some points within the tolerance.
+        basis, strength, _ = np.linalg.svd(self._remainder(x, y, points, some), full_matrices=False)
+        tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
+        basis = basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))]
         parts = []
         step = max(1, _TOGETHER // len(x))
         for first in range(0, len(points), step):
@@ -136,7 +145,11 @@ class Layer:
 
     def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the Chebyshev nodes between -1 and 1 that the layer needs."""
-        some = _extremes(points)
+        # Points on the edges of the layer along all of its diagonals, and some between.
+        values = np.column_stack([points[:, :2] / points[:, 2:], 1 / points[:, 2]])
+        along = ((values - values.mean(0)) / np.maximum(np.ptp(values, axis=0), 1e-300)) @ _DIAGONALS.T
+        between = np.linspace(0, len(points) - 1, min(len(points), _TRIED)).astype(np.int64)
+        some = np.unique(np.concatenate([along.argmin(0), along.argmax(0), between]))
         radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
         # A sunflower's pattern covers the pupil evenly.
         angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
@@ -185,11 +198,6 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
     return np.split(order, np.flatnonzero(np.diff(which)) + 1)
 
 
-def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-    """Return an upper bound, in bytes, of the memory of points' fields, apart from memory that grows with points."""
-    return carrier_type(lens, points, grid).memory(lens, points, grid)
-
-
 def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
     nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
@@ -199,13 +207,6 @@ def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.floa
     amplitude = lens.amplitude((x, y), (points[:, 0], points[:, 1], points[:, 2]))
     area = math.pi * lens.pupil_radius**2
     return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
-
-
-def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the orthonormal functions (m, k) that represent factors (m, n) within the tolerance."""
-    basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
-    tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
-    return np.asarray(basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))])
 
 
 def _completed(
@@ -233,16 +234,6 @@ def _completed(
 def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Return the squared norm of each column."""
     return np.asarray((columns.real**2 + columns.imag**2).sum(0))
-
-
-def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the indices of points on the edges of the layer, along all of its diagonals."""
-    tilt = points[:, :2] / points[:, 2:]
-    directions = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
-    values = np.column_stack([tilt, 1 / points[:, 2]])
-    along = ((values - values.mean(0)) / np.maximum(np.ptp(values, axis=0), 1e-300)) @ directions.T
-    some = np.linspace(0, len(points) - 1, min(len(points), _TRIED)).astype(np.int64)
-    return np.unique(np.concatenate([along.argmin(0), along.argmax(0), some]))
 
 
 def _interpolation(nodes: NDArray[np.float64], at: NDArray[np.float64], kind: type = np.float32) -> NDArray[Any]:

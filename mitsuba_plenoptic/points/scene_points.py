@@ -33,7 +33,7 @@ from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import drjit_array
 from ..runtime.batches import Job
-from ..runtime.limits import largest_fitting, require_memory
+from ..runtime.limits import require_memory_for
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
 from .units import radiance_weight
@@ -118,7 +118,9 @@ def find_points(
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
     window = LensWindow.of(system)
-    _require_memory(count, len(window.index))
+    lenses = len(window.index)
+    what = f"spp = {count}: {count} points in each of {lenses} lenses"
+    require_memory_for(lambda number: float(_POINT_BYTES) * number * lenses, count, what, "spp = {}".format)
     pairs = sample_pairs(count, seed)
     finder = _Finder(lights, system, window, pairs, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
@@ -140,17 +142,6 @@ def find_points(
         open_rays = np.bincount(tried, minlength=len(x))
         scale = scale * (count * system.lens.open_fraction(x, y) / np.maximum(open_rays, 1))[cell]
     return ScenePoints(positions, radiance * scale[:, None], weights)
-
-
-def _require_memory(count: int, lenses: int) -> None:
-    def memory(number: int) -> float:
-        return float(_POINT_BYTES) * number * lenses
-
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, count)
-        return f"spp = {largest}" if largest else None
-
-    require_memory(memory(count), f"spp = {count}: {count} points in each of {lenses} lenses", fitting)
 
 
 @dataclass(frozen=True)
@@ -284,13 +275,19 @@ class PointsCapture:
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warn("plenoptic_wave: no ray from the pupil meets anything that shines")
-        operator = self._operator(points)
-        image = job.run(
-            operator.tasks(self._weights(points), job),
-            (*self.camera.shape, self.spectrum.channels),
-            len(points.positions) * operator.sums,
-            lambda: self._facts(points),
-        )
+        operator, pupil = self._operator(points), points.pupil_weights
+        weights = points.weights if self.upsampling is None else points.weights @ self.upsampling
+
+        def facts() -> dict[str, Any]:
+            masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
+            return {
+                "points": len(points.positions),
+                "scene_digest": digest(points.positions, points.weights, *masks),
+                "responses": self.spectrum.responses,
+            }
+
+        shape, items = (*self.camera.shape, self.spectrum.channels), len(points.positions) * operator.sums
+        image = job.run(operator.tasks(weights, job), shape, items, facts)
         if np.min(self.spectrum.responses) >= 0:
             # Negative values are errors of interpolation, unless responses are negative (colours outside of a gamut).
             np.maximum(image, 0, out=image)
@@ -310,16 +307,3 @@ class PointsCapture:
             accuracy=self.accuracy,
             pupil_weights=points.pupil_weights,
         )
-
-    def _weights(self, points: ScenePoints) -> NDArray[np.float64]:
-        return points.weights if self.upsampling is None else points.weights @ self.upsampling
-
-    def _facts(self, points: ScenePoints) -> dict[str, Any]:
-        """Return the data by which a checkpoint recognises the same capture."""
-        pupil = points.pupil_weights
-        masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
-        return {
-            "points": len(points.positions),
-            "scene_digest": digest(points.positions, points.weights, *masks),
-            "responses": self.spectrum.responses,
-        }

@@ -45,10 +45,25 @@ class PatchSpreads(PatchPlan):
 
         `done` of the `total` points of a job are already complete.
         """
-        parts = [part for chunk in self._chunks for part in self._few(chunk)]
+        parts = []
+        for chunk in self._chunks:
+            # As many of its patterns as fit into memory together, each with a channel.
+            corner, across = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
+            tile = 4.0 * float((np.ptp(corner, axis=0) + across).prod())
+            size = max(1, int(_TOGETHER_BYTES // tile))
+            parts += [chunk[first : first + size] for first in range(0, len(chunk), size)]
+        own = np.zeros((1, 2), np.int64)
+        batches = (
+            Scatter(
+                self._fields(part),
+                np.full(len(part), self.gain**0.5),
+                [Copies(own, channel[None]) for channel in np.eye(len(part), dtype=np.float32)],
+            )
+            for part in parts
+        )
         members, arrived = self._last - self._first, 0.0
         items = [int(members[part].sum()) for part in parts]
-        results = job.each(map(self._apart, parts), items, done + self._count - sum(items), total)
+        results = job.each(batches, items, done + self._count - sum(items), total)
         for part, made in zip(parts, results, strict=True):
             for pattern, sums in zip(part.tolist(), made.sums, strict=True):
                 arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
@@ -61,19 +76,6 @@ class PatchSpreads(PatchPlan):
         loss = self.loss(self._chunks, np.ones((self._count, 1)), arrived)
         if loss is not None:
             guards.check(guards.PATCH, loss)
-
-    def _few(self, chunk: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Return the parts of a chunk whose patterns fit into memory together."""
-        corner, samples = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
-        tile = 4.0 * float((np.ptp(corner, axis=0) + samples).prod())
-        size = max(1, int(_TOGETHER_BYTES // tile))
-        return [chunk[first : first + size] for first in range(0, len(chunk), size)]
-
-    def _apart(self, patterns: NDArray[np.int64]) -> Scatter:
-        """Return the data of patterns with a separate channel for each."""
-        channels = np.eye(len(patterns), dtype=np.float32)
-        copies = [Copies(np.zeros((1, 2), np.int64), channel[None]) for channel in channels]
-        return Scatter(self._fields(patterns), np.full(len(patterns), self.gain**0.5), copies)
 
     def _recorded(self, pattern: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Recorder]]:
         """Yield points, shift and pixels of each copy of a pattern that reaches recorded pixels."""

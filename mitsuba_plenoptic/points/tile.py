@@ -93,21 +93,18 @@ class CellSum:
         index identifies it.
         """
         if pattern not in self._held:
-            self._held[pattern] = len(self._held)
-            self._enter(self._held[pattern], positions // self._cells.width, weights)
+            self._held[pattern] = number = len(self._held)
+            # The copies of the plane in the matrix.
+            inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
+            x, y = (positions // self._cells.width).T[..., None] + inner[:, None]
+            copy, channel = np.nonzero(weights)
+            # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
+            rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
+            columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
+            values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
+            self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
         x, y = (positions[0] % self._cells.width).tolist()
         return self._planes[self._held[pattern], x:, y:]
-
-    def _enter(self, number: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> None:
-        """Add the copies of a buffered pattern to the matrix."""
-        inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
-        x, y = positions.T[..., None] + inner[:, None]
-        copy, channel = np.nonzero(weights)
-        # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
-        rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
-        columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
-        values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
-        self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
 
     @property
     def free(self) -> int:

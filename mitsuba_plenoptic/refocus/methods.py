@@ -30,7 +30,7 @@ from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
 from ..refocus_options import OPTIONS
 from ..runtime.batches import BatchMap
-from ..runtime.limits import largest_fitting, require_memory
+from ..runtime.limits import require_memory_for
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -274,9 +274,5 @@ def require_image_memory(
         fits = 20 * 8 * channels * across * down if drawn_back else 0
         return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
 
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, oversample)
-        return f"{argument('oversample')} = {largest}" if largest else None
-
     what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
-    require_memory(memory(oversample), what, fitting)
+    require_memory_for(memory, oversample, what, lambda largest: f"{argument('oversample')} = {largest}")

@@ -97,6 +97,16 @@ def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int
     return low
 
 
+def require_memory_for(memory: Callable[[int], float], size: int, what: str, words: Callable[[int], str]) -> None:
+    """Refuse work of a size, whose bytes `memory` gives, as `require_memory` does; `words` state a size that fits."""
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, size)
+        return words(largest) if largest else None
+
+    require_memory(memory(size), what, fitting)
+
+
 # The memory of a machine does not change.
 @cache
 def _machine_memory() -> float:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...camera.vector import CameraVector
 from ...errors import InputError, refuse_if, require_count, short_repr
 from ...light.lens_kinds import regular_array
 from .merit import Gradient
@@ -91,7 +90,15 @@ def maximise(
     from scipy.optimize import minimize
 
     camera = regular_array(camera)
-    vector = _vector(camera, bounds)
+    labels: list[str] = []
+    for name in bounds:
+        found = vector_of(camera, str(name).split(".", 1)[0])
+        chosen = [each.label for each in found.components if name in (each.name, each.label)]
+        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
+        labels += chosen
+    refuse_if(not labels, "bounds: name at least one parameter that varies")
+    refuse_if(len(set(labels)) < len(labels), "bounds: a parameter has two of them")
+    vector = vector_of(camera, [label.split(".", 1)[0] for label in labels]).keep(labels)
     low, high = vector.limits(bounds)
     best: list[Any] = [-np.inf, camera]
     tried = 0
@@ -110,7 +117,7 @@ def maximise(
         return -value, -vector.slopes(slopes) * (high - low)
 
     options = {"maxiter": require_count("steps", steps), "ftol": _TOLERANCE}
-    found = minimize(
+    result = minimize(
         cost,
         (vector.values - low) / (high - low),
         jac=True,
@@ -119,18 +126,5 @@ def maximise(
         options=options,
     )
     value, one = best
-    chosen = dict(zip(vector.labels, vector.of(one).values.tolist(), strict=True))
-    return Design(one, float(value), chosen, tried, str(found.message))
-
-
-def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
-    """Return the vector of the varied camera parameters, those that have bounds."""
-    named: list[str] = []
-    for name in bounds:
-        found = vector_of(camera, str(name).split(".", 1)[0])
-        chosen = [each.label for each in found.components if name in (each.name, each.label)]
-        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
-        named += chosen
-    refuse_if(not named, "bounds: name at least one parameter that varies")
-    refuse_if(len(set(named)) < len(named), "bounds: a parameter has two of them")
-    return vector_of(camera, [label.split(".", 1)[0] for label in named]).keep(named)
+    values = dict(zip(vector.labels, vector.of(one).values.tolist(), strict=True))
+    return Design(one, float(value), values, tried, str(result.message))

@@ -24,8 +24,7 @@ from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
 
 if TYPE_CHECKING:
-    from ...io.captures import Capture
-    from .fitting import Fit, PixelNoise
+    from .fitting import Fit
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -104,7 +103,16 @@ def fit(
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output), *captures, mask)
     read = [read_capture(path) for path in captures]
-    noises = [_recorded_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
+    noises = [fitting.noise_of(capture) for capture in read]
+    for path, (noise, _) in zip(captures, noises, strict=True):
+        refuse_if(
+            noise is None and photons is None,
+            f"{path}: it keeps no noise, as 'expose' has not made it; give --photons",
+        )
+        if noise is not None and photons is not None:
+            raise InputError(
+                f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons"
+            )
     left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
     for path, capture in zip(captures, read, strict=True):
         if left_out is not None and left_out.shape != capture.camera.shape:
@@ -157,19 +165,6 @@ def fit(
                 checkpoint=steps,
             )
         _write(output, found)
-
-
-def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
-    """Return the noise and saturation stored in a capture; refuse a capture whose noise is unknown or given twice."""
-    from . import fitting
-
-    noise, saturation = fitting.noise_of(capture)
-    refuse_if(
-        noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
-    )
-    if noise is not None and photons is not None:
-        raise InputError(f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons")
-    return noise, saturation
 
 
 def _write(output: Path, found: Fit) -> None:

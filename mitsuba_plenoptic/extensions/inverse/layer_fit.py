@@ -80,7 +80,12 @@ def fit_layers(
         refuse_if(found != channels, f"captures: number {number} has {found} channels, the planes have {channels}")
     rounds, rate = require_count("rounds", rounds), require_number("rate", rate, positive=True)
     spp, seed = require_count("spp", spp), require_count("seed", seed, minimum=0)
-    sensors = [_sensor(capture, pose) for capture, pose in zip(captures, to_world, strict=True)]
+    sensors = []
+    for capture, pose in zip(captures, to_world, strict=True):
+        described = capture.camera.to_sensor(pose)
+        if capture.image.ndim == 3 and capture.image.shape[2] == 3:
+            described["film"]["pixel_format"] = "rgb"
+        sensors.append(mi.load_dict(described))
     scene = start.scene(sensors[0])
     planes = scene.integrator()
     integrators = [_through(planes, capture, kind) for capture, kind in zip(captures, chosen, strict=True)]
@@ -108,14 +113,6 @@ def fit_layers(
             progress(done + 1, total**0.5)
     texels = np.stack([np.array(value) for value in optimizer.values()])
     return replace(start, radiance=texels[..., :-1], opacity=texels[..., -1])
-
-
-def _sensor(capture: Capture, to_world: Any) -> Any:
-    """Return the sensor of a capture, with a film of the same channels."""
-    described = capture.camera.to_sensor(to_world)
-    if capture.image.ndim == 3 and capture.image.shape[2] == 3:
-        described["film"]["pixel_format"] = "rgb"
-    return mi.load_dict(described)
 
 
 def _through(planes: Any, capture: Capture, model: str) -> Any:

@@ -130,7 +130,15 @@ class PointRays:
         # Relative power over the pupil.
         pupil_weights: PupilWeights | None = None,
     ) -> None:
-        _require_known(camera)
+        require_known_to(camera, Captures.POINTS, "points are followed")
+        require_no_shape(camera, "points are followed by rays")
+        require_no_glass(camera, "points are followed at one wavelength;")
+        camera.require_no_objective("points are followed by rays")
+        refuse_if(
+            not camera.lattice.fills,
+            f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
+            "through arrays without gaps only; use waves",
+        )
         points = check_positions(points, camera, virtual=True)
         self._points, self._pupil_weights = points, pupil_weights
         lens = OpticalSystem(camera, wavelength).waves_of(points)
@@ -159,19 +167,6 @@ class PointRays:
                 _Bundles(camera, lens, self._points[some], across, own).add(image, weights[some])
                 dr.eval(image)
         return np.asarray(image.numpy().reshape(camera.shape))
-
-
-def _require_known(camera: PlenopticCamera) -> None:
-    """Refuse a camera through which the rays of points cannot be traced."""
-    require_known_to(camera, Captures.POINTS, "points are followed")
-    require_no_shape(camera, "points are followed by rays")
-    require_no_glass(camera, "points are followed at one wavelength;")
-    camera.require_no_objective("points are followed by rays")
-    refuse_if(
-        not camera.lattice.fills,
-        f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
-        "through arrays without gaps only; use waves",
-    )
 
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:

@@ -49,23 +49,20 @@ class _VaryingPath(dr.CustomOp):
 
     def backward(self) -> None:
         gradient, x, y = (backend().to_host(backend().from_drjit(part)) for part in (self.grad_out(), *self._points))
-        found = np.array(_gradients(self._count, gradient, x, y, self._radius))
+        # The sums over the samples of each polynomial times the gradient of the path, from the sums of powers.
+        polynomials = [zernike(j) for j in range(1, self._count + 1)]
+        size = max(len(polynomial) for polynomial in polynomials)
+        moments = np.zeros((size, size))
+        for first in range(0, len(gradient), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            across, up = (_powers(values[block] / self._radius, size) for values in (x, y))
+            moments += (across * gradient[block]) @ up.T
+        unit = in_millimetres(WAVEFRONT_UNIT)
+        found = np.array([unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials])
         self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), found))
 
     def name(self) -> str:
         return "aberrations"
-
-
-def _gradients(count: int, gradient: NDArray[Any], x: NDArray[Any], y: NDArray[Any], radius: float) -> list[float]:
-    """Return, for each polynomial, the sum over the samples of the polynomial times the path's gradient."""
-    polynomials = [zernike(j) for j in range(1, count + 1)]
-    size = max(len(polynomial) for polynomial in polynomials)
-    moments = np.zeros((size, size))
-    for first in range(0, len(gradient), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        moments += (_powers(x[block] / radius, size) * gradient[block]) @ _powers(y[block] / radius, size).T
-    unit = in_millimetres(WAVEFRONT_UNIT)
-    return [unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials]
 
 
 def _powers(values: NDArray[Any], count: int) -> NDArray[np.float64]:
@@ -165,7 +162,13 @@ class VaryingParameters:
         Each varying parameter is repeated in several lanes, so that one kernel scatters the gradients of all of them.
         Single values would need one kernel each, which would recompute everything.
         """
-        get = {name: [self._over(name, part, lanes) for part in self._parameters[name]] for name in DIFFERENTIABLE}
+        first = dr.zeros(self.types.UInt32, lanes)
+        get = {
+            name: [dr.gather(self.types.Float64, part, first) for part in parts]
+            if name in self._varies and name != "wavefront"
+            else parts
+            for name, parts in self._parameters.items()
+        }
         (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
         angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         # The array stays where it is in the frame of the grid, and the scene turns.
@@ -190,12 +193,6 @@ class VaryingParameters:
         if "wavefront" in self._varies:
             aberration = partial(varying_path, dr.concat(self._parameters["wavefront"]), grid.camera.pupil_radius)
         return Elements(cache(lens), cache(array), wavelength, distance, turned, growth, aberration)
-
-    def _over(self, name: str, value: Any, lanes: int) -> Any:
-        """Return a value repeated in each lane, if it varies."""
-        if name not in self._varies or name == "wavefront":
-            return value
-        return dr.gather(self.types.Float64, value, dr.zeros(self.types.UInt32, lanes))
 
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return `units.brightness` as a function of these parameters."""

@@ -99,17 +99,20 @@ class DerivativePlan(PatchPlan):
         moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), parameters) if chunks else ()
-        batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
         waiting: list[VjpBatch] = []
 
-        def remembered() -> Iterator[VjpBatch]:
-            for batch in batches:
-                waiting.append(batch)
-                yield batch
+        def batches() -> Iterator[VjpBatch]:
+            for chunk in chunks:
+                fields, copies = self.lit(chunk, weights, moving)
+                placement = fields.placement
+                covered = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
+                tile = self._tile(samples, covered)
+                waiting.append(VjpBatch(fields, copies, self._finer, offset, tile, int(summed), varies))
+                yield waiting[-1]
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
         sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
-        for result in job.each(remembered(), items.tolist(), done + self._count - int(items.sum()), total):
+        for result in job.each(batches(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(result, parameters)
             products[0] += result.products
             if result.spreads is not None:
@@ -162,22 +165,6 @@ class DerivativePlan(PatchPlan):
             positions = shifts * self._per_sample
             copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, bool(moving[pattern])))
         return self._fields(np.array(used, np.int64)), copies
-
-    def _vjp_batch(
-        self,
-        chunk: NDArray[np.int64],
-        weights: NDArray[np.float64],
-        moving: NDArray[np.bool_],
-        offset: VaryingParameters | None,
-        samples: Any,
-        summed: int,
-        varies: tuple[bool, ...],
-    ) -> VjpBatch:
-        """Return a batch with the image samples that it covers; samples outside the recorded ones are zero."""
-        fields, copies = self.lit(chunk, weights, moving)
-        placement = fields.placement
-        box = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
-        return VjpBatch(fields, copies, self._finer, offset, self._tile(samples, box), summed, varies)
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives of all channels in all directions take; refuse too many."""

@@ -247,7 +247,13 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     ]
     *per_point, total = cotangents
     returning = arrays.conj(batch.parts[-1])
-    spreads = _spread_sum(work, batch, box) if work.summed else None
+    spreads = None
+    if work.summed:
+        own, low = [copies.summed(work.summed) for copies in work.copies], np.array([box.left, box.top])
+        places = [
+            (finer * (corner + each.shifts) - low)[:, ::-1] for corner, each in zip(batch.corner, own, strict=True)
+        ]
+        spreads = CopySum(own, places, finer * batch.samples, np.array([box.rows, box.columns]), 1)
     products, memory = np.zeros((2, 2)), Memory(arrays)
     for point, copies in enumerate(work.copies):
         memory.restart()
@@ -261,19 +267,10 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
             spreads.add(point, (slice(0, finer * batch.samples),) * 2, chain.intensity)
-        *own, transfer = chain.vjp(gradient, work.varies)
-        for target, part in zip(per_point, own, strict=True):
+        *found, transfer = chain.vjp(gradient, work.varies)
+        for target, part in zip(per_point, found, strict=True):
             if target is not None:
                 target[point] = part
         if total is not None:
             total[directions] += transfer
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
-
-
-def _spread_sum(work: VjpBatch, batch: PatchBatch, box: Box) -> CopySum:
-    """Return an empty sum of point spreads, (channels, rows, columns)."""
-    copies, low = [own.summed(work.summed) for own in work.copies], np.array([box.left, box.top])
-    positions = [
-        (work.finer * (corner + own.shifts) - low)[:, ::-1] for corner, own in zip(batch.corner, copies, strict=True)
-    ]
-    return CopySum(copies, positions, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)

@@ -22,7 +22,7 @@ from ...errors import InputError
 from ...runtime.backend import backend, backend_of
 from ...runtime.batches import Box, Part
 from ...runtime.fft import worker_count
-from ...runtime.limits import largest_fitting, require_memory, single_threaded_blas
+from ...runtime.limits import require_memory_for, single_threaded_blas
 from .cells import BinCells, CellSet
 
 _BLOCK = 8
@@ -89,13 +89,9 @@ class StoredResponse:
 
 def require_response_memory(memory: Callable[[int], float], oversample: int, distances: Sequence[float]) -> None:
     """Refuse a response that does not fit into memory before anything is allocated; `memory` gives its bytes."""
-
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, oversample)
-        return f"oversample = {largest}" if largest else None
-
     planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
-    require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+    what = f"oversample = {oversample}: deconvolution of {planes}"
+    require_memory_for(memory, oversample, what, "oversample = {}".format)
 
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
