@@ -40,7 +40,7 @@ from .parameters import PARAMETERS
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Return all parameters of a camera by attribute: the given ones, checked, and defaults for the others."""
+    """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)

@@ -274,7 +274,7 @@ def _is_usage(error: Exception) -> bool:
 
 
 def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
-    """Return the context `plain_lines` for a command that computes."""
+    """Return the context that prints progress as plain lines, for a command that computes."""
     from ..runtime.progress import plain_lines
 
     return plain_lines(command)

@@ -136,7 +136,7 @@ def _behind_objective(
 def _in_the_stops_image(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
-    """Return the limit of the Fourier arrangement, where no range around the plane in focus must be avoided."""
+    """Return the resolution limit of the Fourier arrangement, which excludes no range around the plane in focus."""
     pixels, waves = 1 / (2 * camera.bin_size(depth)), math.inf
     aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
     blur = aperture * abs(depth) / lens.immersion

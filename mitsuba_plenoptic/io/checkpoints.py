@@ -346,7 +346,7 @@ def _read(
     take: Callable[[Any, dict[str, Any]], _State],
     shapes: dict[str, tuple[int, ...]],
 ) -> _State:
-    """Return the state in the checkpoint of a run; refuse damaged checkpoints and those of another run."""
+    """Return the state in the checkpoint of a run; refuse damaged checkpoints and checkpoints of other runs."""
     try:
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:

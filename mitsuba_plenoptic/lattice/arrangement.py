@@ -137,7 +137,7 @@ class Circle(Aperture):
     product = False
 
     def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the diameter, twice."""
+        """Return the diameter in mm, twice."""
         along, across = lattice.pitches
         diameter = lattice.fill * (along if along is across else minimum(along, across))
         return diameter, diameter
@@ -363,7 +363,7 @@ class Lattice(abc.ABC):
         return self.cell(coordinate, coordinate)[axis]
 
     def axis_centre(self, index: Any, axis: int) -> Any:
-        """Return the coordinate of a centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
+        """Return the coordinate in mm of a lens centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
         return self.centre(index, index)[axis]
 
     def lens_type(self, i: Any, j: Any) -> Any:

@@ -108,7 +108,7 @@ class FittedLens(FinitePupil):
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
+        """Return the ray from a position on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(position, slope)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
@@ -393,7 +393,7 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 def _seen_from(
     lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> PupilRays:
-    """Trace rays through another lens, from points of given fields and inverse distances for the first lens."""
+    """Return rays traced through another lens, from points of given fields and inverse distances for the first."""
     nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
     return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
 

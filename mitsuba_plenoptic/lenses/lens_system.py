@@ -134,7 +134,7 @@ class LensSystem(FiniteDistance):
         return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
 
     def pupil_reach(self, field: float) -> float:
-        """Return the largest distance from the axis at which rays to the MLA cross the plane of the exit pupil.
+        """Return the largest distance in mm from the axis at which rays to the MLA cross the exit pupil's plane.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ class LensSystem(FiniteDistance):
         return own / (1 + rear * own)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
+        """Return the ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
         point, direction, is_open, _ = self._follow(position, slope)
         return *self._in_camera(point, direction), is_open
 
@@ -183,7 +183,7 @@ class LensSystem(FiniteDistance):
         return (x, y, self.front + z), (L / N, M / N)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
-        """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
+        """Return the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return self.trace(position, (tx, ty))
 
@@ -242,7 +242,7 @@ class LensSystem(FiniteDistance):
 
     @property
     def light(self) -> float:
-        """Wavelength of the light in nanometres, by default that of the prescription."""
+        """Wavelength of the light in nanometres, by default the prescription's."""
         return self.prescription.wavelength if self.wavelength is None else self.wavelength
 
     @functools.cached_property
@@ -257,7 +257,7 @@ class LensSystem(FiniteDistance):
         return sequential.elements(self.prescription, self.light, stop_radius=self.stop_radius)
 
     def through(self, point: tuple[Any, Any, Any], slope: Pair) -> tuple[Pair, Pair, Any, Any]:
-        """Follow a ray from a scene point, which may lie anywhere along it, to the MLA.
+        """Return the ray from a scene point, which may lie anywhere along it, to the MLA.
 
         Parameters
         ----------

@@ -153,7 +153,7 @@ class ThinLens(UniformLens, FinitePupil):
         return vergence(self.focal_length, distance)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene."""
+        """Return the ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
         if self.model == "ideal":
             behind = self.refract(slope, (Px, Py))
@@ -266,7 +266,7 @@ class ThinLens(UniformLens, FinitePupil):
         return abs(point[2]) / (length * length)
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the pupil, positive inside."""
+        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
         return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:

@@ -319,7 +319,7 @@ def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
 
 
 class TableNodes:
-    """Nodes of a plan's table; a ray takes a random node among those around its pupil point."""
+    """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._radial, self._radius = plan.radial, plan.camera.pupil_radius

@@ -130,7 +130,7 @@ class SignedCapture:
         return {channel: Mended(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate the cost of `compute` from some of the rays."""
+        """Return the estimated cost of `compute`, extrapolated from some of the rays."""
         # Nodes whose rays follow the same paths cost nearly the same. The longest wavelength, whose kernels are the
         # largest, stands for the others, so that tables and kernels are computed once.
         longest = {
@@ -242,7 +242,7 @@ class SignedGradients:
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
-        """Return the gradients of the camera's parameters; those of the scene's are accumulated in Dr.Jit.
+        """Return the gradients of the camera's parameters; gradients of scene parameters accumulate in Dr.Jit.
 
         Shapes: `gradient` (rows, columns, channels).
         """

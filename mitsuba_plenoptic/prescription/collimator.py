@@ -51,7 +51,7 @@ class Collimator(LensData):
         return True
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of a thin objective."""
+        """Return focal length and radius of a thin objective in mm."""
         return THIN.own_numbers(focal_length)
 
     def magnification(self, focal_length: float) -> float:

@@ -218,7 +218,7 @@ class Prescription(LensData):
         return paraxial(self)
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of the open entrance pupil, scaled to a given focal length."""
+        """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         numbers = self.paraxial
         given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
         return given, numbers.entrance_radius * given / numbers.focal_length

@@ -137,7 +137,7 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
-    """Return options, with None for those that the method ignores, which one warning names."""
+    """Return options, with None for options that the method ignores; one warning names them."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}

@@ -366,7 +366,7 @@ class Integrals:
         self._buffer: Any = None
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
-        """Return the samples before the edges of lines, and the distances from those samples to the edges."""
+        """Return the samples before the edges of lines, and the distances of the edges from these samples."""
         arrays = backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.
         edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)

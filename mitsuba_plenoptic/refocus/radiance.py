@@ -123,7 +123,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 def to_radiance(
     task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return a capture's sums over bins divided by those of white; NaN where no light can come from.
+    """Return a capture's sums over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
     ----------

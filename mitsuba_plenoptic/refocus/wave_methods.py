@@ -274,7 +274,7 @@ def reconstruct_subsets(
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
-    """Return the first column and row of the full detector with light, and those after the last; None if it is dark."""
+    """Return the first column and row of the full detector with light, and those after the last; None if dark."""
     window = []
     for axis in (0, 1):
         lit = np.flatnonzero(image.any(axis=axis))

@@ -66,7 +66,7 @@ def fit_blur(
     types: int,
     moved: Sequence[Adjusted] = (),
 ) -> Blur:
-    """Fit the focal lengths of the microlenses to signed blur radii.
+    """Return the focal lengths of the microlenses, fitted to signed blur radii.
 
     Shapes: `radius` (n,), `numbers`, `poses` (17,).
     """

@@ -232,7 +232,7 @@ class Benchmark(DataSet):
         self.cameras = [camera["name"] for camera in self.manifest["recipe"]["cameras"]]
 
     def entries(self) -> list[int]:
-        """Return the indices of the samples that are scored: all but those of the white scene."""
+        """Return the indices of the samples that are scored, which excludes those of the white scene."""
         return list(range(len(self.scenes) * len(self.cameras)))
 
     def name(self, index: int) -> tuple[str, str]:

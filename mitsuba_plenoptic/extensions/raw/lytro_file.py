@@ -117,7 +117,7 @@ def read_lytro(path: str | Path) -> Capture:
 
 
 def nearest_white(folder: str | Path, capture: Capture) -> Path:
-    """Return the white picture of a folder whose zoom and focus are nearest to those of a capture.
+    """Return the white picture of a folder with the zoom and focus nearest to a capture's.
 
     Parameters
     ----------
