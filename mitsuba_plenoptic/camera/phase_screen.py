@@ -100,7 +100,7 @@ class PhaseScreen:
         return self._grid.at(x, y)
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of `path`, which is the change of direction.
+        """Return the gradient of `path` in mm per mm, which is the change of direction.
 
         Parameters
         ----------

@@ -420,7 +420,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
-    """Return the Dask cluster of the requested workers, or a context of None without them."""
+    """Return the Dask cluster of the requested workers; without workers a context that yields None."""
     from ..runtime.batches import Cluster
 
     given = workers is not None or scheduler is not None

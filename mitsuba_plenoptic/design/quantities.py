@@ -477,7 +477,7 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
 
 
 def crosstalk_reach(camera: PlenopticCamera) -> float:
-    """Return the greatest distance from the chief ray's point to the centres of lenses that can light a pixel."""
+    """Return the greatest distance in mm from the chief ray's point to the centres of lenses that can light a pixel."""
     _, reach, smear = _crosstalk(camera)
     return float(reach + smear * camera.lattice.aperture_reach)
 

@@ -149,7 +149,7 @@ class ThinLens(UniformLens, FinitePupil):
         return self.focal_length
 
     def vergence(self, distance: Any) -> Any:
-        r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
+        r"""Return :math:`1/g' = 1/f_1 - 1/g` in 1/mm, the image vergence; at most 0 where there is no real image."""
         return vergence(self.focal_length, distance)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
@@ -293,7 +293,7 @@ class ThinLens(UniformLens, FinitePupil):
         return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, for the pupil's radius a and the step d.
+        r"""Return the change of path :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda` for the pupil's radius a and the step d.
 
         For an ideal lens this is an upper bound: its light changes with the field only as defocus in tilted cones.
         """

@@ -534,5 +534,5 @@ class _DeconvolvedChannel:
         return total + lit * (float(felt[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope)
 
     def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the denominator of the ratio, and the ratio."""
+        """Return the denominator of the ratio of images, and the ratio."""
         return np.maximum(made.model, 0) + self._step.shift, self._step.ratio(made.model)

@@ -158,7 +158,7 @@ class CutBlur:
                 self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
 
     def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        r"""Return :math:`\kappa` for lenses of given types and points of given disparities (`board_view`)."""
+        r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`board_view`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))

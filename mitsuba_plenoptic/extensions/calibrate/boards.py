@@ -63,7 +63,7 @@ class BoardView:
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
-    """Return the position of a board found in a raw picture."""
+    """Return the position of a board, found in a raw picture."""
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:

@@ -124,7 +124,7 @@ def maximise(
 
 
 def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
-    """Return the vector of the varied camera parameters, those that have bounds."""
+    """Return the vector of the varied camera parameters, which are those with bounds."""
     named: list[str] = []
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])
