@@ -350,7 +350,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Raises
         ------
         InputError
-            If it is not such an object, a name is unknown, or a value is out of range.
+            If the text is no such object, a name is unknown, or a value is out of range.
         """
         with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)

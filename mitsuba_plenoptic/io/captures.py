@@ -225,12 +225,12 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     path : path
         File to write.
     capture : Capture
-        What to write.
+        The capture to write.
 
     Raises
     ------
     InputError
-        If it is not a capture, its metadata are not plain data, or the file cannot be written.
+        If the argument is no capture, its metadata are not plain data, or the file cannot be written.
 
     Examples
     --------

@@ -149,7 +149,7 @@ class Checkpoint:
         Parameters
         ----------
         shape : (rows, columns, channels)
-            The capture's.
+            Shape of the capture.
         **facts
             Plain JSON values that the bits of the result depend on, besides those in `run` and the software.
 
@@ -209,7 +209,7 @@ class Checkpoint:
         Parameters
         ----------
         snapshot : Snapshot
-            What is done so far.
+            The state to save.
 
         Raises
         ------

@@ -237,7 +237,7 @@ class Lattice(abc.ABC):
         u : float or array
             Offset along the rows.
         v : float or array
-            Offset across them.
+            Offset across the rows.
         width : float
             Pitch of the cell.
         """
@@ -404,12 +404,12 @@ class Lattice(abc.ABC):
         step : float
             Width of a sample in millimetres.
         scale : float
-            By how much the aperture is enlarged.
+            Factor by which the aperture is enlarged.
 
         Returns
         -------
         (size, size) float64 array
-            Of odd size, the lens's centre in the middle; the sum is 1.
+            Samples in odd numbers, with the lens's centre in the middle; the sum is 1.
         """
         if scale * min(self.aperture_widths) < 2 * step / _POINTS:
             # Too small to be drawn.
@@ -522,7 +522,7 @@ def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice
     Parameters
     ----------
     name : str
-        Its name in `LATTICES`.
+        Name of the lattice in `LATTICES`.
     pitches, numbers
         Parameters of `Lattice`.
     """

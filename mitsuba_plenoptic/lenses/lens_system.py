@@ -44,9 +44,9 @@ class LensSystem(FiniteDistance):
     prescription : Prescription
         The lens.
     focal_length : float or Dr.Jit array
-        Focal length to which it is scaled.
+        Focal length to which the lens is scaled.
     aperture_radius : float or Dr.Jit array
-        Radius of its entrance pupil.
+        Radius of the lens's entrance pupil.
     mla_distance : float or Dr.Jit array
         Distance from the rear principal plane to the array.
     wavelength : float, optional
@@ -269,7 +269,7 @@ class LensSystem(FiniteDistance):
         Returns
         -------
         place : (array, array)
-            Where the ray meets the MLA.
+            Position where the ray meets the MLA.
         slope : (array, array)
             Slopes of the ray there.
         open : array

@@ -147,7 +147,7 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def _shift(self) -> float:
-        """Displacement of light by the pupil's diffraction, in pixels, if rays land by their point on a lens."""
+        """Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens."""
         if not self.by_points:
             return 0.0
         camera = self.camera
@@ -445,7 +445,7 @@ class RayCoefficients:
 
 
 class Polynomials:
-    """Coefficients of rays that land by their point on a lens: the polynomials of a `PhaseSpace`."""
+    """Coefficients of rays whose landing points depend on their points on a lens: the polynomials of a `PhaseSpace`."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan

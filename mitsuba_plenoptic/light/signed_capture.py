@@ -156,7 +156,7 @@ class SignedRayAdjoint(SignedRaySum):
             self._vjp(lot, felt)
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
-        """Propagate the gradients of the images through the rays of a lot; see `_back`."""
+        """Propagate the gradients of the images through the rays of a `Lot` of pixels; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
@@ -179,7 +179,7 @@ class SignedRayAdjoint(SignedRaySum):
     def _cotangents(
         self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
     ) -> dict[int, Any]:
-        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a lot."""
+        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a `Lot`."""
         drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
         cell = self._cell_of(own, sample)

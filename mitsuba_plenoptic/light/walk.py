@@ -154,7 +154,7 @@ class Walk:
         return self.into_scene(position, (x, y), height)
 
     def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
-        """Return slopes and weights of rays through lens centres, before the array, at offsets from detector points.
+        """Return slopes before the array, and weights, of rays through lens centres at offsets from detector points.
 
         Lenses are thin phases, which do not turn the rays through their centres; weights as in `out_of_array`.
         """

@@ -263,7 +263,7 @@ class CaptureOperator(CoherentPoints):
         weights, job
             As for `derivative`.
         directions : sequence of dict
-            For each direction the changes of the camera's parameters, as for `derivative`.
+            Changes of the camera's parameters in each direction, as for `derivative`.
 
         Returns
         -------

@@ -195,7 +195,7 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
     Parameters
     ----------
     given, own : dict
-        Values by name: those that are given, and those of the lens.
+        Values by name: the given ones, and the lens's.
     tolerance : float
         Allowed relative difference.
 

@@ -105,7 +105,7 @@ class Surface:
             Any of ``radius`` (a plane without it), ``thickness``, ``glass``, ``conic``, ``asphere``, ``stop``, and
             ``semi_aperture``.
         where : str
-            What messages call it.
+            Name of the surface in messages.
 
         Raises
         ------
@@ -182,13 +182,13 @@ class Prescription(LensData):
     Parameters
     ----------
     surfaces : tuple of Surface
-        From the scene's side to the array's; there is air before the first and behind the last.
+        Surfaces from the scene's side to the array's; there is air before the first and behind the last.
     stop : int
         Index of the surface that is the aperture stop; it opens to its semi-aperture at most.
     name : str
         Name of the lens.
     source : str
-        Where it is published.
+        Where the lens is published.
     wavelength : float
         Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
     """

@@ -142,7 +142,7 @@ def reconstruct(
         For ``deconvolved``: computes the point spreads, for example `Cluster`. Default: threads of this
         process.
     **options
-        Of single methods: see `MethodOptions`.
+        Options of single methods: see `MethodOptions`.
 
     Returns
     -------

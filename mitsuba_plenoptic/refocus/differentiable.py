@@ -217,7 +217,7 @@ class CoherentRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float
-        In nanometres, of all channels.
+        Wavelength in nanometres, of all channels.
     interleave : int
         1: one coherent wave, as by ``method="coherent"``; else the period of the subsets of ``method="partial"``.
     oversample : int
@@ -293,7 +293,7 @@ class CoherentRefocus:
         Returns
         -------
         float32 array
-            Of the shape of the image.
+            Change of the image, of the image's shape.
         """
         return self.at(capture).jvp(change)
 
@@ -304,14 +304,14 @@ class CoherentRefocus:
         Parameters
         ----------
         capture : array (rows, columns) or (rows, columns, channels)
-            Where the image is differentiated.
+            Capture at which the image is differentiated.
         image_gradient : array
             Gradient with respect to the bins, with the shape of the image.
 
         Returns
         -------
         float32 array
-            Of the shape of the capture.
+            Gradient, of the shape of the capture.
         """
         return self.at(capture).vjp(image_gradient)
 
@@ -403,9 +403,9 @@ class DeconvolvedRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float, optional
-        In nanometres, of all channels. Default: the response of the ray model.
+        Wavelength in nanometres, of all channels. Default: the response of the ray model.
     iterations : int
-        Steps.
+        Number of steps.
     oversample : int
         Bins per lens along each axis.
 

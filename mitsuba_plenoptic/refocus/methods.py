@@ -164,13 +164,13 @@ def method(
     options : tuple of str
         The options of `reconstruct` that it takes, besides those whose records name it (see `refocus_options`).
     waves : bool
-        Whether it needs wavelengths.
+        Whether the method needs wavelengths.
     as_it_is : bool
         Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
     long : bool
-        Whether it may take long: then it writes checkpoints and takes workers.
+        Whether the method may take long: then it writes checkpoints and takes workers.
     white : bool
-        Whether its images can be divided by those of a white capture.
+        Whether the method's images can be divided by those of a white capture.
     """
     taken = (*options, *(option for option, record in OPTIONS.items() if name in record.methods))
 

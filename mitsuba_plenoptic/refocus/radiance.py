@@ -254,7 +254,7 @@ def white_sums(
     camera, distance, radius, footprint, oversample
         As in `ray_sums`.
     wavelength : float, optional
-        In nanometres; None: by rays.
+        Wavelength in nanometres; None: by rays.
     relay : bool
         Whether the microlenses of a wave act a second time, see `reconstruct`.
 

@@ -263,7 +263,7 @@ class DepthError:
     Attributes
     ----------
     median, percentile_90 : float
-        Of the bins that are sure; NaN if there is none.
+        Errors of the bins that are sure; NaN if there is none.
     share : float
         Fraction of the bins with a finite true depth that are sure.
     """
@@ -279,7 +279,7 @@ def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
     Parameters
     ----------
     found : xarray.Dataset
-        What `depth_map` returned.
+        The depth map, from `depth_map`.
     confidence : float
         Depths of a higher confidence are compared.
 

@@ -43,7 +43,7 @@ class Blur:
     Attributes
     ----------
     focal_lengths, deviations : tuple of float
-        Of each type of lenses in mm, and their standard deviations, with those of the camera's parameters.
+        Focal lengths in mm of each type of lenses, and standard deviations, including those by the camera's parameters.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
         they mean the whole disc.

@@ -162,7 +162,7 @@ def board_scene(
     Returns
     -------
     mitsuba.Scene
-        In the active variant, or ``llvm_ad_mono`` if none is.
+        The scene in the active variant, or in ``llvm_ad_mono`` if none is active.
     """
     set_variant(None)
     rotation = Rotation.from_rotvec(pose[:3]).as_matrix()

@@ -109,9 +109,9 @@ class Table:
     Parameters
     ----------
     name : str
-        What messages call it, such as its file.
+        Name of the table in messages, such as its file.
     columns : dict of str to arrays
-        Its columns, all of one length.
+        Columns by name, all of one length.
     """
 
     name: str

@@ -42,7 +42,7 @@ class Centres:
     Attributes
     ----------
     grid : LensGrid
-        The regular grid that fits them best.
+        The regular grid that fits the centres best.
     lens : (n, 2) int array
         Index of each lens along its row, and its row, counted from the grid's first.
     pixel : (n, 2) array

@@ -144,7 +144,7 @@ def read_answer(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises
     ------
     InputError
-        If it cannot be read or has another shape.
+        If the file cannot be read, or the array has another shape.
     """
     require_size(path, _LARGEST)
     with refusing(f"{path}: it cannot be read:"):

@@ -118,7 +118,7 @@ def coarse_fit(
     names : str or iterable of str
         The parameters that are fitted, as for `fit`.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     bounds : mapping, optional
         As for `fit`, and as there by default. A parameter that ends at one is warned of.
     progress : callable, optional

@@ -75,7 +75,7 @@ def fit(
         Names of the parameters that are fitted, those by which captures are differentiated, as for
         `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     photons : float, optional
         Photons counted in a pixel of value 1, for views whose noise is not given.
     bounds : mapping, optional

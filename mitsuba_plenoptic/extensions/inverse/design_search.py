@@ -39,9 +39,9 @@ class Design:
     camera : PlenopticCamera
         The best of all cameras that were tried.
     figure : float
-        Its figure.
+        Figure of merit of the camera.
     values : dict
-        By name the parameters that varied.
+        The parameters that varied, by name.
     tried : int
         Cameras that were tried.
     reason : str
@@ -70,9 +70,9 @@ def maximise(
     Parameters
     ----------
     figure : Figure
-        What is maximised, such as `RefocusedContrast` or `DepthInformation`.
+        The figure of merit to maximise, such as `RefocusedContrast` or `DepthInformation`.
     camera : PlenopticCamera
-        Where to start; the parameters that are not named are held.
+        The start of the search; parameters that are not named keep their values.
     bounds : mapping
         By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with
         an index from 1 where there are several, as ``wavefront.11``; the name alone means all of them, of

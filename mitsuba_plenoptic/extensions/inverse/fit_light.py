@@ -284,11 +284,11 @@ def known_view(
     camera : PlenopticCamera
         A camera near enough to the true one, from which rays start.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     points_per_lens : int
         Points for each microlens.
     seed : int
-        Of their pattern.
+        Seed of the points' pattern.
     noise, mask, saturation
         As for `View`.
 

@@ -32,9 +32,9 @@ class Direction:
     Attributes
     ----------
     deviation : float
-        Standard deviation along it, in the units of `Fit.scales`.
+        Standard deviation along the direction, in the units of `Fit.scales`.
     parts : dict
-        By parameter, its part in the direction; their squares add to 1.
+        Component of the direction by parameter; the squares add to 1.
     """
 
     deviation: float

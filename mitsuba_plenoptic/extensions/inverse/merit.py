@@ -78,8 +78,8 @@ class RefocusedContrast:
 
     .. math:: \frac{1}{n m} \sum_{r, \nu} \frac{|\sum_j b_{rj} \, e^{-2 \pi i \nu \cdot x_j}|}{\sum_j b_{rj}}
 
-    with the bins b of each point r, refocused to its distance, and frequencies :math:`\nu` along x and along y. The
-    refocusing of one camera is used for all.
+    The bins :math:`b_{rj}` are those of the point r, refocused to its distance; the frequencies :math:`\nu` are along x
+    and y. The refocusing of one camera serves for all cameras.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ class DepthInformation:
     points : array (n, 3)
         Scene points (X, Y, g) in the camera frame, in millimetres.
     photons : float
-        Of each point that pass the pupil.
+        Number of photons of each point that pass the pupil.
     background : float
         Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
         everything.

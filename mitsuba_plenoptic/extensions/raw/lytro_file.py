@@ -124,7 +124,7 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
     folder : path
         Where white pictures of the same camera lie, each a ``.raw`` with its ``.txt``, or a container.
     capture : Capture
-        What `read_lytro` returned.
+        The capture, from `read_lytro`.
 
     Returns
     -------

@@ -114,11 +114,11 @@ class SweepSettings:
     camera : mapping, optional
         Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
     unit : str
-        Of the scene's lengths, as for `load_scene`.
+        Unit of the scene's lengths, as for `load_scene`.
     model, spp, seed
         As for `render_capture`; by model "wave" captures are made from signed rays.
     method : str
-        Of the reconstructions.
+        Method of the reconstructions.
     variant : str
         Mitsuba variant.
     """
@@ -306,7 +306,7 @@ def sweep(
     Parameters
     ----------
     settings : SweepSettings
-        What does not vary.
+        The settings that do not vary.
     grid : mapping of names to numbers
         What does: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to which each
         capture is refocused.
