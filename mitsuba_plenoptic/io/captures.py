@@ -329,7 +329,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     path : path
         File to write; the name ends in ``.png``, ``.tif`` or ``.tiff``.
     capture : Capture
-        What `expose` returned; a mosaic, or grey, or in TIFF files of three channels.
+        A capture from `expose`: a mosaic, grey, or, in TIFF files, of three channels.
 
     Raises
     ------

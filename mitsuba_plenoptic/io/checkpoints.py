@@ -108,8 +108,8 @@ class Checkpoint:
     path : path
         The file.
     existing : {"refuse", "resume", "resume_if_same"}
-        What to do with a file that is there: refuse to replace it; resume from it, and refuse it if it is of another
-        run; or resume from it if it is of the same run and replace it if it is of another.
+        What to do with an existing file: refuse to replace it; resume from it, or refuse a file of another run; or
+        resume from it, or replace a file of another run.
 
     Raises
     ------

@@ -166,7 +166,7 @@ def method(
     waves : bool
         Whether the method needs wavelengths.
     as_it_is : bool
-        Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
+        Whether the method needs the main lens's aberrations; other methods form images by the ideal lens.
     long : bool
         Whether the method may take long: then it writes checkpoints and takes workers.
     white : bool

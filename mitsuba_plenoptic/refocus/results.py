@@ -135,7 +135,7 @@ class Volume:
     Attributes
     ----------
     values : float32 array (planes, rows, columns[, channels])
-        Upright, in units of the capture; NaN beyond what a plane shows.
+        Upright images in units of the capture; NaN beyond what a plane shows.
     distances : tuple of floats
         Distances of the planes from the main lens, in scene units.
     voxel_size : float

@@ -101,9 +101,9 @@ class Calibration:
     blur : Blur, optional
         The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
-        By how much the frames disagree about the parameters, over what their residuals' scatter explains.
+        Ratio of the frames' disagreement about the parameters to that explained by the residuals' scatter.
     by_frames : bool
-        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+        Whether frames disagree more than chance allows; then deviations come from leaving out frames.
     centre_outliers : (m,) int array
         Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     prediction_deviation : float
@@ -189,7 +189,7 @@ class ResidualMap:
     mean : (groups, 2) array
         Mean of observed minus predicted positions, in pixels.
     error : (groups,) array
-        RMS of the distances between them, in pixels.
+        RMS distance between observed and predicted positions, in pixels.
     """
 
     by: str

@@ -74,14 +74,13 @@ def maximise(
     camera : PlenopticCamera
         The start of the search; parameters that are not named keep their values.
     bounds : mapping
-        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with
-        an index from 1 where there are several, as ``wavefront.11``; the name alone means all of them, of
-        a wavefront all but the piston.
+        Lowest and highest value by name: names of `CaptureOperator.derivative`, with an index from 1 where there are
+        several, as ``wavefront.11``; the name alone means all components, of a wavefront all but the piston.
     steps : int
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
-        Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
-        is stopped continues when it starts there.
+        Called with the number of cameras tried, the last figure, and the best camera so far, from which a stopped
+        search can be started again.
 
     Raises
     ------

@@ -55,8 +55,7 @@ def fit_layers(
     seed : int
         Seed of the random numbers.
     progress : callable, optional
-        Called after each round with its number and its root mean square difference, which includes that of rendering
-        noise.
+        Called after each round with the round's number and root mean square difference, which includes rendering noise.
 
     Returns
     -------

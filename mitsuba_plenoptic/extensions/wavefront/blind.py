@@ -158,12 +158,12 @@ def digital_adaptive_optics(
     accuracy : float
         As for `CaptureOperator`.
     turns : int
-        How often the wavefronts are improved at most. Turns end earlier where the residual is as small as noise, or
-        its excess falls by less than a hundredth.
+        Largest number of turns that improve the wavefronts. Turns end earlier where the residual is as small as noise,
+        or its excess falls by less than a hundredth.
     iterations : int
         Richardson's and Lucy's steps in each turn.
     progress : callable, optional
-        Called with the turns that have been made and the most that are.
+        Called with the number of turns made and the largest possible number.
 
     Returns
     -------

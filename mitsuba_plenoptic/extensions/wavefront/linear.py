@@ -105,11 +105,11 @@ class InteractionMatrix:
         Parameters
         ----------
         image : array (rows, columns)
-            Capture in counted electrons; its sum is taken for the number N.
+            Capture in counted electrons, whose sum is taken for the number N.
         prior : float or array (modes - 1,), optional
             Expected standard deviation of each term, in waves. Default: unknown.
         rank : int, optional
-            Number of directions of the terms that are estimated, those that the pixels determine best. The others stay
+            Number of directions of the terms that are estimated, from the best determined on. The other directions stay
             0. Default: all.
 
         Returns

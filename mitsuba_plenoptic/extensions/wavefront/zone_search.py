@@ -123,7 +123,7 @@ def fit_wavefronts(
     wavelength : float
         Wavelength in nanometres.
     noise : PixelNoise, float or array (rows, columns)
-        As for `fitting.View`. Default: that of pixels that are counted electrons.
+        Noise as for `fitting.View`. Default: the noise of pixels that are counted electrons.
     accuracy : float
         As for `CaptureOperator`.
 
