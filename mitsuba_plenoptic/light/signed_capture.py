@@ -1,4 +1,4 @@
-r"""Captures of scenes by signed rays: plan, noise and cost, and derivatives by textures, emitters, BSDFs and media.
+r"""Captures of scenes by signed rays: plan, noise, cost, and derivatives with respect to the scene's parameters.
 
 A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, let
 :math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this

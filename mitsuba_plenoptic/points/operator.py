@@ -287,7 +287,7 @@ class CaptureOperator(CoherentPoints):
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradient of a scalar by camera parameters, given the scalar's gradient by the image.
+        """Return a scalar's gradient with respect to camera parameters, from its gradient with respect to the image.
 
         One reverse pass through all point spreads serves all parameters.
 

@@ -159,7 +159,7 @@ def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
 
 
 class Channel(Protocol):
-    """One refocused channel of a capture: its bins (rows, columns), and their derivatives by the pixels."""
+    """One refocused channel of a capture: bins (rows, columns), and their derivatives with respect to the pixels."""
 
     bins: NDArray[Any]
 
@@ -204,7 +204,7 @@ class RefocusedImage:
 
 
 class CoherentRefocus:
-    """Refocusing of one camera's captures to one distance by the wave model, with derivatives by the pixels.
+    """Refocusing of one camera's captures to one distance by the wave model, differentiable in the pixels.
 
     The wave's amplitude is the square root of a pixel, so that the image is not linear in the capture: `derivative` and
     `gradient` hold at one capture. Called with a Dr.Jit array it is differentiable, forward and in reverse;
@@ -288,7 +288,7 @@ class CoherentRefocus:
         Parameters
         ----------
         capture, change : array (rows, columns) or (rows, columns, channels)
-            Where a pixel is zero the image has no derivative by it, and 0 is taken.
+            Capture, and direction of the change. With respect to zero pixels the image has no derivative; 0 is taken.
 
         Returns
         -------
@@ -299,7 +299,7 @@ class CoherentRefocus:
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Return the gradient by the capture, given the gradient by the image: the transpose of `derivative`.
+        """Return the gradient with respect to the capture, given the image's gradient: the transpose of `derivative`.
 
         Parameters
         ----------
@@ -391,7 +391,7 @@ class _BinnedPower:
 
 
 class DeconvolvedRefocus:
-    """Deconvolution of one camera's captures at one distance by fixed steps, with derivatives by the pixels.
+    """Deconvolution of one camera's captures at one distance by fixed steps, differentiable in the pixels.
 
     The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The camera's
     response is computed once. The image is not linear in the capture.

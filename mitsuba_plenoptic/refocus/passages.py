@@ -191,7 +191,7 @@ def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, 
 def propagate_vjp(
     gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
-    """Yield the gradient by the source samples of `propagate`, from the gradient by the destination samples."""
+    """Yield the gradient at the source samples of `propagate`, from the gradient at the destination samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
     for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
@@ -239,7 +239,7 @@ def to_directions(
 
 
 def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Yield the gradient by the source samples of `to_directions`, from the gradient by the frequencies."""
+    """Yield the gradient at the source samples of `to_directions`, from the gradient at the frequencies."""
     back = step.reversed
     columns = workspace.columns(back)
     for mine, part in gradient:
@@ -281,11 +281,11 @@ class ParaxialPath:
                 yield there, lines[own]
 
     def vjp(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield the gradient by the first plane's field, from the gradient by the lines."""
+        """Yield the gradient at the first plane's samples, from the gradient at the lines."""
         yield from to_directions_vjp(self._to_spectrum(gradient, workspace), self._element, self._step, workspace)
 
     def _to_spectrum(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield the gradient by lines of the spectrum, from the gradient by ordered lines."""
+        """Yield the gradient at lines of the spectrum, from the gradient at ordered lines."""
         count, positive = self._step.x.held, (self._step.y.held + 1) // 2
         for there, lines in gradient:
             found = lines * self._along_x[there, None].conj()

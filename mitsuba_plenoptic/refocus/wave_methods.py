@@ -377,7 +377,7 @@ class BackwardFields:
         return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
     def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
-        """Return the gradient by the amplitudes, from gradients by all subsets' fields at object directions."""
+        """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]

@@ -160,7 +160,7 @@ def refocus(by: Refocus, captures: Any) -> Any:
 
 
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
-    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives.
 
     Captures by ``plenoptic_wave`` have the derivatives with respect to scene and camera that its documentation lists.
     The scene keeps the given values; derivatives restore them first.

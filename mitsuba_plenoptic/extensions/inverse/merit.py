@@ -45,7 +45,7 @@ class Spreads:
         names: Iterable[str],
         points: NDArray[np.float64] | None = None,
     ) -> Gradient:
-        """Return the gradient by camera parameters, from the gradient by the point spreads (n, rows, columns)."""
+        """Return the gradient with respect to camera parameters, from the spreads' gradient (n, rows, columns)."""
         total: Gradient = {}
         for operator, image in zip(self._operators(camera, points), images, strict=True):
             found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
@@ -132,7 +132,7 @@ class RefocusedContrast:
         return self._contrast(self._images(camera))[0]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the mean contrast, and its derivatives by parameters of the camera, by name.
+        """Return the mean contrast, and its derivatives with respect to camera parameters, by name.
 
         Parameters
         ----------
