@@ -225,12 +225,12 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     path : path
         File to write.
     capture : Capture
-        What to write.
+        The capture to write.
 
     Raises
     ------
     InputError
-        If it is not a capture, its metadata are not plain data, or the file cannot be written.
+        If the argument is no capture, its metadata are not plain data, or the file cannot be written.
 
     Examples
     --------
@@ -329,7 +329,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     path : path
         File to write; the name ends in ``.png``, ``.tif`` or ``.tiff``.
     capture : Capture
-        What `expose` returned; a mosaic, or grey, or in TIFF files of three channels.
+        A capture from `expose`: a mosaic, grey, or, in TIFF files, of three channels.
 
     Raises
     ------

@@ -103,7 +103,7 @@ class Lattice(abc.ABC):
         u : float or array
             Offset along the rows.
         v : float or array
-            Offset across them.
+            Offset across the rows.
         width : float
             Pitch of the cell.
         """
@@ -238,7 +238,7 @@ class Lattice(abc.ABC):
         return self.cell(coordinate, coordinate)[axis]
 
     def axis_centre(self, index: Any, axis: int) -> Any:
-        """Return the coordinate of a centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
+        """Return the coordinate in mm of a lens centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
         return self.centre(index, index)[axis]
 
     def lens_type(self, i: Any, j: Any) -> Any:
@@ -289,12 +289,12 @@ class Lattice(abc.ABC):
         step : float
             Width of a sample in millimetres.
         scale : float
-            By how much the aperture is enlarged.
+            Factor by which the aperture is enlarged.
 
         Returns
         -------
         (size, size) float64 array
-            Of odd size, the lens's centre in the middle; the sum is 1.
+            Samples in odd numbers, with the lens's centre in the middle; the sum is 1.
         """
         if scale * min(self.aperture_widths) < 2 * step / _POINTS:
             # Too small to be drawn.
@@ -409,7 +409,7 @@ def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice
     Parameters
     ----------
     name : str
-        Its name in `LATTICES`.
+        Name of the lattice in `LATTICES`.
     pitches, numbers
         Parameters of `Lattice`.
     """

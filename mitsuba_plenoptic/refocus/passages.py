@@ -191,7 +191,7 @@ def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, 
 def propagate_vjp(
     gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
-    """Yield the gradient by the source samples of `propagate`, from the gradient by the destination samples."""
+    """Yield the gradient at the source samples of `propagate`, from the gradient at the destination samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
     for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
@@ -239,7 +239,7 @@ def to_directions(
 
 
 def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Yield the gradient by the source samples of `to_directions`, from the gradient by the frequencies."""
+    """Yield the gradient at the source samples of `to_directions`, from the gradient at the frequencies."""
     back = step.reversed
     columns = workspace.columns(back)
     for mine, part in gradient:
@@ -366,7 +366,7 @@ class Integrals:
         self._buffer: Any = None
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
-        """Return the samples before the edges of lines, and the distances from those samples to the edges."""
+        """Return the samples before the edges of lines, and the distances of the edges from these samples."""
         arrays = backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.
         edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)

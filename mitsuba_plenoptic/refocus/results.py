@@ -44,7 +44,7 @@ class Reconstruction(Displayed):
     bin_size : float
         Width of a bin in the object plane, in scene units; at infinity its slope, the width at a distance of 1.
     method : str
-        How it was made.
+        Name of the method.
     options : dict
         The method's options.
     camera : PlenopticCamera
@@ -135,9 +135,9 @@ class Volume:
     Attributes
     ----------
     values : float32 array (planes, rows, columns[, channels])
-        Upright, in units of the capture; NaN beyond what a plane shows.
+        Upright images in units of the capture; NaN beyond what a plane shows.
     distances : tuple of floats
-        Of the planes, from the main lens, in scene units.
+        Distances of the planes from the main lens, in scene units.
     voxel_size : float
         Width and height of a voxel in scene units.
     attributes : dict
@@ -159,7 +159,7 @@ class Volume:
         Parameters
         ----------
         results : sequence of Reconstruction
-            In any order.
+            The planes, in any order.
 
         Returns
         -------

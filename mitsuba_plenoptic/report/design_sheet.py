@@ -216,7 +216,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 
 
 def _seen(camera: PlenopticCamera) -> str:
-    """Return a sentence on what the microlenses see."""
+    """Return a sentence on the image that the microlenses see."""
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
     distances = design.mla_object_distances(camera)

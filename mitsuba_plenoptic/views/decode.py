@@ -45,20 +45,19 @@ def decode(
     Parameters
     ----------
     capture : Capture or (rows, columns[, 3]) array
-        What the detector recorded. A plain array needs `camera` or `grid`.
+        The capture. A plain array needs `camera` or `grid`.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
         (see `mitsuba_plenoptic.views.white_image.recorded_white`). Default: computed by rays from the camera's pupil;
-        diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
-        Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
+        diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
+        camera a white picture is needed; its brightness in the middle of micro-images counts as 1.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
     truth : GroundTruth, optional
-        What the samples see, as `ground_truth` finds it for the same camera; it goes into the light field as
-        coordinates over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and
-        ``shape_index``.
+        Ground truth of the samples, from `ground_truth` for the same camera; it becomes coordinates of the light field
+        over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and ``shape_index``.
 
     Returns
     -------

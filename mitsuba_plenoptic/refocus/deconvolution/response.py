@@ -102,7 +102,7 @@ def bin_weight(cells: BinCells) -> float:
 
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:
-    """Return a finite distance; for infinity, a distance so large that light is collimated."""
+    """Return a finite distance in mm; for infinity, one so large that light is collimated."""
     return min(distance, _INFINITY * camera.focal_length)
 
 
