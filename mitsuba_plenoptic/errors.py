@@ -401,7 +401,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a position in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
+    """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y

@@ -131,7 +131,7 @@ def entry_of(kind: str, key: str, what: str) -> Any:
     Raises
     ------
     InputError
-        If no extension has it; `what` begins the line.
+        If no extension has the entry; `what` begins the line.
     """
     for package, found, text in entries(kind):
         if found == key:

@@ -161,7 +161,7 @@ class _MovedFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that has another name now, None for all others."""
+        """Return the spec of a module that now has another name, otherwise None."""
         root, _, name = fullname.partition(".")
         moved = _moved(name) if root == ROOT else ""
         if not moved:
@@ -176,7 +176,7 @@ class _ServedFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that is served by its name, None for all others."""
+        """Return the spec of a module that is served by its name, otherwise None."""
         root, _, name = fullname.partition(".")
         if root != ROOT or name in ("", "extensions") or "." in name:
             return None

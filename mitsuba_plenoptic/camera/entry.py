@@ -101,7 +101,7 @@ class Parameter(Generic[Given, Kept]):
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(Parameter,))
 def record(cls: _Record) -> _Record:
-    """Make a class a record of parameters that cannot be changed."""
+    """Return a class turned into a frozen record of parameters."""
     return cast(_Record, dataclass(frozen=True, init=False, repr=False)(cls))
 
 

@@ -61,7 +61,7 @@ class CameraGeometry(CameraParameters):
         return self.focal_length / self.aperture_diameter
 
     def defocus(self, distance: float) -> float:
-        """Return the signed ratio of two diameters of an on-axis point's light cone: on the MLA over on the main lens.
+        """Return the signed ratio of the diameters, on the MLA and on the main lens, of an on-axis point's light cone.
 
         :math:`s = 1 + b/g - b/f_1`: zero in focus, positive for nearer points.
 
@@ -120,7 +120,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def reduced_distance(self) -> float:
-        """Distance :math:`z / n` from the MLA to the detector, reduced by the index of the medium between them.
+        """Distance :math:`z / n` in mm from the MLA to the detector, reduced by the index of the medium between them.
 
         Light near the axis passes the medium as it passes this distance of air.
         """
@@ -128,7 +128,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def reduced_focal_lengths(self) -> tuple[float, ...]:
-        """Focal lengths :math:`f_2 / n` of the microlenses in air, the reciprocals of their powers."""
+        """Focal lengths :math:`f_2 / n` in mm of the microlenses in air, the reciprocals of their powers."""
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
 
     def medium_wavelength(self, wavelength: float) -> float:
@@ -247,7 +247,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def micro_image_pitch(self) -> float:
-        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z/n) / b`; the pitch behind an objective."""
+        """Distance in mm of neighbouring micro-images of a row: :math:`D_2 (b + z/n) / b`; behind an objective D2."""
         if not self.lens_data.converges:
             return self.mla_pitch
         return self.mla_pitch * (self.pupil_distance + self.reduced_distance) / self.pupil_distance

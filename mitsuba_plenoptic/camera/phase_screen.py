@@ -100,7 +100,7 @@ class PhaseScreen:
         return self._grid.at(x, y)
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of `path`, which is the change of direction.
+        """Return the gradient of `path` in mm per mm, which is the change of direction.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ def frozen_flow(
     waves : array (rows, columns), or path
         The larger screen, as for `PhaseScreen`, of any size.
     step : float
-        Distance of its samples in millimetres, which is also that of the frames' samples.
+        Distance in millimetres of samples, of the screen and of the frames.
     width : float
         Width of the frames' screens in millimetres, about the diameter of the pupil or more.
     wind : (float, float)
@@ -168,7 +168,7 @@ def frozen_flow(
     interval : float
         Time between frames in seconds.
     frames : int
-        Count of frames.
+        Number of frames.
 
     Yields
     ------

@@ -40,7 +40,7 @@ from .parameters import PARAMETERS
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Return all parameters of a camera by attribute: the given ones, checked, and defaults for the others."""
+    """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
@@ -350,7 +350,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Raises
         ------
         InputError
-            If it is not such an object, a name is unknown, or a value is out of range.
+            If the text is no such object, a name is unknown, or a value is out of range.
         """
         with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)

@@ -180,5 +180,5 @@ class CameraVector:
         return changes
 
     def slopes(self, gradient: Mapping[str, Array]) -> Array:
-        """Return the derivatives with respect to this vector, from those with respect to all components by name."""
+        """Return the derivatives with respect to this vector, from derivatives by all components of the parameters."""
         return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])

@@ -298,7 +298,7 @@ def named_camera(source: str | None) -> PlenopticCamera | None:
 
 
 def require_in_sight(source: Path, camera: PlenopticCamera | None, *distances: float) -> PlenopticCamera | None:
-    """Return the given camera, or else that of the source's header; refuse distances on which it cannot focus."""
+    """Return the given camera, or else the camera of the source; refuse distances on which it cannot focus."""
     seen_by = camera
     if camera is None and source.suffix.lower() == ".exr":
         from ..camera import PlenopticCamera
@@ -420,7 +420,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
-    """Return the Dask cluster of the requested workers, or a context of None without them."""
+    """Return the Dask cluster of the requested workers; without workers a context that yields None."""
     from ..runtime.batches import Cluster
 
     given = workers is not None or scheduler is not None

@@ -38,8 +38,8 @@ def judging(function: Callable[..., None]) -> Callable[..., None]:
     judges = []
     for name, parameter in parameters.items():
         notes = getattr(parameter.annotation, "__metadata__", ())
-        # Some options have another name than the argument, such as --format.
-        spelt = [word for one in notes for word in getattr(one, "param_decls", None) or () if word.startswith("--")]
+        # Some options have another name than the argument, such as --format: what Typer holds for the default first.
+        spelt = [word for one in notes if (word := str(getattr(one, "default", ""))).startswith("--")]
         shown = spelt[0].strip("-").replace("-", "_") if spelt else name
         judges += [(name, shown, one.judge) for one in notes if isinstance(one, Judged)]
 

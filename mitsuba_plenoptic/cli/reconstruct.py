@@ -283,7 +283,7 @@ def sheet(
 def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
-    """Return a capture and its white reference, and set the variant."""
+    """Return a capture and its white reference, after setting the variant."""
     from ..runtime.backend import set_variant
 
     recorded = read_recorded(capture, known, linear)

@@ -6,7 +6,7 @@ import logging
 import time
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -134,7 +134,13 @@ def render(
     """
     from ..io.captures import Capture, write_capture
     from ..io.truth_files import NAME, require_quantities, truth_path, write_ground_truth
-    from ..light.render_capture import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+    from ..light.render_capture import (
+        estimate_capture,
+        is_wave_capture,
+        plenoptic_sensor,
+        refuse_by_rays,
+        render_capture,
+    )
     from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
@@ -174,8 +180,14 @@ def render(
     with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
 
         def tell(seconds: float) -> None:
-            if seconds > MINUTE:
-                _log.info("%s", _forecast(seconds, loaded, sensor, spp, method))
+            if seconds <= MINUTE:
+                return
+            if (method or getattr(loaded.integrator(), "method", "")) == "points":
+                cause = "each point is propagated; --method signed_rays takes one to some ray captures"
+            else:
+                count = spp or plenoptic_sensor(loaded, sensor).sampler().sample_count()
+                cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
+            _log.info("the capture takes about %s: %s", in_words(seconds), cause)
 
         with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
             start = time.perf_counter()
@@ -279,15 +291,3 @@ def expose(
         f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
         f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
     )
-
-
-def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
-    """Return a sentence that states the time of a capture, and the cheapest change that shortens it."""
-    from ..light.render_capture import plenoptic_sensor
-
-    if (method or getattr(scene.integrator(), "method", "")) == "points":
-        cause = "each point is propagated; --method signed_rays takes one to some ray captures"
-    else:
-        count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
-        cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
-    return f"the capture takes about {in_words(seconds)}: {cause}"

@@ -47,12 +47,12 @@ class ResolutionLimit:
     Attributes
     ----------
     waves : float
-        By the diffraction of a microlens; infinite in focus, and where there is no wavelength.
+        Limit by the diffraction of a microlens; infinite in focus, and where there is no wavelength.
     pixels : float
-        By the pixels; infinite in focus.
+        Limit by the pixels; infinite in focus.
     lenses : float
-        By one sample a lens, which is what reconstructions without deconvolution give; in the Fourier arrangement,
-        where each lens makes a picture, by one sample a pixel.
+        Limit by one sample per lens, as in reconstructions without deconvolution; in the Fourier arrangement, where
+        each lens makes a picture, by one sample per pixel.
     in_focus : bool
         Whether the plane is so near focus that lenses see the same: the pitch of the lenses decides.
     frequency : float
@@ -136,7 +136,7 @@ def _behind_objective(
 def _in_the_stops_image(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
-    """Return the limit of the Fourier arrangement, where no range around the plane in focus must be avoided."""
+    """Return the resolution limit of the Fourier arrangement, which excludes no range around the plane in focus."""
     pixels, waves = 1 / (2 * camera.bin_size(depth)), math.inf
     aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
     blur = aperture * abs(depth) / lens.immersion

@@ -64,7 +64,7 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
     Returns
     -------
     (float, float)
-        In millimetres; NaN if no type of microlens is sharp at any depth.
+        Limits in millimetres; NaN if no type of microlens is sharp at any depth.
     """
     lens = objective_of(camera)
     ranges: list[tuple[float, float]] = []

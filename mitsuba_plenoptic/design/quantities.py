@@ -442,7 +442,7 @@ def white_mean(camera: PlenopticCamera) -> float:
 
 
 def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
-    """Find the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
+    """Return the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
 
     The ray from a detector point p through the point c + d of a lens meets the pupil plane in
     :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
@@ -477,7 +477,7 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
 
 
 def crosstalk_reach(camera: PlenopticCamera) -> float:
-    """Return the greatest distance from the chief ray's point to the centres of lenses that can light a pixel."""
+    """Return the greatest distance in mm from the chief ray's point to the centres of lenses that can light a pixel."""
     _, reach, smear = _crosstalk(camera)
     return float(reach + smear * camera.lattice.aperture_reach)
 
@@ -544,7 +544,7 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
 
 
 def crosstalk_lenses(camera: PlenopticCamera) -> int:
-    """Count the lenses that can light one pixel; counts above 100,000 are estimated from the area."""
+    """Return the number of lenses that can light one pixel; numbers above 100,000 are estimated from areas."""
     lenses = _crosstalk(camera)[0]
     return len(crosstalk_neighbours(camera)) if lenses <= MOST_OVERLAP else round(lenses)
 

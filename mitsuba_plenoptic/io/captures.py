@@ -225,12 +225,12 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     path : path
         File to write.
     capture : Capture
-        What to write.
+        The capture to write.
 
     Raises
     ------
     InputError
-        If it is not a capture, its metadata are not plain data, or the file cannot be written.
+        If the argument is no capture, its metadata are not plain data, or the file cannot be written.
 
     Examples
     --------
@@ -329,7 +329,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     path : path
         File to write; the name ends in ``.png``, ``.tif`` or ``.tiff``.
     capture : Capture
-        What `expose` returned; a mosaic, or grey, or in TIFF files of three channels.
+        A capture from `expose`: a mosaic, grey, or, in TIFF files, of three channels.
 
     Raises
     ------
@@ -373,7 +373,9 @@ def read_raw(path: str | Path) -> Capture:
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     with naming(path):
-        return _capture_of(path, about, _values(numbers, about["metadata"]["exposure"]))
+        gain, black, dark, unit = response_of(about["metadata"]["exposure"])
+        image = (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
+        return _capture_of(path, about, image)
 
 
 def states_detector(path: str | Path) -> bool:
@@ -395,11 +397,6 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
         "capture: its values are no digital numbers of its detector; write it as .exr",
     )
     return numbers.astype(np.uint16)
-
-
-def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float32]:
-    gain, black, dark, unit = response_of(exposure)
-    return (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
 
 
 def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:

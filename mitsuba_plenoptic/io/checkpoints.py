@@ -108,8 +108,8 @@ class Checkpoint:
     path : path
         The file.
     existing : {"refuse", "resume", "resume_if_same"}
-        What to do with a file that is there: refuse to replace it; resume from it, and refuse it if it is of another
-        run; or resume from it if it is of the same run and replace it if it is of another.
+        What to do with an existing file: refuse to replace it; resume from it, or refuse a file of another run; or
+        resume from it, or replace a file of another run.
 
     Raises
     ------
@@ -149,7 +149,7 @@ class Checkpoint:
         Parameters
         ----------
         shape : (rows, columns, channels)
-            The capture's.
+            Shape of the capture.
         **facts
             Plain JSON values that the bits of the result depend on, besides those in `run` and the software.
 
@@ -209,7 +209,7 @@ class Checkpoint:
         Parameters
         ----------
         snapshot : Snapshot
-            What is done so far.
+            The state to save.
 
         Raises
         ------
@@ -346,7 +346,7 @@ def _read(
     take: Callable[[Any, dict[str, Any]], _State],
     shapes: dict[str, tuple[int, ...]],
 ) -> _State:
-    """Return the state in the checkpoint of a run; refuse damaged checkpoints and those of another run."""
+    """Return the state in the checkpoint of a run; refuse damaged checkpoints and checkpoints of other runs."""
     try:
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:

@@ -26,7 +26,7 @@ def example(name: str) -> Capture:
     Parameters
     ----------
     name : {"letters-ray", "letters-wave", "white"}
-        Which capture.
+        Name of the capture.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def example_truth(name: str) -> GroundTruth:
     Parameters
     ----------
     name : {"letters-ray", "letters-wave", "white"}
-        Which capture.
+        Name of the capture.
 
     Returns
     -------

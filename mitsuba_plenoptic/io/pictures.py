@@ -27,7 +27,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     path : path
         File to read.
     linear : bool
-        Whether its values are proportional to light, as in raw data, instead of encoded in sRGB.
+        Whether the values are proportional to light, as in raw data, instead of encoded in sRGB.
 
     Returns
     -------

@@ -98,7 +98,7 @@ def truth_path(capture: Path) -> Path:
 
 
 def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
-    """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, laid side by side.
+    """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, side by side.
 
     The channels are depth.Z, virtual_depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and
     shape_index.I. The views are arranged as by `views.view_mosaic`.
@@ -108,7 +108,7 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
     path : path
         File to write.
     truth : GroundTruth
-        What to write.
+        The ground truth to write.
 
     Raises
     ------

@@ -32,142 +32,8 @@ _POINTS = 8
 AIRY_ZERO = 1.21967
 
 
-class Aperture(abc.ABC):
-    """A shape of apertures, the same for all lenses of a lattice."""
-
-    product: ClassVar[bool]
-    """Whether an aperture of upright rectangular cells is a product of one along x and one along y."""
-
-    @abc.abstractmethod
-    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the aperture's widths in mm along and across the rows; the diameter twice for a disc."""
-
-    @abc.abstractmethod
-    def area(self, lattice: Lattice) -> Any:
-        """Return the aperture's area in mm^2."""
-
-    @abc.abstractmethod
-    def reach(self, lattice: Lattice) -> Any:
-        """Return the greatest distance in mm of a point of the aperture from the aperture's centre."""
-
-    @abc.abstractmethod
-    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Return whether an offset dx, dy (mm, camera frame) from the lens's centre lies within the aperture.
-
-        Parameters
-        ----------
-        lattice : Lattice
-            Lattice with apertures of this shape.
-        dx : float or array
-            Offset of the point from the centre along x of the camera frame.
-        dy : float or array
-            Offset along y.
-        """
-
-    @abc.abstractmethod
-    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map a point of the unit square uniformly to the aperture; return its camera-frame offset from the centre.
-
-        Parameters
-        ----------
-        lattice : Lattice
-            Lattice with apertures of this shape.
-        s : float or array
-            From 0 to 1.
-        t : float or array
-            From 0 to 1.
-        """
-
-    @abc.abstractmethod
-    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Return the margin in mm and the scale by which an aperture, enlarged by `smear`, enlarges a cell."""
-
-    def diffraction_width(self, lattice: Lattice) -> float:
-        r"""Return the width w for which the first zero of the aperture's diffraction lies at :math:`\lambda / w`.
-
-        By default this is the width of the disc whose area the aperture has.
-
-        Parameters
-        ----------
-        lattice : Lattice
-            Lattice with apertures of this shape.
-        """
-        return math.sqrt(4 / math.pi * self.area(lattice)) / AIRY_ZERO
-
-
-class Cell(Aperture):
-    """The lattice's cell as an aperture, shrunk by `fill`."""
-
-    product = True
-
-    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the cell's widths times `fill`."""
-        along, across = lattice.pitches
-        return lattice.fill * along, lattice.fill * across
-
-    def area(self, lattice: Lattice) -> Any:
-        """Return the cell's area times the square of `fill`."""
-        return lattice.cell_area * lattice.fill**2
-
-    def reach(self, lattice: Lattice) -> Any:
-        """Return the distance of the aperture's farthest corner from its centre, in mm."""
-        return lattice.fill * lattice.cell_reach
-
-    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Return whether an offset lies in the shrunk cell, decided in the frame in which cells are regular."""
-        u, v = lattice.to_frame(dx, dy)
-        return lattice.in_cell(u, v / lattice.aspect, lattice.fill * lattice.pitches[0])
-
-    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map a point of the unit square to the cell shrunk by `fill`."""
-        return lattice.cell_point(s, t, lattice.fill)
-
-    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Return no margin and a scale, since cells are convex and point-symmetric and add to a larger cell."""
-        return 0.0, 1 + smear * lattice.fill
-
-    def diffraction_width(self, lattice: Lattice) -> float:
-        """Return the narrower width of a rectangle; for other cells the width of the disc of equal area."""
-        return min(self.widths(lattice)) if lattice.rectangular else super().diffraction_width(lattice)
-
-
-class Circle(Aperture):
-    """A disc whose diameter is `fill` times the pitch, the shorter one if there are two."""
-
-    product = False
-
-    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the diameter, twice."""
-        along, across = lattice.pitches
-        diameter = lattice.fill * (along if along is across else minimum(along, across))
-        return diameter, diameter
-
-    def area(self, lattice: Lattice) -> Any:
-        """Return the disc's area."""
-        return math.pi / 4 * self.widths(lattice)[0] ** 2
-
-    def reach(self, lattice: Lattice) -> Any:
-        """Return the radius of the disc in mm."""
-        return self.widths(lattice)[0] / 2
-
-    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Return whether an offset is within the radius."""
-        radius = self.reach(lattice)
-        return dx * dx + dy * dy <= radius * radius
-
-    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map a point of the unit square to the disc by polar coordinates."""
-        module = module_of(s)
-        radius = module.sqrt(s) * self.reach(lattice)
-        return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
-
-    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Return the enlarged radius as the margin, and the scale 1."""
-        return smear * self.reach(lattice), 1.0
-
-
-APERTURES: dict[str, Aperture] = {"cell": Cell(), "circle": Circle()}
-"""Shapes of apertures by the names that `mla_aperture` takes."""
+APERTURES = ("cell", "circle")
+"""Shapes of apertures, as `mla_aperture` names them."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +103,7 @@ class Lattice(abc.ABC):
         u : float or array
             Offset along the rows.
         v : float or array
-            Offset across them.
+            Offset across the rows.
         width : float
             Pitch of the cell.
         """
@@ -305,7 +171,11 @@ class Lattice(abc.ABC):
     @property
     def aperture_widths(self) -> tuple[Any, Any]:
         """Widths of the aperture in mm along and across the rows; the diameter twice for a circle."""
-        return APERTURES[self.aperture].widths(self)
+        along, across = self.pitches
+        if self.aperture == "cell":
+            return self.fill * along, self.fill * across
+        diameter = self.fill * (along if along is across else minimum(along, across))
+        return diameter, diameter
 
     @property
     def aperture_width(self) -> Any:
@@ -316,17 +186,22 @@ class Lattice(abc.ABC):
     @property
     def aperture_reach(self) -> Any:
         """Greatest distance in mm of a point of the aperture from the aperture's centre."""
-        return APERTURES[self.aperture].reach(self)
+        return self.fill * self.cell_reach if self.aperture == "cell" else self.aperture_widths[0] / 2
 
     @property
     def diffraction_width(self) -> float:
         r"""Width w for which the first zero of an aperture's diffraction lies at :math:`\lambda / w`."""
-        return APERTURES[self.aperture].diffraction_width(self)
+        if self.aperture == "cell" and self.rectangular:
+            return float(min(self.aperture_widths))
+        # Of the disc of the same area.
+        return math.sqrt(4 / math.pi * self.lens_area) / AIRY_ZERO
 
     @property
     def lens_area(self) -> Any:
         """Area of a lens's aperture."""
-        return APERTURES[self.aperture].area(self)
+        if self.aperture == "cell":
+            return self.cell_area * self.fill**2
+        return math.pi / 4 * self.aperture_widths[0] ** 2
 
     # -- what it allows ------------------------------------------------------------------------------
 
@@ -343,7 +218,7 @@ class Lattice(abc.ABC):
     @property
     def separable(self) -> bool:
         """Whether cells and apertures are products of an interval along x and one along y."""
-        return self.axis_aligned and APERTURES[self.aperture].product
+        return self.axis_aligned and self.aperture == "cell"
 
     # -- cells ---------------------------------------------------------------------------------------
 
@@ -363,7 +238,7 @@ class Lattice(abc.ABC):
         return self.cell(coordinate, coordinate)[axis]
 
     def axis_centre(self, index: Any, axis: int) -> Any:
-        """Return the coordinate of a centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
+        """Return the coordinate in mm of a lens centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
         return self.centre(index, index)[axis]
 
     def lens_type(self, i: Any, j: Any) -> Any:
@@ -390,11 +265,21 @@ class Lattice(abc.ABC):
 
     def in_aperture(self, dx: Any, dy: Any) -> Any:
         """Return whether a point at an offset from its lens's centre is within the aperture."""
-        return APERTURES[self.aperture].holds(self, dx, dy)
+        if self.aperture == "circle":
+            radius = self.aperture_reach
+            return dx * dx + dy * dy <= radius * radius
+        # In the frame in which cells are regular.
+        u, v = self.to_frame(dx, dy)
+        return self.in_cell(u, v / self.aspect, self.fill * self.pitches[0])
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
         """Map (s, t) in the unit square uniformly to the aperture; return the offset from the aperture's centre."""
-        return APERTURES[self.aperture].point(self, s, t)
+        if self.aperture == "cell":
+            return self.cell_point(s, t, self.fill)
+        # By polar coordinates.
+        module = module_of(s)
+        radius = module.sqrt(s) * self.aperture_reach
+        return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
         """Return the fraction of each sample of width `step` that an aperture, enlarged by `scale`, covers.
@@ -404,12 +289,12 @@ class Lattice(abc.ABC):
         step : float
             Width of a sample in millimetres.
         scale : float
-            By how much the aperture is enlarged.
+            Factor by which the aperture is enlarged.
 
         Returns
         -------
         (size, size) float64 array
-            Of odd size, the lens's centre in the middle; the sum is 1.
+            Samples in odd numbers, with the lens's centre in the middle; the sum is 1.
         """
         if scale * min(self.aperture_widths) < 2 * step / _POINTS:
             # Too small to be drawn.
@@ -448,8 +333,10 @@ class Lattice(abc.ABC):
         (lenses, 2) int array
             Steps in i and j from the cell's own lens, which is the first; then by distance.
         """
-        added, scale = APERTURES[self.aperture].added(self, smear)
-        reach += added
+        # Cells are convex and point-symmetric, so that an enlarged cell is added to a cell as a larger one, a disc as a
+        # margin.
+        scale = 1 + smear * self.fill if self.aperture == "cell" else 1.0
+        reach += 0.0 if self.aperture == "cell" else smear * self.aperture_reach
         corners = scale * self.cell_corners()
         edges = np.roll(corners, -1, axis=0) - corners
         basis = np.array(self.basis)
@@ -522,7 +409,7 @@ def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice
     Parameters
     ----------
     name : str
-        Its name in `LATTICES`.
+        Name of the lattice in `LATTICES`.
     pitches, numbers
         Parameters of `Lattice`.
     """

@@ -36,7 +36,7 @@ class CollimatedLens(UniformLens):
 
     @property
     def stop_scale(self) -> float:
-        """Ratio of a coordinate on the pupil to that of its image on the array."""
+        """Ratio of a coordinate on the pupil to the coordinate of its image on the array."""
         return -1 / self.magnification
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
@@ -56,7 +56,7 @@ class CollimatedLens(UniformLens):
         return float(math.pi * self.pupil_radius**2 * (weights / 2) @ squares.mean(1))
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the pupil, positive inside."""
+        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
         return self.pupil.inside(pupil)
 
     def is_open(self, pupil: Pair) -> Any:
@@ -69,12 +69,12 @@ class CollimatedLens(UniformLens):
         return x * self.stop_scale, y * self.stop_scale
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        """Return the position of a pupil point's image on the array."""
+        """Return the position in mm of a pupil point's image on the array."""
         # Adding 0 broadcasts the result to the shape of the points.
         return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the positions where light from scene points meets the array."""
+        """Return the positions in mm where light from scene points meets the array."""
         return np.stack(np.broadcast_arrays(*self.land((pupil[0], pupil[1]), point)))
 
 

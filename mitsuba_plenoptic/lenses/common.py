@@ -198,7 +198,7 @@ BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
 
 
 def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that builds main lenses from a type of `main_lens`; `type(None)` selects the thin lens."""
+    """Return a decorator for functions that build main lenses from a type of `main_lens`; `type(None)` means thin."""
 
     def mark(function: Builder) -> Builder:
         BUILDERS[description] = function

@@ -108,7 +108,7 @@ class FittedLens(FinitePupil):
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
+        """Return the ray from a position on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(position, slope)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
@@ -242,7 +242,7 @@ class FittedLens(FinitePupil):
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Largest changes of path and edge as an image moves, by the distance of the image from the axis.
+        """Largest changes of path and edge per motion of an image, by the distance of the image from the axis.
 
         The maximum is taken over object distances and over radial and tangential motion. Changes are per millimetre of
         motion: of the path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
@@ -309,7 +309,7 @@ def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.
 def at_all(
     lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return the measure of each point, interpolated over field and inverse distance if there are many points."""
+    """Return a measured quantity of each point, interpolated over field and inverse distance if points are many."""
     from scipy.interpolate import RegularGridInterpolator
 
     if len(points) <= _FIELDS * _DEPTHS:
@@ -393,7 +393,7 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 def _seen_from(
     lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> PupilRays:
-    """Trace rays through another lens, from points of given fields and inverse distances for the first lens."""
+    """Return rays traced through another lens, from points of given fields and inverse distances for the first."""
     nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
     return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
 

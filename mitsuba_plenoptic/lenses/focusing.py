@@ -68,7 +68,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
         return replace(lens, surfaces=tuple(surfaces))
 
     def behind(shift: float) -> tuple[float, float]:
-        """Return focal length and distance from the rear principal plane to the array, for a shift of the group."""
+        """Return focal length and distance from rear principal plane to array, both in mm, for a shift of the group."""
         figures = paraxial(moved(shift))
         end = before.length + (shift if last == len(lens.surfaces) - 1 else 0.0)
         return figures.focal_length, array - end - figures.rear_principal

@@ -44,9 +44,9 @@ class LensSystem(FiniteDistance):
     prescription : Prescription
         The lens.
     focal_length : float or Dr.Jit array
-        Focal length to which it is scaled.
+        Focal length to which the lens is scaled.
     aperture_radius : float or Dr.Jit array
-        Radius of its entrance pupil.
+        Radius of the lens's entrance pupil.
     mla_distance : float or Dr.Jit array
         Distance from the rear principal plane to the array.
     wavelength : float, optional
@@ -133,7 +133,7 @@ class LensSystem(FiniteDistance):
         return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
 
     def pupil_reach(self, field: float) -> float:
-        """Return the largest distance from the axis at which rays to the MLA cross the plane of the exit pupil.
+        """Return the largest distance in mm from the axis at which rays to the MLA cross the exit pupil's plane.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class LensSystem(FiniteDistance):
         return (x, y, self.front + z), (L / N, M / N), is_open
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
-        """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
+        """Return the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return self.trace(position, (tx, ty))
 
@@ -232,7 +232,7 @@ class LensSystem(FiniteDistance):
 
     @property
     def light(self) -> float:
-        """Wavelength of the light in nanometres, by default that of the prescription."""
+        """Wavelength of the light in nanometres, by default the prescription's."""
         return self.prescription.wavelength if self.wavelength is None else self.wavelength
 
     @functools.cached_property
@@ -247,7 +247,7 @@ class LensSystem(FiniteDistance):
         return sequential.elements(self.prescription, self.light, stop_radius=self.stop_radius)
 
     def through(self, point: tuple[Any, Any, Any], slope: Pair) -> tuple[Pair, Pair, Any, Any]:
-        """Follow a ray from a scene point, which may lie anywhere along it, to the MLA.
+        """Return the ray from a scene point, which may lie anywhere along it, to the MLA.
 
         Parameters
         ----------
@@ -259,7 +259,7 @@ class LensSystem(FiniteDistance):
         Returns
         -------
         place : (array, array)
-            Where the ray meets the MLA.
+            Position where the ray meets the MLA.
         slope : (array, array)
             Slopes of the ray there.
         open : array

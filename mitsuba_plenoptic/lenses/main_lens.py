@@ -132,7 +132,7 @@ class MainLens(Protocol):
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene.
+        """Return the ray from a position on the MLA to the scene: its start point, direction, and whether it passes.
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class LightOnPupil(Protocol):
         """Return the modulus of a scene point's field on the exit pupil, in units common to the whole field."""
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the exit pupil, positive inside and negative outside."""
+        """Return the distance in mm of a point from the edge of the exit pupil, positive inside."""
 
 
 class Light(LightOnPupil, Protocol):
@@ -320,7 +320,7 @@ class Light(LightOnPupil, Protocol):
         """Return the direction cosines of a scene point's light at the exit pupil: the gradient of `path`."""
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        """Return the position on the MLA of the ray from a scene point through a pupil point; `ray` traces it back."""
+        """Return the position in mm, on the MLA, of the ray from a scene point through a pupil point."""
 
 
 class PointLight(LightOnPupil, Protocol):

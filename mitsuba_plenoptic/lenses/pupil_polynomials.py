@@ -207,7 +207,7 @@ class LensLight:
         return self.brightness.value(pupil)
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a position from the nearest edge, positive inside; accurate near the edges."""
+        """Return the distance in mm of a position from the nearest edge, positive inside; accurate near edges."""
         least: Any = None
         for stop in self.stops:
             square, along_x, along_y = stop.gradient(pupil)

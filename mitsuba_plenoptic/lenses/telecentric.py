@@ -150,7 +150,7 @@ class TelecentricLens(UniformLens):
         return -self.objective.immersion * self.objective.focal_length
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the array to the scene; the image side is paraxial."""
+        """Return the ray from a position on the array to the scene; the image side is paraxial."""
         if self.objective.images_stop:
             f = self.objective.last_focal_length
             position, slope = (f * slope[0], f * slope[1]), (-position[0] / f, -position[1] / f)
@@ -171,7 +171,7 @@ class TelecentricLens(UniformLens):
 
     @property
     def stop_scale(self) -> float:
-        """Ratio of a coordinate on the stop to that of its image on the array, in the Fourier arrangement."""
+        """Ratio of a coordinate on the stop to the coordinate of its image on the array, in the Fourier arrangement."""
         return -self.pupil_distance / self.objective.last_focal_length
 
     def power_through(self, point: NDArray[np.float64]) -> float:
@@ -185,7 +185,7 @@ class TelecentricLens(UniformLens):
         return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the stop, positive inside."""
+        """Return the distance in mm of a point from the edge of the stop, positive inside."""
         return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:

@@ -149,11 +149,11 @@ class ThinLens(UniformLens, FinitePupil):
         return self.focal_length
 
     def vergence(self, distance: Any) -> Any:
-        r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
+        r"""Return :math:`1/g' = 1/f_1 - 1/g` in 1/mm, the image vergence; at most 0 where there is no real image."""
         return vergence(self.focal_length, distance)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene."""
+        """Return the ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
         if self.model == "ideal":
             behind = self.refract(slope, (Px, Py))
@@ -266,7 +266,7 @@ class ThinLens(UniformLens, FinitePupil):
         return abs(point[2]) / (length * length)
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the pupil, positive inside."""
+        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
         return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
@@ -293,7 +293,7 @@ class ThinLens(UniformLens, FinitePupil):
         return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, for the pupil's radius a and the step d.
+        r"""Return the change of path :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda` for the pupil's radius a and the step d.
 
         For an ideal lens this is an upper bound: its light changes with the field only as defocus in tilted cones.
         """

@@ -194,7 +194,7 @@ class ArrayKernels(LensWaves):
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
-        """Functions of a ray's point on a lens; polynomials of some degree where each ray lands by its point."""
+        """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         higher = 0 if self.by_points or self.degree == 0 else _HIGHER
         scale = float(self.lattice.aperture_reach)
@@ -349,7 +349,7 @@ class ArrayKernels(LensWaves):
         return {}
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
-        """Return the sampling of `kernels`: lag step in fine steps, number of lags, and samples on either side."""
+        """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))

@@ -156,7 +156,7 @@ def _grown(box: Box, margin: int) -> Box:
 
 
 def _even(size: int, most: int) -> int:
-    """Return the length, rounded up, of the fewest equal parts of a size that are at most `most` long."""
+    """Return the length of equal parts of a size, rounded up, for as few parts as possible of at most `most`."""
     return math.ceil(size / math.ceil(size / most))
 
 

@@ -26,7 +26,7 @@ def mix_pixels(image: NDArray[Any], fraction: float) -> NDArray[Any]:
 
 
 def mix_deviations(deviation: NDArray[Any], fraction: float) -> NDArray[Any]:
-    """Return the standard deviations after `mix_pixels`, from those of independent pixels before."""
+    """Return the standard deviations after `mix_pixels`, given the deviations of independent pixels before."""
     own, given = (1 - 4 * fraction) ** 2, fraction**2
     variance = deviation**2
     # Squared weights: the sum of all is less than 1, because neighbours average each other.

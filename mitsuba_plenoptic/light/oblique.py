@@ -149,7 +149,7 @@ def changes() -> NDArray[np.float64]:
 
 
 def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix that turns 1 and the terms into those of cosines that differ by a step (2,)."""
+    """Return the matrix that maps 1 and the terms to 1 and the terms of cosines that differ by a step (2,)."""
     return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
 
 

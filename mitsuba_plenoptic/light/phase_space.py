@@ -147,7 +147,7 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def _shift(self) -> float:
-        """Displacement of light by the pupil's diffraction, in pixels, if rays land by their point on a lens."""
+        """Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens."""
         if not self.by_points:
             return 0.0
         camera = self.camera
@@ -319,7 +319,7 @@ def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
 
 
 class TableNodes:
-    """Nodes of a plan's table; a ray takes a random node among those around its pupil point."""
+    """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._radial, self._radius = plan.radial, plan.camera.pupil_radius
@@ -445,7 +445,7 @@ class RayCoefficients:
 
 
 class Polynomials:
-    """Coefficients of rays that land by their point on a lens: the polynomials of a `PhaseSpace`."""
+    """Coefficients of rays whose landing points depend on their points on a lens: the polynomials of a `PhaseSpace`."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan

@@ -415,7 +415,7 @@ def _render_passes(
 
 
 def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:
-    """Divide samples per pixel into passes of at most `most`, each a power of two.
+    """Return sample counts of passes, each a power of two and at most `most`, that add up to `spp`.
 
     Otherwise two threads may share a pixel, and the order in which they add samples varies. Samplers other than
     ``independent`` allow only some counts; their smallest allowed count is used for the smallest pass.

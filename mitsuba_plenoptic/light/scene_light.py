@@ -160,7 +160,7 @@ class Replay:
     state: Any
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
-        """Replay the light paths; return the change of their radiance in forward mode."""
+        """Return the change of the radiance along replayed light paths, in forward mode."""
         try:
             change, *_ = self.integrator.sample(
                 mode=mode,

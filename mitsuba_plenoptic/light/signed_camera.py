@@ -234,7 +234,7 @@ class CameraAdjoint(_CameraSum):
         return [[drjit_array(mi.Float, part.T) for part in kernels.turned_adjoint(own, along)] for along in slopes]
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
-        """Add the gradients from the rays of a lot to `total`; see `_back`."""
+        """Add the gradients from the rays of a `Lot` of pixels to `total`; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         ((walk, _),), (lanes,) = self._groups, lot.lanes
         radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))

@@ -1,4 +1,4 @@
-r"""Captures of scenes by signed rays: plan, noise and cost, and derivatives by textures, emitters, BSDFs and media.
+r"""Captures of scenes by signed rays: plan, noise, cost, and derivatives with respect to the scene's parameters.
 
 A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, let
 :math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
@@ -130,7 +130,7 @@ class SignedCapture:
         return {channel: Mended(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate the cost of `compute` from some of the rays."""
+        """Return the estimated cost of `compute`, extrapolated from some of the rays."""
         # Nodes whose rays follow the same paths cost nearly the same. The longest wavelength, whose kernels are the
         # largest, stands for the others, so that tables and kernels are computed once.
         longest = {
@@ -156,7 +156,7 @@ class SignedRayAdjoint(SignedRaySum):
             self._vjp(lot, felt)
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
-        """Propagate the gradients of the images through the rays of a lot; see `_back`."""
+        """Propagate the gradients of the images through the rays of a `Lot` of pixels; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
@@ -179,7 +179,7 @@ class SignedRayAdjoint(SignedRaySum):
     def _cotangents(
         self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
     ) -> dict[int, Any]:
-        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a lot."""
+        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a `Lot`."""
         drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
         cell = self._cell_of(own, sample)
@@ -242,7 +242,7 @@ class SignedGradients:
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
-        """Return the gradients of the camera's parameters; those of the scene's are accumulated in Dr.Jit.
+        """Return the gradients of the camera's parameters; gradients of scene parameters accumulate in Dr.Jit.
 
         Shapes: `gradient` (rows, columns, channels).
         """

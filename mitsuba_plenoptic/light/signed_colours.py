@@ -259,6 +259,6 @@ def _enough(
 
 
 def _power(camera: PlenopticCamera, wavelength: float) -> float:
-    """Return the reciprocal of the image distance behind the main lens for objects at the focus distance."""
+    """Return the reciprocal, in 1/mm, of the image distance behind the main lens for objects at the focus distance."""
     lens = OpticalSystem(camera.at_wavelength(wavelength), wavelength).lens
     return float(lens.vergence(camera.focus_distance))

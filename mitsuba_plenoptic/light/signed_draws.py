@@ -353,7 +353,7 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
 
 
 def tent(value: Any) -> Any:
-    """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
+    """Return numbers with the density 1 - |t|, a B-spline of order 2, from uniform random numbers."""
     return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
 
 

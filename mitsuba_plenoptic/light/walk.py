@@ -137,24 +137,24 @@ class Walk:
         return slope, rays.evenness(slope, behind, chief, self.medium), emerges
 
     def trace(self, pixel: Pair, passage: Passage) -> Traced:
-        """Trace rays from detector points through points of the array and through the main lens."""
+        """Return traced rays from detector points through points of the array and through the main lens."""
         slope, _, emerges = self.out_of_array(pixel, passage)
         point, slope, is_open = self.into_scene(passage.point, slope, self.height(*passage.centre))
         return point, slope, is_open & emerges
 
     def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
-        """Trace rays from positions on the array, at a height above its plane, through the main lens into the scene."""
+        """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
         if not isinstance(height, float) or height:
             position = position[0] - height * slope[0], position[1] - height * slope[1]
         return self.lens.trace(position, slope)
 
     def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
-        """Trace rays from positions on the array, at a height above its plane, through given pupil points."""
+        """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
         x, y = (self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
         return self.into_scene(position, (x, y), height)
 
     def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
-        """Return slopes and weights of rays through lens centres, before the array, at offsets from detector points.
+        """Return slopes before the array, and weights, of rays through lens centres at offsets from detector points.
 
         Lenses are thin phases, which do not turn the rays through their centres; weights as in `out_of_array`.
         """
@@ -175,7 +175,7 @@ class Walk:
     # -- the pupil -----------------------------------------------------------------------------------
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
-        """Map pupil points, seen from lenses, to the round pupil; points outside stay outside."""
+        """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
         found = self.lens.round_map
         if found is None:
             return pupil

@@ -65,18 +65,18 @@ def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: An
 
 
 def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
-    """Project a scene point through the main lens's centre onto the MLA plane: -X b/g."""
+    """Return the projection of a scene point through the main lens's centre onto the MLA plane: -X b/g."""
     return -X * mla_distance / distance
 
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
-    """Turn slopes into direction cosines, t / sqrt(1 + tx^2 + ty^2)."""
+    """Return direction cosines from slopes, t / sqrt(1 + tx^2 + ty^2)."""
     scale = rsqrt(1 + tx * tx + ty * ty)
     return tx * scale, ty * scale
 
 
 def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
-    """Turn direction cosines into slopes, s / sqrt(1 - sx^2 - sy^2)."""
+    """Return slopes from direction cosines, s / sqrt(1 - sx^2 - sy^2)."""
     scale = rsqrt(1 - sx * sx - sy * sy)
     return sx * scale, sy * scale
 
@@ -173,7 +173,7 @@ _ANGLES = 1025
 
 
 def pixel_response(pairs: tuple[float, ...], absorption: float) -> Callable[[Any, Any], Any] | None:
-    """Return pixels' response to light by its lateral path and depth in a medium; None if it is always 1.
+    """Return a function of lateral path and depth in a medium that gives pixels' response; None if it is always 1.
 
     Parameters
     ----------

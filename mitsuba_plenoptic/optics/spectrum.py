@@ -102,7 +102,7 @@ class Spectrum:
 
     @classmethod
     def lines(cls, *wavelengths: float) -> Spectrum:
-        """Make a spectrum of single wavelengths, with one channel for each.
+        """Return a spectrum of single wavelengths, with one channel for each.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Spectrum:
 
     @classmethod
     def band(cls, centre: float, width: float, count: int) -> Spectrum:
-        """Make a flat band of one channel, whose responses sum to 1.
+        """Return the spectrum of a flat band of one channel, whose responses sum to 1.
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ class Spectrum:
 
     @classmethod
     def bands(cls, centres: Sequence[float], width: float, count: int) -> Spectrum:
-        """Make flat bands of equal width, with one channel for each, as `band` does.
+        """Return the spectrum of flat bands of equal width, with one channel for each, as `band` does.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class Spectrum:
         count: int = WAVELENGTHS,
         tables: Sequence[Table] = (),
     ) -> Spectrum:
-        """Make a spectrum of responses that are functions of the wavelength, with weights of a quadrature.
+        """Return a spectrum of responses that are functions of the wavelength, with weights of a quadrature.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class Spectrum:
     def sensor(
         cls, path: str | Path | NDArray[np.float64], count: int = WAVELENGTHS, tables: Sequence[Table] = ()
     ) -> Spectrum:
-        """Make a spectrum from a table of the responses of a detector, linear between its rows.
+        """Return a spectrum from a table of a detector's responses, interpolated linearly between rows.
 
         Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in each.
 
@@ -378,5 +378,5 @@ def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64],
 def interpolated(
     wavelengths: NDArray[np.float64], columns: Iterable[NDArray[np.float64]], at: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Interpolate each column of a table linearly at some wavelengths."""
+    """Return the columns of a table, interpolated linearly at given wavelengths."""
     return np.stack([np.interp(at, wavelengths, column) for column in columns])

@@ -73,7 +73,7 @@ _EDGE = 1 / 8
 
 
 def power(field: Field) -> float:
-    """Sum of the squared moduli of a field whose rows are contiguous."""
+    """Return the sum of the squared moduli of a field whose rows are contiguous."""
     return float(_power_by_row(field).sum())
 
 
@@ -108,7 +108,7 @@ def fraction(part: float, whole: float) -> float:
 
 
 def weighted(weight: np.ndarray, field: Field) -> float:
-    """Sum of the power of rows, each multiplied by its weight."""
+    """Return the sum of the power of rows, each multiplied by a weight."""
     return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * _power_by_row(field)).sum())
 
 
@@ -197,7 +197,7 @@ def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None)
 
 @one_at_a_time
 def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
-    r"""Propagate a field from one plane to a parallel one.
+    r"""Return a field propagated from one plane to a parallel one.
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
@@ -253,7 +253,7 @@ def advance(
     paraxial: bool = False,
     beyond_paraxial: bool = False,
 ) -> Field:
-    r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
+    r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
     ones, in millimetres. `part` describes a block of rows: the index of its first row, and the number of rows of the

@@ -71,7 +71,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add a gradient to that of a camera parameter."""
+    """Add a gradient to the gradient of a camera parameter."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 

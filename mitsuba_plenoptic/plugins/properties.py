@@ -370,7 +370,7 @@ def make_base() -> type:
             return film.develop() if develop else None
 
         def to_string(self) -> str:
-            """Describe the integrator."""
+            """Return the description of the integrator that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
             return "\n".join([f"{type(self).__name__}[", *lines, f"  child = {self.child}", "]"])
 

@@ -78,7 +78,7 @@ def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAUL
 
 
 def band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to retain for an allowed error of the sum of some points."""
+    """Return how much of the diffracted light to keep for an allowed error of the sum of some points."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
     if count <= _FEW:
@@ -88,7 +88,7 @@ def band_for(accuracy: float, count: int) -> Band:
 
 
 def derivative_band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to retain for derivatives.
+    """Return how much of the diffracted light to keep for derivatives.
 
     Derivatives give more weight to light at large angles, whose phase changes fastest. Light of a hard pupil edge that
     is aliased changes fastest of all, so that edges are softer than for images.
@@ -104,7 +104,7 @@ def derivatives_share(accuracy: float, count: int) -> bool:
 
 
 def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]) -> float:
-    """Choose the largest difference, in waves across a microlens, of wavefronts that count as equal.
+    """Return the largest difference, in waves across a microlens, of wavefronts that count as equal.
 
     The errors of overlapping point spreads average out, so that sums of few spreads need more accurate ones.
 

@@ -38,7 +38,7 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
     points : float64 array (1, 3)
         The star as a point of `CaptureOperator`.
     weights : float64 array (1,)
-        Its weight for `CaptureOperator.forward`.
+        Weight of the star for `CaptureOperator.forward`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def binary(
     Parameters
     ----------
     separation : float
-        Angle between them in arcseconds.
+        Angle between the stars in arcseconds.
     angle : float
         Direction of the second star from the first, in degrees from +x towards +y.
     ratio : float
@@ -79,7 +79,7 @@ def binary(
     points : float64 array (2, 3)
         The stars as points of `CaptureOperator`.
     weights : float64 array (2,)
-        Their weights.
+        Weights of the two stars.
 
     Raises
     ------
@@ -106,14 +106,14 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
     width : float
         Angle across the columns in arcseconds; pixels are square.
     direction : (float, float)
-        Angles from the axis to its middle along x and y in arcseconds.
+        Angles from the axis to the source's middle along x and y in arcseconds.
 
     Returns
     -------
     points : float64 array (n, 3)
         The points of `CaptureOperator`.
     weights : float64 array (n,)
-        Their weights.
+        Weights of the points.
 
     Raises
     ------

@@ -87,7 +87,7 @@ class Grid:
         positions: NDArray[np.float64],
         together: int = 1,
     ) -> Grid:
-        """Choose the grid of a camera for some scene points.
+        """Return the grid of a camera for some scene points.
 
         The pitch represents the directions of the band. Neighbouring micro-images along both axes are an integer number
         of samples apart, a multiple of `together`.
@@ -125,7 +125,7 @@ class Grid:
         return replace(self, pitch=self.pitch * together, origin=origin, means=True)
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transform scene points (n, 3) from the camera frame to the frame of the lattice."""
+        """Return scene points (n, 3) in the lattice frame, from those in the camera frame."""
         if self.rotation == 0:
             return positions
         return np.column_stack([*turn(positions[:, 0], positions[:, 1], -self.rotation), positions[:, 2]])

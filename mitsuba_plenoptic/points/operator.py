@@ -68,9 +68,9 @@ class CaptureOperator(CoherentPoints):
         the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
         own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
     pupil_weights : array (n, m, m), optional
-        For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
-        along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
-        still sums to its weight.
+        Relative power of each point over the square around the pupil, cut into m x m cells: rows along y, columns along
+        x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread still
+        sums to its weight.
     virtual : bool
         Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
         after a lens of the scene.
@@ -284,7 +284,7 @@ class CaptureOperator(CoherentPoints):
         weights, job
             As for `derivative`.
         directions : sequence of dict
-            For each direction the changes of the camera's parameters, as for `derivative`.
+            Changes of the camera's parameters in each direction, as for `derivative`.
 
         Returns
         -------
@@ -308,7 +308,7 @@ class CaptureOperator(CoherentPoints):
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradient of a scalar by camera parameters, given the scalar's gradient by the image.
+        """Return a scalar's gradient with respect to camera parameters, from its gradient with respect to the image.
 
         One reverse pass through all point spreads serves all parameters.
 

@@ -291,7 +291,7 @@ class PatchPlan:
         return memory
 
     def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate the cost of a sum from a few patterns of each patch size."""
+        """Return the estimated cost of a sum, from a few patterns of each patch size."""
         memory = self.check_memory(batch_map)
         samples = self._placement.samples
         ones = np.ones((self._count, 1))

@@ -168,7 +168,7 @@ class PixelIntegrals:
         return PixelIntegrals(*self._axes, [(along_y.weights, edges_x), (edges_y, along_x.weights)])
 
     def shrunk(self, middle: tuple[float, float], scale: float) -> PixelIntegrals:
-        """Return the derivatives by `scale`, the factor on sample distances from the middle, at fixed sample values."""
+        """Return the derivatives with respect to `scale`, a factor on sample distances, at fixed sample values."""
         along_x, along_y = self._axes
         growth = along_y.weights, along_x.weights * np.float32(2 / scale)
         return PixelIntegrals(*self._axes, [*self.widened(middle, -scale)._terms, growth])

@@ -139,7 +139,7 @@ class Layer:
         return as_field(pack(light), (grid.count, grid.count))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
-        """Return a function of P at rows of the samples, interpolated from its values at the nodes."""
+        """Return values on the pupil at rows of the samples, interpolated from the values at the nodes."""
         along_x, along_y = self._interpolation
         return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
 
@@ -173,7 +173,7 @@ class Layer:
     def _remainder(
         self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], which: Any
     ) -> NDArray[np.complex128]:
-        """Return B exp(2 pi i r) at m positions on the pupil for some points, (m, n)."""
+        """Return the factor B exp(2 pi i r) of the field at m pupil positions for some points, (m, n)."""
         point = tuple(points[which].T)
         waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
         waves = self._carrier.remainder(waves, x, y, which)

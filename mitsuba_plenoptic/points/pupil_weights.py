@@ -63,7 +63,7 @@ class PupilWeights:
 
     @classmethod
     def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:
-        """Collect masks of cells x cells booleans, each packed into a row of bits."""
+        """Return pupil weights from masks of cells x cells booleans, each packed into a row of bits."""
         rows, index = np.unique(bits, axis=0, return_inverse=True)
         table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
         return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))

@@ -51,7 +51,7 @@ class Collimator(LensData):
         return True
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of a thin objective."""
+        """Return focal length and radius of a thin objective in mm."""
         return THIN.own_numbers(focal_length)
 
     def magnification(self, focal_length: float) -> float:
@@ -119,7 +119,7 @@ class Collimator(LensData):
         Raises
         ------
         InputError
-            If it is missing or out of range, or there are other names.
+            If the focal length is missing or out of range, or there are other names.
         """
         refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: it must be a dictionary")
         require_known("main_lens: ", value, [cls.mark])

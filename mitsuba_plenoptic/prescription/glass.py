@@ -137,7 +137,7 @@ class Glass:
         Raises
         ------
         InputError
-            If it has no index there or at the line d, or bends no light.
+            If the glass has no index there or at the line d, or bends no light.
         """
         bends = self.at(LINE_D) - 1, self.at(wavelength) - 1
         if min(bends) <= 0:
@@ -165,12 +165,12 @@ class Glass:
             An index; a name in a catalogue, for which the extra ``lenses`` must be installed; or a dictionary with
             ``index``, with ``index`` and ``abbe``, or with one of ``sellmeier``, ``schott``, ``table``, and ``name``.
         where : str
-            What messages call it.
+            Name of the glass in messages.
 
         Raises
         ------
         InputError
-            If it is not one of these, a value is out of range, or no catalogue has the name.
+            If the data describe no glass, a value is out of range, or no catalogue has the name.
         """
         if isinstance(value, str):
             return catalogue_glass(value, where)

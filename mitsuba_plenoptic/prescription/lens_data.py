@@ -111,11 +111,11 @@ class LensData:
         return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the open entrance pupil, scaled to a given focal length."""
+        """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         return _THIN_LENS
 
     def array_distance(self) -> float:
-        """Return the distance to the array if neither it nor a plane in focus is given."""
+        """Return the distance to the array in mm if neither it nor a plane in focus is given."""
         return _MLA_DISTANCE
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
@@ -145,7 +145,7 @@ class LensData:
         return 0.0, 1.0
 
     def focus_distance(self, focal_length: float, mla_distance: float) -> float:
-        """Return the distance of the object plane that is in focus on the array."""
+        """Return the distance in mm of the object plane in focus on the array."""
         return conjugate_distance(focal_length, mla_distance)
 
     def image_blur(self, camera: Any, distance: float) -> float:
@@ -195,7 +195,7 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
     Parameters
     ----------
     given, own : dict
-        Values by name: those that are given, and those of the lens.
+        Values by name: the given ones, and the lens's.
     tolerance : float
         Allowed relative difference.
 

@@ -158,7 +158,7 @@ class Objective(LensData):
         return -self.immersion * self.focal_length
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the stop; a given focal length changes neither."""
+        """Return the focal length and the radius of the stop, in mm; a given focal length changes neither."""
         return self.focal_length, self.stop_radius
 
     def array_distance(self) -> float:

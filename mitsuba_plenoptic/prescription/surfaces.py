@@ -105,7 +105,7 @@ class Surface:
             Any of ``radius`` (a plane without it), ``thickness``, ``glass``, ``conic``, ``asphere``, ``stop``, and
             ``semi_aperture``.
         where : str
-            What messages call it.
+            Name of the surface in messages.
 
         Raises
         ------
@@ -182,13 +182,13 @@ class Prescription(LensData):
     Parameters
     ----------
     surfaces : tuple of Surface
-        From the scene's side to the array's; there is air before the first and behind the last.
+        Surfaces from the scene's side to the array's; there is air before the first and behind the last.
     stop : int
         Index of the surface that is the aperture stop; it opens to its semi-aperture at most.
     name : str
         Name of the lens.
     source : str
-        Where it is published.
+        Where the lens is published.
     wavelength : float
         Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
     """
@@ -218,7 +218,7 @@ class Prescription(LensData):
         return paraxial(self)
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of the open entrance pupil, scaled to a given focal length."""
+        """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         numbers = self.paraxial
         given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
         return given, numbers.entrance_radius * given / numbers.focal_length

@@ -142,7 +142,7 @@ def reconstruct(
         For ``deconvolved``: computes the point spreads, for example `Cluster`. Default: threads of this
         process.
     **options
-        Of single methods: see `MethodOptions`.
+        Options of single methods: see `MethodOptions`.
 
     Returns
     -------
@@ -268,7 +268,7 @@ def reconstruct(
 
 
 def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -> list[Found]:
-    """Return a method's results at each distance; each channel by the camera of its wavelength, where these differ."""
+    """Return a method's results at each distance, by each channel's camera if the cameras of channels differ."""
     tasks = [task]
     # Methods that compare with computed captures ask for each wavelength's camera themselves.
     if not chosen.as_it_is and (task.camera.glass is not None or task.camera.mla_glass is not None):

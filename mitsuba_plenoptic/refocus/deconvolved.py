@@ -34,7 +34,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     Returns
     -------
     list of Found
-        Radiance, and facts about it.
+        The radiance of each plane, with facts.
     """
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)

@@ -160,7 +160,7 @@ def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
 
 
 class Channel(Protocol):
-    """One refocused channel of a capture: its bins (rows, columns), and their derivatives by the pixels."""
+    """One refocused channel of a capture: bins (rows, columns), and their derivatives with respect to the pixels."""
 
     bins: NDArray[Any]
 
@@ -205,7 +205,7 @@ class RefocusedImage:
 
 
 class CoherentRefocus:
-    """Refocusing of one camera's captures to one distance by the wave model, with derivatives by the pixels.
+    """Refocusing of one camera's captures to one distance by the wave model, differentiable in the pixels.
 
     The wave's amplitude is the square root of a pixel, so that the image is not linear in the capture: `derivative` and
     `gradient` hold at one capture. Called with a Dr.Jit array it is differentiable, forward and in reverse;
@@ -218,7 +218,7 @@ class CoherentRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float
-        In nanometres, of all channels.
+        Wavelength in nanometres, of all channels.
     interleave : int
         1: one coherent wave, as by ``method="coherent"``; else the period of the subsets of ``method="partial"``.
     oversample : int
@@ -289,30 +289,30 @@ class CoherentRefocus:
         Parameters
         ----------
         capture, change : array (rows, columns) or (rows, columns, channels)
-            Where a pixel is zero the image has no derivative by it, and 0 is taken.
+            Capture, and direction of the change. With respect to zero pixels the image has no derivative; 0 is taken.
 
         Returns
         -------
         float32 array
-            Of the shape of the image.
+            Change of the image, of the image's shape.
         """
         return self.at(capture).jvp(change)
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Return the gradient by the capture, given the gradient by the image: the transpose of `derivative`.
+        """Return the gradient with respect to the capture, given the image's gradient: the transpose of `derivative`.
 
         Parameters
         ----------
         capture : array (rows, columns) or (rows, columns, channels)
-            Where the image is differentiated.
+            Capture at which the image is differentiated.
         image_gradient : array
             Gradient with respect to the bins, with the shape of the image.
 
         Returns
         -------
         float32 array
-            Of the shape of the capture.
+            Gradient, of the shape of the capture.
         """
         return self.at(capture).vjp(image_gradient)
 
@@ -392,7 +392,7 @@ class _BinnedPower:
 
 
 class DeconvolvedRefocus:
-    """Deconvolution of one camera's captures at one distance by fixed steps, with derivatives by the pixels.
+    """Deconvolution of one camera's captures at one distance by fixed steps, differentiable in the pixels.
 
     The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The camera's
     response is computed once. The image is not linear in the capture.
@@ -404,9 +404,9 @@ class DeconvolvedRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float, optional
-        In nanometres, of all channels. Default: the response of the ray model.
+        Wavelength in nanometres, of all channels. Default: the response of the ray model.
     iterations : int
-        Steps.
+        Number of steps.
     oversample : int
         Bins per lens along each axis.
 
@@ -535,5 +535,5 @@ class _DeconvolvedChannel:
         return total + lit * (float(felt[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope)
 
     def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the denominator of the ratio, and the ratio."""
+        """Return the denominator of the ratio of images, and the ratio."""
         return np.maximum(made.model, 0) + self._step.shift, self._step.ratio(made.model)

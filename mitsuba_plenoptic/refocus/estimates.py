@@ -28,7 +28,7 @@ class _KnownError(Exception):
 def estimate_reconstruction(
     capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Unpack[ReconstructOptions]
 ) -> Cost:
-    """Estimate the time and memory that `reconstruct` would take with the same arguments.
+    """Return the estimated time and memory of `reconstruct` with the same arguments.
 
     The reconstruction is begun, and abandoned as soon as its speed is known: some five seconds after the first results,
     or at its end.

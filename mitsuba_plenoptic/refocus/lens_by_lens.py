@@ -321,7 +321,9 @@ class LensSet:
             for axis, c in zip(axes, centre.T, strict=True)
         )
         own, converging = self._own(which, x, y), [along_y[:, :, None], along_x[:, None, :]]
-        shift = [_shift(c, axis.coordinate[:, 0], tile) for axis, c in zip(axes, centre.T, strict=True)]
+        # From a lens's first pixel to the start of its cell.
+        ways = [c + tile.cell[0] - axis.coordinate[:, 0] for axis, c in zip(axes, centre.T, strict=True)]
+        shift = [phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch))) for way in ways]
         wave_path = in_millimetres(tile.wavelength) * camera.mla_distance
         lens_type = camera.lattice.lens_type(*self._index[which].T) if len(types) > 1 else np.zeros(len(which))
         return LensBatch(
@@ -381,12 +383,6 @@ class _DetectorSamples:
         pixel = np.repeat(pixel - offset, n, axis=1)
         recorded = (pixel >= 0) & (pixel < size)
         return cls(np.clip(pixel, 0, size - 1), recorded, coordinate, rays.chief_point(coordinate, b, z))
-
-
-def _shift(centre: np.ndarray, first: np.ndarray, tile: LensTile) -> Field:
-    """Return the factor that shifts spectra along an axis from a lens's first pixel to the start of its cell."""
-    way = centre + tile.cell[0] - first
-    return phasor(np.outer(way, np.fft.fftfreq(tile.padded, tile.pitch)))
 
 
 def _aperture(tile: LensTile) -> np.ndarray:

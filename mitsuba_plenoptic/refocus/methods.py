@@ -137,7 +137,7 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
-    """Return options, with None for those that the method ignores, which one warning names."""
+    """Return options, with None for options that the method ignores; one warning names them."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
@@ -164,13 +164,13 @@ def method(
     options : tuple of str
         The options of `reconstruct` that it takes, besides those whose records name it (see `refocus_options`).
     waves : bool
-        Whether it needs wavelengths.
+        Whether the method needs wavelengths.
     as_it_is : bool
-        Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
+        Whether the method needs the main lens's aberrations; other methods form images by the ideal lens.
     long : bool
-        Whether it may take long: then it writes checkpoints and takes workers.
+        Whether the method may take long: then it writes checkpoints and takes workers.
     white : bool
-        Whether its images can be divided by those of a white capture.
+        Whether the method's images can be divided by those of a white capture.
     """
     taken = (*options, *(option for option, record in OPTIONS.items() if name in record.methods))
 

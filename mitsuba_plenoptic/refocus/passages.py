@@ -191,7 +191,7 @@ def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, 
 def propagate_vjp(
     gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
-    """Yield the gradient by the source samples of `propagate`, from the gradient by the destination samples."""
+    """Yield the gradient at the source samples of `propagate`, from the gradient at the destination samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
     for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
@@ -239,7 +239,7 @@ def to_directions(
 
 
 def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Yield the gradient by the source samples of `to_directions`, from the gradient by the frequencies."""
+    """Yield the gradient at the source samples of `to_directions`, from the gradient at the frequencies."""
     back = step.reversed
     columns = workspace.columns(back)
     for mine, part in gradient:
@@ -281,18 +281,18 @@ class ParaxialPath:
                 yield there, lines[own]
 
     def vjp(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield the gradient by the first plane's field, from the gradient by the lines."""
-        yield from to_directions_vjp(self._to_spectrum(gradient, workspace), self._element, self._step, workspace)
-
-    def _to_spectrum(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield the gradient by lines of the spectrum, from the gradient by ordered lines."""
+        """Return blocks of the gradient by the first plane's field, from the gradient by the lines."""
         count, positive = self._step.x.held, (self._step.y.held + 1) // 2
-        for there, lines in gradient:
-            found = lines * self._along_x[there, None].conj()
-            found *= self._along_y.conj()
-            found = workspace.libraries.arrays.roll(found, positive - found.shape[1], axis=1)
-            for own, mine in _in_order(there, count, -(count // 2)):
-                yield mine, found[own]
+
+        def by_spectrum() -> Rows:
+            for there, lines in gradient:
+                found = lines * self._along_x[there, None].conj()
+                found *= self._along_y.conj()
+                found = workspace.libraries.arrays.roll(found, positive - found.shape[1], axis=1)
+                for own, mine in _in_order(there, count, -(count // 2)):
+                    yield mine, found[own]
+
+        return to_directions_vjp(by_spectrum(), self._element, self._step, workspace)
 
 
 def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tuple[slice, slice]]:
@@ -366,7 +366,7 @@ class Integrals:
         self._buffer: Any = None
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
-        """Return the samples before the edges of lines, and the distances from those samples to the edges."""
+        """Return the samples before the edges of lines, and the distances of the edges from these samples."""
         arrays = backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.
         edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)
@@ -387,22 +387,17 @@ class Integrals:
         found = arrays.empty((len(values), self._shape[1]))
         start = lines.indices(self._shape[0])[0]
         for block in self._blocks(lines):
-            part = slice(block.start - start, block.stop - start)
-            found[part] = self._forward(values[part], block)
+            mine, (before, f) = slice(block.start - start, block.stop - start), self._places(block)
+            numbers, parts = self._padded(values[mine])
+            flat, row = numbers.reshape(-1), arrays.arange(len(numbers))[:, None] * self._size
+            # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
+            upwards = before[:, ::-1] + 1
+            sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
+            total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
+            near = [parts * (row + before + offset) for offset in _NEAR]
+            beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
+            found[mine] = total + beyond[:, :-1] - beyond[:, 1:]
         return found
-
-    def _forward(self, values: Any, lines: slice) -> Any:
-        """Return the integrals of one block of lines."""
-        arrays, (before, f) = backend().arrays, self._places(lines)
-        numbers, parts = self._padded(values)
-        flat, row = numbers.reshape(-1), arrays.arange(len(values))[:, None] * self._size
-        # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
-        upwards = before[:, ::-1] + 1
-        sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
-        total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
-        near = [parts * (row + before + offset) for offset in _NEAR]
-        beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
-        return total + beyond[:, :-1] - beyond[:, 1:]
 
     def _padded(self, values: Any) -> tuple[Any, int]:
         """Return lines with ordered samples and dark margins, and the number of values per sample."""
@@ -426,23 +421,18 @@ class Integrals:
         arrays = backend().arrays
         found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
-            found[block] = self._vjp(bins[block], block)
+            (before, f), mine = self._places(block), bins[block]
+            total = arrays.pad(mine, ((0, 0), (0, 1))) - arrays.pad(mine, ((0, 0), (1, 0)))
+            first = before + arrays.arange(len(mine))[:, None] * self._size
+
+            def scattered(positions: Any, values: Any, size: int = len(mine) * self._size) -> Any:
+                return arrays.bincount(positions.ravel(), values.ravel(), size).reshape(-1, self._size)
+
+            padded = arrays.cumsum(scattered(first, total)[:, ::-1], axis=1)[:, ::-1].copy()
+            for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
+                padded += scattered(first + offset, _beyond(f, *unit) * total)
+            found[block] = arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
         return found
-
-    def _vjp(self, bins: Any, block: slice) -> Any:
-        """Return the transpose of `forward` for one block of lines."""
-        arrays, (before, f) = backend().arrays, self._places(block)
-        total = arrays.pad(bins, ((0, 0), (0, 1))) - arrays.pad(bins, ((0, 0), (1, 0)))
-        lines = arrays.arange(len(bins))[:, None] * self._size
-
-        def scattered(offset: int, values: Any) -> Any:
-            positions = (lines + before + offset).ravel()
-            return arrays.bincount(positions, values.ravel(), lines.size * self._size).reshape(-1, self._size)
-
-        padded = arrays.cumsum(scattered(0, total)[:, ::-1], axis=1)[:, ::-1].copy()
-        for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
-            padded += scattered(offset, _beyond(f, *unit) * total)
-        return arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
 
 
 class BinSums:

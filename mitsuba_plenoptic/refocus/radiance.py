@@ -123,7 +123,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 def to_radiance(
     task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return a capture's sums over bins divided by those of white; NaN where no light can come from.
+    """Return a capture's sums over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def white_sums(
     camera, distance, radius, footprint, oversample
         As in `ray_sums`.
     wavelength : float, optional
-        In nanometres; None: by rays.
+        Wavelength in nanometres; None: by rays.
     relay : bool
         Whether the microlenses of a wave act a second time, see `reconstruct`.
 

@@ -44,7 +44,7 @@ class Reconstruction(Displayed):
     bin_size : float
         Width of a bin in the object plane, in scene units; at infinity its slope, the width at a distance of 1.
     method : str
-        How it was made.
+        Name of the method.
     options : dict
         The method's options.
     camera : PlenopticCamera
@@ -135,9 +135,9 @@ class Volume:
     Attributes
     ----------
     values : float32 array (planes, rows, columns[, channels])
-        Upright, in units of the capture; NaN beyond what a plane shows.
+        Upright images in units of the capture; NaN beyond what a plane shows.
     distances : tuple of floats
-        Of the planes, from the main lens, in scene units.
+        Distances of the planes from the main lens, in scene units.
     voxel_size : float
         Width and height of a voxel in scene units.
     attributes : dict
@@ -159,7 +159,7 @@ class Volume:
         Parameters
         ----------
         results : sequence of Reconstruction
-            In any order.
+            The planes, in any order.
 
         Returns
         -------
@@ -312,32 +312,24 @@ def write_volume(path: str | Path, volume: Volume) -> None:
     if values.ndim == 4:
         values, axes = np.moveaxis(values, -1, 1), "ZCYX"
     with atomic_output(path) as temporary:
+        metadata: dict[str, Any] = {"axes": axes}
         if _is_ome(path):
-            tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=_ome(volume, axes))
+            for axis in "XY":
+                metadata |= {f"PhysicalSize{axis}": volume.voxel_size, f"PhysicalSize{axis}Unit": "mm"}
+            if volume.spacing is not None:
+                metadata |= {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
+            channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
+            positions = [distance for distance in volume.distances for _ in range(channels)]
+            metadata["Plane"] = {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)}
+            metadata["Description"] = json.dumps(volume.attributes)
+            tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=metadata)
         else:
             about = {"distances": list(volume.distances), **volume.attributes}
-            metadata: dict[str, Any] = {"axes": axes, "unit": "mm", "Info": json.dumps(about)}
+            metadata |= {"unit": "mm", "Info": json.dumps(about)}
             if volume.spacing is not None:
                 metadata["spacing"] = volume.spacing
             resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
             tifffile.imwrite(temporary, values, imagej=True, resolution=resolution, metadata=metadata)
-
-
-def _ome(volume: Volume, axes: str) -> dict[str, Any]:
-    """Return a volume's description for OME-XML."""
-    channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
-    positions = [distance for distance in volume.distances for _ in range(channels)]
-    spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
-    return {
-        "axes": axes,
-        "PhysicalSizeX": volume.voxel_size,
-        "PhysicalSizeXUnit": "mm",
-        "PhysicalSizeY": volume.voxel_size,
-        "PhysicalSizeYUnit": "mm",
-        **spacing,
-        "Plane": {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)},
-        "Description": json.dumps(volume.attributes),
-    }
 
 
 def _is_ome(path: Path) -> bool:

@@ -78,7 +78,7 @@ class Splat:
         return cls(fine, footprints, margin, (down, across), *landing)
 
     def forward(self, image: np.ndarray) -> np.ndarray:
-        """Sum the pixels of an image (rows, columns, channels) by bin; float64, like the image."""
+        """Return an image's pixels (rows, columns, channels) summed by bin; float64, like the image."""
         values = image.reshape(-1, image.shape[2])[self.pixel]
         (down, across), margin = self.size, self.margin
         total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))

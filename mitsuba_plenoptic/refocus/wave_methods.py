@@ -274,7 +274,7 @@ def reconstruct_subsets(
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
-    """Return the first column and row of the full detector with light, and those after the last; None if it is dark."""
+    """Return the first column and row of the full detector with light, and those after the last; None if dark."""
     window = []
     for axis in (0, 1):
         lit = np.flatnonzero(image.any(axis=axis))
@@ -377,7 +377,7 @@ class BackwardFields:
         return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
     def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
-        """Return the gradient by the amplitudes, from gradients by all subsets' fields at object directions."""
+        """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]

@@ -228,7 +228,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 
 
 def _seen(camera: PlenopticCamera) -> str:
-    """Return a sentence on what the microlenses see."""
+    """Return a sentence on the image that the microlenses see."""
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
     distances = design.mla_object_distances(camera)
@@ -299,18 +299,13 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     near, far = design.refocus_range(camera, wavelength)
     for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
-            rows.append(_deconvolved(camera, distance, wavelength))
+            limit = design.resolution_limit(camera, distance, wavelength)
+            note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+            if limit.in_focus:
+                note = "in focus: the lens pitch decides, deconvolution does not help"
+            note = f"at {_four(distance)} mm; {note}"
+            rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", note))
     return rows
-
-
-def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) -> _Line:
-    """Return the line on the resolution of deconvolution at a distance."""
-    limit = design.resolution_limit(camera, distance, wavelength)
-    if limit.in_focus:
-        note = "in focus: the lens pitch decides, deconvolution does not help"
-    else:
-        note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
-    return "resolution, deconvolved", _four(limit.frequency), "lp/mm", f"at {_four(distance)} mm; {note}"
 
 
 def _distance(value: float) -> tuple[str, str]:
@@ -365,6 +360,8 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
 
 
 def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+    nearest, farthest = design.depth_of_field(camera)
+    depths = "nothing is sharp" if math.isnan(nearest) else f"{_four(1e3 * nearest)} to {_four(1e3 * farthest)}"
     return [
         ("magnification", f"{lens.magnification:g}", "", f"{_four(lens.image_aperture)} NA in the native image"),
         ("numerical aperture", f"{lens.numerical_aperture:g}", "", f"up to {math.degrees(lens.half_angle):.3g} deg"),
@@ -372,13 +369,8 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
         ("focal length", _four(lens.focal_length), "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
         ("stop", _four(2 * lens.stop_radius), "mm", "diameter, in the back focal plane"),
         ("object seen", _four(1e3 * design.native_field(camera)), "um", "width"),
-        ("depth of field", _depths(design.depth_of_field(camera)), "um", "by rays, of microlenses or by refocusing"),
+        ("depth of field", depths, "um", "by rays, of microlenses or by refocusing"),
     ]
-
-
-def _depths(limits: tuple[float, float]) -> str:
-    """Return depths in micrometres as text, nearest first."""
-    return "nothing is sharp" if math.isnan(limits[0]) else " to ".join(_four(1e3 * limit) for limit in limits)
 
 
 def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:

@@ -192,7 +192,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     Parameters
     ----------
     found : xarray.Dataset
-        As `depth_map` returns it. Where its depth is NaN it is hatched.
+        Depth map from `depth_map`; where the depth is NaN, the figure is hatched.
     white : float, optional
         As for `contact_sheet`.
 

@@ -33,7 +33,7 @@ class FieldFigures:
     Parameters
     ----------
     height : float
-        That distance in millimetres.
+        Distance from the axis in millimetres.
     spot : float
         Root mean square radius of a point's image, projected onto the MLA, in millimetres; NaN where all is dark.
     light : float
@@ -95,7 +95,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
     Returns
     -------
     x, y : float64 arrays (n,)
-        In millimetres; y is across to the axis.
+        Positions in millimetres; y is across to the axis.
     """
     middle = _DrawnRays(camera, None).chief(height)
     X, Y, is_open = _DrawnRays(camera, wavelength).all_of(height)
@@ -170,7 +170,7 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
     Returns
     -------
     list of FieldFigures
-        One for each.
+        The figures of each height.
     """
     bundles, b = _DrawnRays(camera, None), camera.mla_distance
     figures: list[FieldFigures] = []

@@ -83,7 +83,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
         for i in range(lf.sizes["u"])
     }
     white = drawing.brightness.peak([lf.values])
-    picture = _enlarged(view_mosaic(lf), drawing)
+    picture = view_mosaic(lf)
     _write(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
 
 
@@ -94,7 +94,7 @@ def write_photodiodes(
     white = drawing.brightness.peak([halves.values])
     total = np.asarray(halves.sum(("v", "u")).values)
     pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
-    picture = _enlarged(view_mosaic(halves), drawing)
+    picture = view_mosaic(halves)
     parts = _images(**pictures, sum=total)
     _write(
         path, "photodiodes", halves, parts, picture, white, drawing, lambda: report.figures.views_figure(halves, white)
@@ -105,14 +105,13 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
     """Write an epipolar image; a PNG is enlarged."""
     values = np.asarray(image.values)
     white = drawing.brightness.peak([values])
-    picture = _enlarged(values, drawing)
     parts = _images(epipolar=values)
     _write(
         path,
         "epipolar image",
         image,
         parts,
-        picture,
+        values,
         white,
         drawing,
         lambda: report.figures.epipolar_figure(image, white),
@@ -123,7 +122,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     """Write a focal stack: as parts named by distance, or as a PNG with the images side by side."""
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
     white = drawing.brightness.peak([stack.values])
-    picture = _enlarged(_tiled(list(images.values())), drawing)
+    picture = _tiled(list(images.values()))
     parts = _images(**images)
     _write(
         path, "focal stack", stack, parts, picture, white, drawing, lambda: report.figures.stack_figure(stack, white)
@@ -173,7 +172,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     maps = [parts["image"] / white, closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
-    picture = _enlarged(np.concatenate(maps, axis=1), drawing)
+    picture = np.concatenate(maps, axis=1)
     _write(
         path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white)
     )
@@ -195,7 +194,7 @@ def _write(
         figure().save(path)
         return
     if path.suffix.lower() == ".png":
-        write_png(path, picture, peak=peak)
+        write_png(path, _enlarged(picture, drawing), peak=peak)
         return
     coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if values.ndim < 2}
     records = {name: json.loads(data.attrs[name]) for name in ("camera", "grid") if name in data.attrs}

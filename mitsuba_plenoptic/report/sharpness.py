@@ -105,7 +105,8 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     inside = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     refuse_if(not known[inside].all(), "image: it has unknown values (NaN) within; cut out the edge")
     cut = whole[inside]
-    upright = _is_upright(cut)
+    down, across = _slopes(cut)
+    upright = bool((across**4).sum() >= (down**4).sum())
     found = _measure(cut if upright else cut.T)
     row, column = (found.row, found.column) if upright else (found.column, found.row)
     return replace(found, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
@@ -115,11 +116,6 @@ def _slopes(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     """Return the derivatives, downwards and across, of the slightly smoothed image."""
     down, across = (gaussian_filter(image, 1.0, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
     return down, across
-
-
-def _is_upright(image: NDArray[np.float64]) -> bool:
-    down, across = _slopes(image)
-    return bool((across**4).sum() >= (down**4).sum())
 
 
 def _measure(image: NDArray[np.float64]) -> EdgeSharpness:

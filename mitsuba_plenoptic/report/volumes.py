@@ -30,7 +30,7 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
     Parameters
     ----------
     volume : Volume
-        What is shown.
+        The volume.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def volume_overview(volume: Volume) -> NDArray[np.float32]:
     Parameters
     ----------
     volume : Volume
-        What is shown.
+        The volume.
 
     Returns
     -------
@@ -77,9 +77,9 @@ def write_volume_overview(path: str | Path, volume: Volume, peak: float | None =
     path : path
         File to write.
     volume : Volume
-        What is shown.
+        The volume.
     peak : float, optional
-        What becomes white. Default: the brightest voxel.
+        Value shown as white. Default: the brightest voxel.
     """
     write_png(path, volume_overview(volume), peak=peak)
 

@@ -288,7 +288,7 @@ class Job:
         batches : iterable of Batch
             The batches.
         items : sequence of int
-            How many items each of them stands for.
+            Number of items in each batch.
         done, total : int
             The items that are done before, and those of the whole job.
         """
@@ -328,7 +328,7 @@ class Cluster:
     workers : int, optional
         Number of processes of one thread each on this machine.
     scheduler : str, optional
-        Instead of them, the address of a running Dask scheduler, such as ``tcp://10.0.0.1:8786``.
+        Address of a running Dask scheduler, instead of `workers`, such as ``tcp://10.0.0.1:8786``.
 
     Raises
     ------

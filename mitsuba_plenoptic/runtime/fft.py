@@ -138,12 +138,12 @@ def _requests() -> ThreadPoolExecutor:
 def fft(
     field: Field, *, axis: int, inverse: bool = False, norm: str | None = None, workers: int | None = None
 ) -> Field:
-    """Transform a field along one axis, in place where the library can."""
+    """Return a field transformed along one axis, in place where the library can."""
     return _transform("ifft" if inverse else "fft", field, workers, axis=axis, norm=norm)
 
 
 def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> Field:
-    """Transform a field (..., rows, columns) over its last two axes, like `fft` over one axis."""
+    """Return a field (..., rows, columns) transformed over its last two axes, like `fft` over one axis."""
     return _transform("ifft2" if inverse else "fft2", field, workers)
 
 
@@ -165,7 +165,7 @@ def _transform(name: str, field: Any, workers: int | None, **options: Any) -> An
 
 
 def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -> Any:
-    """Transform a field of rows and columns in a flat Dr.Jit array of 64-bit words (see `pack`).
+    """Return the transform of a field (rows, columns) in a flat Dr.Jit array of 64-bit words (see `pack`).
 
     The result is an array of the same type; the memory of the input may be overwritten.
     """

@@ -136,7 +136,7 @@ _SHOWING = {"report", "cli"}
 # The versions are those of the loaded modules.
 @cache
 def software() -> dict[str, str]:
-    """Return {package: version} of what results depend on; for this package, the hash of its source files."""
+    """Return {package: version} for all packages that results depend on, and a source hash for this package."""
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):

@@ -55,7 +55,7 @@ def light_field(
     bins : LensGrid, optional
         Upright grid of the bins on the detector; needed with a camera.
     lenses : LensGrid, optional
-        Grid of the micro-images that it was decoded from.
+        Grid of the micro-images from which the light field was decoded.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     Raises
     ------
     InputError
-        If it has none.
+        If the light field has no camera.
     """
     if not lf.attrs.get("camera"):
         instead = advice(python="give a disparity", shell="use a capture, or a light field that has its camera")

@@ -45,20 +45,19 @@ def decode(
     Parameters
     ----------
     capture : Capture or (rows, columns[, 3]) array
-        What the detector recorded. A plain array needs `camera` or `grid`.
+        The capture. A plain array needs `camera` or `grid`.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
         (see `mitsuba_plenoptic.views.white_image.recorded_white`). Default: computed by rays from the camera's pupil;
-        diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
-        Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
+        diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
+        camera a white picture is needed; its brightness in the middle of micro-images counts as 1.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
     truth : GroundTruth, optional
-        What the samples see, as `ground_truth` finds it for the same camera; it goes into the light field as
-        coordinates over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and
-        ``shape_index``.
+        Ground truth of the samples, from `ground_truth` for the same camera; it becomes coordinates of the light field
+        over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and ``shape_index``.
 
     Returns
     -------
@@ -108,7 +107,18 @@ def decode(
         fraction /= np.float32(np.median(middle[middle > 0]))
     weight = divide_by_weight(light, fraction, alone[:, :, None, None])
     lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses)
-    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+    if truth is None:
+        return lf
+    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
+    refuse_if(
+        not are_alike(regular_array(truth.camera), camera)
+        or any(plane.shape != lf.shape[:4] for plane in planes.values()),
+        "truth: it is of another camera than the light field",
+    )
+    whole = {"shape_index": np.int32}
+    return lf.assign_coords(
+        {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
+    )
 
 
 def checked_images(
@@ -154,19 +164,6 @@ def checked_images(
             computed[..., None] if reference is None else recorded_white(reference, reference.shape, [known], computed)
         )
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, known
-
-
-def _coordinates(
-    truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
-) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Return ground truth as coordinates of its camera's light field."""
-    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
-    refuse_if(
-        not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
-        "truth: it is of another camera than the light field",
-    )
-    whole = {"shape_index": np.int32}
-    return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:

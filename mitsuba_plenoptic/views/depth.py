@@ -71,11 +71,11 @@ def depth_map(
         Range of distances in millimetres to search. Default: where a point moves by at most two lenses from view to
         view, twice as far as `depth_range`; of a focused camera `depth_range`.
     micro_images : MicroImages, optional
-        What `micro_images` makes of the same capture. A focused camera whose lenses are not upright and square needs
-        them, as its light field is interpolated between lenses; others do without.
+        The micro-images of the same capture, from `micro_images`. A focused camera whose lenses are not upright and
+        square needs them, as its light field is interpolated between lenses; others do without.
     planes : int, optional
-        How many planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart, or
-        micro-images of a focused camera would move by more than a quarter of a pixel between them.
+        Number of planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart,
+        or micro-images of a focused camera would move by more than a quarter of a pixel between them.
     progress : callable, optional
         Called with the planes done and their number.
 
@@ -263,7 +263,7 @@ class DepthError:
     Attributes
     ----------
     median, percentile_90 : float
-        Of the bins that are sure; NaN if there is none.
+        Errors of the bins that are sure; NaN if there is none.
     share : float
         Fraction of the bins with a finite true depth that are sure.
     """
@@ -279,7 +279,7 @@ def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
     Parameters
     ----------
     found : xarray.Dataset
-        What `depth_map` returned.
+        The depth map, from `depth_map`.
     confidence : float
         Depths of a higher confidence are compared.
 

@@ -132,7 +132,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     scene : mitsuba.Scene
         A scene with a sensor of type ``plenoptic``.
     names : sequence of str
-        What to find: ``depth``, ``virtual_depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see
+        Quantities: ``depth``, ``virtual_depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see
         `GroundTruth`.
     sensor : int or mitsuba.Sensor
         As for `render_capture`.

@@ -40,7 +40,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     Raises
     ------
     InputError
-        If it is no light field, or the disparity is not a number from -1e6 to 1e6.
+        If the argument is no light field, or the disparity is not a number from -1e6 to 1e6.
     """
     lf = require_light_field(lf)
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)

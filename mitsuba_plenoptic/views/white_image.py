@@ -142,8 +142,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     camera : PlenopticCamera
         The camera.
     grid : LensGrid, optional
-        Micro-image centres; default those of the camera, with the ones beyond the image that reach into it, displaced
-        as its tilt has it.
+        Micro-image centres. Default: the camera's, displaced by its tilt, including centres beyond the image whose
+        micro-images reach into it.
 
     Returns
     -------
@@ -223,12 +223,12 @@ def recorded_white(
     white : Capture or array
         The recorded image.
     shape : (rows, columns[, channels])
-        Shape of the capture that it is to divide; the image has one channel or as many.
+        Shape of the capture to be divided; the image has one channel, or as many.
     cameras : sequence of PlenopticCamera
-        Those by which a white `Capture` may be, `lens_model` aside; by the first one the image is scaled.
+        Allowed cameras of a white `Capture`, apart from `lens_model`; the first one scales the image.
     computed : (rows, columns) array, optional
-        `white_image` of the capture's camera. Default: the image is not scaled, as where there is no camera, or before
-        views are sampled.
+        `white_image` of the capture's camera. Default: the image is not scaled, as without a camera, or before views
+        are sampled.
     lenses : pair of arrays, optional
         For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
         sample from the axis.
@@ -236,8 +236,8 @@ def recorded_white(
     Raises
     ------
     InputError
-        If it is a mosaic of colours, has many saturated pixels, is by another camera or of another shape, or does not
-        fill the view.
+        If the image is a mosaic of colours, has many saturated pixels, is by another camera or of another shape, or
+        does not fill the view.
     """
     given = white.image if isinstance(white, Capture) else as_array("white", white)
     if isinstance(white, Capture):

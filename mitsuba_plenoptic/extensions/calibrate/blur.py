@@ -43,7 +43,7 @@ class Blur:
     Attributes
     ----------
     focal_lengths, deviations : tuple of float
-        Of each type of lenses in mm, and their standard deviations, with those of the camera's parameters.
+        Focal lengths in mm of each type of lenses, and standard deviations, including those by the camera's parameters.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
         they mean the whole disc.
@@ -66,7 +66,7 @@ def fit_blur(
     types: int,
     moved: Sequence[Adjusted] = (),
 ) -> Blur:
-    """Fit the focal lengths of the microlenses to signed blur radii.
+    """Return the focal lengths of the microlenses, fitted to signed blur radii.
 
     Shapes: `radius` (n,), `numbers`, `poses` (17,).
     """
@@ -158,7 +158,7 @@ class CutBlur:
                 self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
 
     def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        r"""Return :math:`\kappa` for lenses of given types and points of given disparities (`board_view`)."""
+        r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`board_view`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))

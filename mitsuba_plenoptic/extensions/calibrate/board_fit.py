@@ -201,7 +201,7 @@ def cross_validate(
     board : Board
         The board that was seen.
     calibration : Calibration
-        What was found from all poses.
+        The calibration from all poses.
     centres : Table, optional
         Observed centres of micro-images.
 

@@ -137,7 +137,7 @@ def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: fl
 def predict_centres(
     numbers: np.ndarray, lens: np.ndarray, *, pixel_size: float, row_ratio: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Predict the centres of micro-images, where the chief ray of each lens meets the detector.
+    r"""Return the centres of micro-images, where the chief ray of each lens meets the detector.
 
     :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
 

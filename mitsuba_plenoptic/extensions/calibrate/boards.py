@@ -63,7 +63,7 @@ class BoardView:
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
-    """Return the position of a board found in a raw picture."""
+    """Return the position of a board, found in a raw picture."""
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
@@ -162,7 +162,7 @@ def board_scene(
     Returns
     -------
     mitsuba.Scene
-        In the active variant, or ``llvm_ad_mono`` if none is.
+        The scene in the active variant, or in ``llvm_ad_mono`` if none is active.
     """
     set_variant(None)
     rotation = Rotation.from_rotvec(pose[:3]).as_matrix()

@@ -36,7 +36,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
     path : path
         File to write.
     calibration : Calibration
-        What to write.
+        The calibration to write.
     board : Board
         The board that was seen.
     """

@@ -41,7 +41,7 @@ class Evaluation:
     frames : (poses,) int array
         Indices of the poses' frames.
     pose : (n,) int array
-        Which of them each row belongs to.
+        Index, among the poses, of each row's pose.
     poses : (poses, 6) array
         Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
     """
@@ -87,23 +87,23 @@ class Calibration:
         The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
         the crop window is recorded.
     index : LensIndex
-        How the data count lenses.
+        How the observations count lenses.
     evaluation : Evaluation
         Residuals and poses.
     numbers, deviations : dict
         The camera's parameters by the names of `model.NAMES`, and their standard deviations.
     correlation : (17, 17) array
-        Of the parameters' errors.
+        Correlations of the parameters' errors.
     centre_residuals : (n, 2) array
-        Of the centres that were given.
+        Residuals of the given centres.
     steps : int
-        How often the linear system was solved.
+        Number of solutions of the linear system.
     blur : Blur, optional
         The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
-        By how much the frames disagree about the parameters, over what their residuals' scatter explains.
+        Ratio of the frames' disagreement about the parameters to that explained by the residuals' scatter.
     by_frames : bool
-        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+        Whether frames disagree more than chance allows; then deviations come from leaving out frames.
     centre_outliers : (m,) int array
         Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     prediction_deviation : float
@@ -154,7 +154,7 @@ class Calibration:
         Parameters
         ----------
         count : int
-            How many of them.
+            Number of combinations.
 
         Returns
         -------
@@ -179,17 +179,17 @@ class ResidualMap:
     Attributes
     ----------
     by : str
-        What they have in common, of `GROUPED_BY`.
+        Property, of `GROUPED_BY`, that a group's observations have in common.
     key : (groups, columns) array
         Which group it is, with the columns that `GROUPED_BY` names. ``lens``: indices as the data have them, and where
         the camera has the centre of the micro-image, in pixels; ``field``: middle of a square of the detector, in
         pixels; ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
-        Observations in it.
+        Number of observations in each group.
     mean : (groups, 2) array
         Mean of observed minus predicted positions, in pixels.
     error : (groups,) array
-        RMS of the distances between them, in pixels.
+        RMS distance between observed and predicted positions, in pixels.
     """
 
     by: str
@@ -205,13 +205,13 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     Parameters
     ----------
     calibration : Calibration
-        What was found.
+        The calibration.
     board : Board
         The board that was seen.
     corners : Table
-        The corners that it was found from.
+        The corners from which the camera was calibrated.
     by : {"lens", "field", "depth", "pose"}
-        What the observations of a group have in common.
+        The property that a group's observations have in common.
     parts : int
         Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
 

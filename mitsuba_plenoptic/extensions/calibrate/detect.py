@@ -65,19 +65,19 @@ def detect_corners(
     image : (rows, columns[, channels]) array
         Raw picture, with values proportional to light.
     white : (rows, columns[, channels]) array
-        The same of something evenly white, by the same camera.
+        Picture of something evenly white, by the same camera.
     centres : Table
         Centres of micro-images, as `read_centres` and `Centres.table` give them; `camera_centres` of a known camera.
         Lenses with doubtful centres are not looked at.
     board : Board
-        The board; its whole must be in the picture. Its squares' size does not matter.
+        The board, all of which must be in the picture; the size of squares does not matter.
     camera : PlenopticCamera, optional
         The camera, if it is known: what the main lens's pupil cuts off the microlenses' blur then displaces no corner
         (`CutBlur`).
     frame : int
         Number of the picture.
     name : str
-        What messages call it.
+        Name of the picture in messages.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     camera : PlenopticCamera
         The camera, tilted or not.
     index : LensIndex, optional
-        How its lenses are counted. Default: from lens (0, 0) of its lattice.
+        How the table counts lenses. Default: from lens (0, 0) of the camera's lattice.
     """
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()

@@ -80,16 +80,16 @@ class Board:
 
 @dataclass(frozen=True)
 class LensIndex:
-    """Indexing of lenses: which lens of the camera's lattice the indices k, l of a file name.
+    """Relation between a file's lens indices k, l and the lenses of the camera's lattice.
 
     Attributes
     ----------
     odd_rows : float
-        Pitches by which rows of odd l lie further along: -0.5 or 0.5 on a hexagonal lattice, 0 on a square one.
+        Offset along the rows, in pitches, of rows with odd l: -0.5 or 0.5 on a hexagonal lattice, 0 on a square one.
     row_sign : int
         -1 if l falls where the camera's rows rise.
     first : (int, int)
-        k and l of the camera's lens (0, 0).
+        Indices k and l of the camera's lens (0, 0).
     """
 
     odd_rows: float
@@ -109,9 +109,9 @@ class Table:
     Parameters
     ----------
     name : str
-        What messages call it, such as its file.
+        Name of the table in messages, such as its file.
     columns : dict of str to arrays
-        Its columns, all of one length.
+        Columns by name, all of one length.
     """
 
     name: str

@@ -42,7 +42,7 @@ class Centres:
     Attributes
     ----------
     grid : LensGrid
-        The regular grid that fits them best.
+        The regular grid that fits the centres best.
     lens : (n, 2) int array
         Index of each lens along its row, and its row, counted from the grid's first.
     pixel : (n, 2) array
@@ -129,7 +129,7 @@ def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.n
 
 
 def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the positions on the affine grid that fits the centres best."""
+    """Return the positions in pixels on the affine grid that fits the centres best."""
     k, l = lens.T.astype(np.float64)  # noqa: E741
     if grid.shifted_rows is not None:
         k = k + 0.5 * (l % 2 == grid.shifted_rows)

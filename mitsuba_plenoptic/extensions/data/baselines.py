@@ -127,7 +127,7 @@ def run_baseline(
     made : Benchmark
         The benchmark.
     folder : path
-        Where the answers are written, as `score` reads them.
+        Folder for the answers, which `score` reads.
     captures : sequence of str
         Kinds of captures to answer.
     progress : callable, optional

@@ -40,9 +40,9 @@ def make_benchmark(
     Parameters
     ----------
     recipe : BenchmarkRecipe
-        What `benchmark_recipe` returned.
+        The recipe, from `benchmark_recipe`.
     folder : path
-        Where it is to lie; made if it is not there.
+        Folder of the benchmark, made if missing.
     batch_map, progress : callable, optional
         As for `make_dataset`.
 

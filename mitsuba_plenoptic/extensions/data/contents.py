@@ -82,7 +82,7 @@ class Size:
     lenses : int
         Lenses of the camera ``square`` across the field.
     pixels : int
-        Pixels of each of them, along each axis.
+        Number of pixels per lens, along each axis.
     spp, truth_spp : int
         Samples per pixel of captures, and of the pictures that are the truth.
     """
@@ -212,7 +212,7 @@ class Benchmark(DataSet):
     Parameters
     ----------
     folder : path
-        What `make_benchmark` or ``mitsuba-plenoptic benchmark make`` wrote.
+        The folder of `make_benchmark` or ``mitsuba-plenoptic benchmark make``.
     fields : sequence of str, optional
         Names of the arrays to read. Default: all.
 
@@ -232,7 +232,7 @@ class Benchmark(DataSet):
         self.cameras = [camera["name"] for camera in self.manifest["recipe"]["cameras"]]
 
     def entries(self) -> list[int]:
-        """Return the indices of the samples that are scored: all but those of the white scene."""
+        """Return the indices of the samples that are scored, which excludes those of the white scene."""
         return list(range(len(self.scenes) * len(self.cameras)))
 
     def name(self, index: int) -> tuple[str, str]:

@@ -89,9 +89,9 @@ def make_dataset(
     Parameters
     ----------
     recipe : Recipe
-        What `read_recipe` returned.
+        The recipe, from `read_recipe`.
     folder : path
-        Where it is to lie; made if it is not there.
+        Folder of the data set, made if missing.
     batch_map : callable, optional
         Who renders, for example `Cluster`; workers must see folder and scene files under the same names. Default: this
         process.

@@ -28,7 +28,7 @@ def export_hci(made: Benchmark, folder: str | Path, capture: str = "ray") -> lis
     made : Benchmark
         The benchmark.
     folder : path
-        Where folders ``SCENE_CAMERA_CAPTURE`` are written.
+        Folder for the folders ``SCENE_CAMERA_CAPTURE``.
     capture : str
         Kind of captures.
 

@@ -104,7 +104,7 @@ class Recipe:
     camera, light, noise, ray, wave : dict
         Sections, parsed by `draws.parse`. No noise: None.
     scenes : tuple of Source
-        Where scenes come from.
+        Sources of the scenes.
     truth : tuple of str
         Quantities of ground truth.
     photodiodes : (int, int), optional
@@ -112,7 +112,7 @@ class Recipe:
     samples_per_shard : int
         Samples in one file.
     content : dict
-        The recipe as it was given.
+        The recipe as given.
     """
 
     name: str
@@ -196,7 +196,7 @@ def read_recipe(path: str | Path) -> Recipe:
     Raises
     ------
     InputError
-        If it is no recipe: one line with the name that is wrong and the rule.
+        If the file holds no recipe: one line with the name that is wrong and the rule.
     """
     path = Path(path)
     content = read_yaml(path)
@@ -214,14 +214,14 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     Parameters
     ----------
     content : mapping
-        What a recipe's file holds.
+        Content of a recipe's file.
     folder : path
-        Where scene files are looked for.
+        Folder in which scene files are looked for.
 
     Raises
     ------
     InputError
-        If it is no recipe.
+        If the content is no recipe.
     """
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))

@@ -33,7 +33,7 @@ class Sample:
     Attributes
     ----------
     index : int
-        Its index in the data set.
+        Index of the sample in the data set.
     arrays : dict
         Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
         ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
@@ -59,7 +59,7 @@ class Sample:
         Parameters
         ----------
         model : {"ray", "wave"}
-            Which one.
+            The light model of the capture.
         exposed : bool
             Whether with the noise of a detector.
         """

@@ -45,7 +45,7 @@ class Frame:
     lenses: int
 
     def width(self, distance: float) -> float:
-        """Return the width of the field at a distance."""
+        """Return the width of the field at a distance, in mm."""
         return self.field * distance
 
     def pattern(

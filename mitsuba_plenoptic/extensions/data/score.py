@@ -109,7 +109,7 @@ def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
 
 @dataclass(frozen=True)
 class ScoredTask:
-    """A task of the benchmark: what is to be found in a capture, and how answers are scored."""
+    """A task of the benchmark: the quantity asked of a capture, and the scoring of answers."""
 
     # In a few words, for the data card.
     words: str
@@ -152,7 +152,7 @@ def read_answer(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises
     ------
     InputError
-        If it cannot be read or has another shape.
+        If the file cannot be read, or the array has another shape.
     """
     require_size(path, _LARGEST)
     with refusing(f"{path}: it cannot be read:"):

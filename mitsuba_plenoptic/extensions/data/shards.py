@@ -252,7 +252,7 @@ class DataSet:
     Parameters
     ----------
     folder : path
-        What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
+        The folder of `make_dataset` or ``mitsuba-plenoptic dataset``.
     fields : collection of str, optional
         Names of the arrays to read. Default: all.
 

@@ -112,17 +112,17 @@ def coarse_fit(
     Parameters
     ----------
     camera : PlenopticCamera
-        Where to start: the lattice by less than half a pitch wrong anywhere, see `lattice_from_white`.
+        The start; its lattice must be right to half a pitch everywhere, see `lattice_from_white`.
     views : View, or sequence of View
         Captures by one camera, and their light.
     names : str or iterable of str
         The parameters that are fitted, as for `fit`.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     bounds : mapping, optional
-        As for `fit`, and as there by default. A parameter that ends at one is warned of.
+        Bounds as for `fit`, with the same defaults. A parameter that ends at a bound causes a warning.
     progress : callable, optional
-        Called with the cameras that have been tried and the most that are.
+        Called with the number of cameras tried and the largest possible number.
     checkpoint : Checkpoint, optional
         Keeps the camera found with each blur, so that the same fit resumes from there after a stop.
 

@@ -456,7 +456,7 @@ class RefocusedValue:
 
 
 def _together(function: Callable[[Array], Array], name: str, last: Shape, given: Array) -> Array:
-    """Apply a function of an image with channels to a batch of images."""
+    """Return a batch of images to which a function of one image with channels was applied."""
     batch = _batch(name, given.shape, last)
     made = function(np.moveaxis(given.reshape(-1, *last), 0, -1))
     return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*batch, *made.shape[:2])

@@ -75,13 +75,13 @@ def fit(
         Names of the parameters that are fitted, those by which captures are differentiated, as for
         `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     photons : float, optional
         Photons counted in a pixel of value 1, for views whose noise is not given.
     bounds : mapping, optional
-        By name, as in `Fit.values`, the lowest and the highest value. By default lengths stay within 50 % of their
-        start, angles within 50 degrees of it, and ``mla_fill`` is at most 1. A parameter that ends at a bound causes a
-        warning, and its deviation is one-sided, see `Fit`.
+        Lowest and highest value by name, as in `Fit.values`. By default lengths stay within 50 % of their start, angles
+        within 50 degrees of it, and ``mla_fill`` is at most 1. A parameter that ends at a bound causes a warning, and
+        its deviation is one-sided, see `Fit`.
     model : {"ray", "wave"}
         Model of the light in the camera. The ray model is faster and neglects diffraction.
     accuracy : float
@@ -90,7 +90,7 @@ def fit(
         Cameras that are tried at most in each of the two rounds, or in the single one if the noise does not depend on
         the model; 2 or more.
     progress : callable, optional
-        Called with the cameras that have been tried and the most that are.
+        Called with the number of cameras tried and the largest possible number.
     checkpoint : Checkpoint, optional
         Keeps the best camera of a long fit, so that the same fit resumes from there after a stop.
 

@@ -38,9 +38,9 @@ class Design:
     camera : PlenopticCamera
         The best of all cameras that were tried.
     figure : float
-        Its figure.
+        Figure of merit of the camera.
     values : dict
-        By name the parameters that varied.
+        The parameters that varied, by name.
     tried : int
         Cameras that were tried.
     reason : str
@@ -69,18 +69,17 @@ def maximise(
     Parameters
     ----------
     figure : Figure
-        What is maximised, such as `RefocusedContrast` or `DepthInformation`.
+        The figure of merit to maximise, such as `RefocusedContrast` or `DepthInformation`.
     camera : PlenopticCamera
-        Where to start; the parameters that are not named are held.
+        The start of the search; parameters that are not named keep their values.
     bounds : mapping
-        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with
-        an index from 1 where there are several, as ``wavefront.11``; the name alone means all of them, of
-        a wavefront all but the piston.
+        Lowest and highest value by name: names of `CaptureOperator.derivative`, with an index from 1 where there are
+        several, as ``wavefront.11``; the name alone means all components, of a wavefront all but the piston.
     steps : int
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
-        Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
-        is stopped continues when it starts there.
+        Called with the number of cameras tried, the last figure, and the best camera so far, from which a stopped
+        search can be started again.
 
     Raises
     ------

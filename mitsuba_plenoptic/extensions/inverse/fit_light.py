@@ -177,17 +177,17 @@ class View:
     points : array (n, 3)
         Incoherent point sources in the camera frame, in millimetres.
     weights : array (n,)
-        Of each, radiance times the solid angle, seen from the main lens's image side, that it stands for.
+        Weight of each point: its radiance times the solid angle that it covers, seen from the main lens's image side.
     noise : PixelNoise, float or array (rows, columns), optional
-        That of counted electrons, as `noise_of` has it of a capture that was exposed, or the standard deviation of
-        each pixel. Default: that of the photons that `fit` is given.
+        Noise of counted electrons, from `noise_of` for an exposed capture, or the standard deviation of each pixel.
+        Default: the noise of the photons given to `fit`.
     pupil_weights, virtual : optional
         As for `CaptureOperator`.
     mask : bool array (rows, columns), optional
-        True where a pixel does not count, as in NumPy's masked arrays.
+        True for pixels that do not count, as in NumPy's masked arrays.
     saturation : float, optional
-        Value at which pixels are saturated. Those do not count that are there or above, nor those of which a model
-        expects it within four standard deviations. What a pixel spills into its neighbours is not modelled: mask these.
+        Value at which pixels are saturated. Pixels at or above it do not count, nor do pixels that a model expects
+        within four standard deviations of it. Light that spills into neighbouring pixels is not modelled: mask these.
 
     Raises
     ------
@@ -279,16 +279,16 @@ def known_view(
     image : array (rows, columns)
         The capture.
     scene : mitsuba.Scene
-        What it shows, matte and emitting surfaces, with the camera's position as that of the first sensor; of a variant
-        of one channel.
+        The scene, of matte and emitting surfaces, with its first sensor at the camera's position; of a variant of one
+        channel.
     camera : PlenopticCamera
         A camera near enough to the true one, from which rays start.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     points_per_lens : int
         Points for each microlens.
     seed : int
-        Of their pattern.
+        Seed of the points' pattern.
     noise, mask, saturation
         As for `View`.
 

@@ -32,9 +32,9 @@ class Direction:
     Attributes
     ----------
     deviation : float
-        Standard deviation along it, in the units of `Fit.scales`.
+        Standard deviation along the direction, in the units of `Fit.scales`.
     parts : dict
-        By parameter, its part in the direction; their squares add to 1.
+        Component of the direction by parameter; the squares add to 1.
     """
 
     deviation: float
@@ -50,12 +50,12 @@ class Fit:
     camera : PlenopticCamera
         The camera.
     values, deviations : dict
-        By name the fitted parameters and their standard deviations; the values of a parameter with several are
-        numbered from 1: ``mla_offset.1``.
+        Fitted parameters and their standard deviations by name; parameters with several values are numbered from 1:
+        ``mla_offset.1``.
     covariance : float64 array (numbers, numbers)
-        Of the parameters, in their order in `values`, from the captures' derivatives: the inverse of Fisher's
-        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its
-        deviation alone.
+        Covariance of the parameters, in the order of `values`, from the captures' derivatives: the inverse of Fisher's
+        information, with pixels weighted by their variance. For a parameter at a bound, the square of its deviation
+        alone.
     scales : dict
         The unit of each parameter in `directions`: a hundredth of it, a degree, a pitch, a wave.
     directions : tuple of Direction
@@ -69,9 +69,9 @@ class Fit:
         Sum of the weighted squared residuals over what is expected of it, and its standard deviation: 1 where the
         model and the noise are right.
     pixels : int
-        Pixels that counted: neither masked nor saturated.
+        Number of pixels that are neither masked nor saturated.
     steps : int
-        Cameras that have been tried.
+        Number of cameras tried.
     """
 
     camera: PlenopticCamera

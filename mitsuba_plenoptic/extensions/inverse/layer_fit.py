@@ -47,7 +47,7 @@ def fit_layers(
     model : {"ray", "wave"}, optional
         Model of the light in the camera. Default: that of the captures.
     rounds : int
-        How often all captures are used.
+        Number of times that all captures are used.
     rate : float
         Largest change of a texel in a step, in units of radiance and opacity, at the start. It falls to a tenth.
     spp : int
@@ -55,8 +55,7 @@ def fit_layers(
     seed : int
         Seed of the random numbers.
     progress : callable, optional
-        Called after each round with its number and its root mean square difference, which includes that of rendering
-        noise.
+        Called after each round with the round's number and root mean square difference, which includes rendering noise.
 
     Returns
     -------

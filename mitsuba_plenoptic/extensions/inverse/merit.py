@@ -45,7 +45,7 @@ class Spreads:
         names: Iterable[str],
         points: NDArray[np.float64] | None = None,
     ) -> Gradient:
-        """Return the gradient by camera parameters, from the gradient by the point spreads (n, rows, columns)."""
+        """Return the gradient with respect to camera parameters, from the spreads' gradient (n, rows, columns)."""
         total: Gradient = {}
         for operator, image in zip(self._operators(camera, points), images, strict=True):
             found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
@@ -78,8 +78,8 @@ class RefocusedContrast:
 
     .. math:: \frac{1}{n m} \sum_{r, \nu} \frac{|\sum_j b_{rj} \, e^{-2 \pi i \nu \cdot x_j}|}{\sum_j b_{rj}}
 
-    with the bins b of each point r, refocused to its distance, and frequencies :math:`\nu` along x and along y. The
-    refocusing of one camera is used for all.
+    The bins :math:`b_{rj}` are those of the point r, refocused to its distance; the frequencies :math:`\nu` are along x
+    and y. The refocusing of one camera serves for all cameras.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class RefocusedContrast:
         return self._contrast(self._images(camera))[0]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the mean contrast, and its derivatives by parameters of the camera, by name.
+        """Return the mean contrast, and its derivatives with respect to camera parameters, by name.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class DepthInformation:
     points : array (n, 3)
         Scene points (X, Y, g) in the camera frame, in millimetres.
     photons : float
-        Of each point that pass the pupil.
+        Number of photons of each point that pass the pupil.
     background : float
         Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
         everything.

@@ -170,7 +170,7 @@ class PointRays:
 
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Return the displacements of rays on the array and on the detector per displacement on the pupil."""
+    """Return the displacements of rays, on the array and on the detector, per displacement on the pupil."""
     b, z = float(lens.pupil_distance), camera.reduced_distance
     on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
     bends = [1 + z / b - z / f2 for f2 in camera.reduced_focal_lengths]

@@ -119,7 +119,7 @@ class Rendering:
 
 
 class RenderedValue:
-    """Image of a scene at given parameter values, with its derivatives by these values.
+    """Image of a scene at given parameter values, with derivatives with respect to these values.
 
     Derivatives render again; they first give the scene the values of this image, which may have been replaced since.
     """

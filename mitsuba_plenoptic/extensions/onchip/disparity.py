@@ -57,7 +57,7 @@ def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray
     Parameters
     ----------
     bank : xarray.DataArray
-        What `psf_bank` returned.
+        The bank, from `psf_bank`.
     axis : {"horizontal", "vertical"}
         Whether the halves are left and right, or top and bottom.
 

@@ -144,7 +144,7 @@ def plain_seconds(camera: PlenopticCamera, distance: float) -> float:
     Raises
     ------
     RuntimeError
-        If its sums are not those of our reconstruction.
+        If the loop's sums differ from those of our reconstruction.
     """
     columns, rows = camera.resolution
     count = min(rows, round(2 * camera.pixels_per_lens))
@@ -177,9 +177,9 @@ def plain_sums(
     image : (rows, columns) array
         The capture.
     x, y : array
-        Coordinates of its columns and rows on the detector.
+        Coordinates of the image's columns and rows on the detector.
     distances : tuple of float
-        Of detector and main lens from the array, the main lens's focal length, and of the object.
+        Distances of detector and main lens from the array, the main lens's focal length, and distance of the object.
     pitch, radius : float
         Pitch of the lenses, and radius of the pupil.
     bins : (rows, columns) array

@@ -1,4 +1,4 @@
-"""Interference where the paper can be read in several ways: the four subsets, and the microlens phase."""
+"""Interference by each reading of ambiguous statements in the paper: the four subsets, and the microlens phase."""
 
 from __future__ import annotations
 

@@ -49,12 +49,12 @@ def demosaic(
     Parameters
     ----------
     capture : Capture
-        As `expose` makes it with a mosaic, or a raw picture of a real camera.
+        A capture exposed by `expose` with a mosaic, or a raw picture of a real camera.
     mosaic : {"RGGB", "GRBG", "GBRG", "BGGR"}, optional
         The filters of the first two pixels of the detector's first row and of its second. Default: what the capture
         says.
     white : Capture, optional
-        What the same camera records of something white, of one channel or of three. Default: computed by rays from the
+        Capture of something white by the same camera, with one channel or three. Default: computed by rays from the
         camera, which real main lenses do not allow.
     method : {"micro-images", "plain"}
         ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
@@ -63,7 +63,7 @@ def demosaic(
     Returns
     -------
     Capture
-        With three channels, and the wavelengths that they had before the exposure.
+        The capture with three channels, and with the wavelengths before the exposure.
 
     Raises
     ------

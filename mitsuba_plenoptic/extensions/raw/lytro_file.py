@@ -117,20 +117,20 @@ def read_lytro(path: str | Path) -> Capture:
 
 
 def nearest_white(folder: str | Path, capture: Capture) -> Path:
-    """Return the white picture of a folder whose zoom and focus are nearest to those of a capture.
+    """Return the white picture of a folder with the zoom and focus nearest to a capture's.
 
     Parameters
     ----------
     folder : path
-        Where white pictures of the same camera lie, each a ``.raw`` with its ``.txt``, or a container.
+        Folder of white pictures of the same camera, each a ``.raw`` with its ``.txt``, or a container.
     capture : Capture
-        What `read_lytro` returned.
+        The capture, from `read_lytro`.
 
     Returns
     -------
     pathlib.Path
-        Of the nearest zoom step the nearest focus step; of several pictures there the brightest of which at most 1 % of
-        the pixels are saturated.
+        The picture with the nearest zoom step, and of these the nearest focus step; of several such pictures the
+        brightest with at most 1 % of saturated pixels.
 
     Raises
     ------

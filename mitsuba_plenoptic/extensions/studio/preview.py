@@ -46,8 +46,8 @@ class Preview:
     picture : (rows, columns) array
         Radiance, focused on the plane in focus.
     points : (rows, columns, 3) array
-        What the middle of the lens sees in the camera's frame, x to the left, y up and z the distance; NaN where there
-        is nothing.
+        Points seen from the middle of the lens, in the camera's frame: x to the left, y up, z the distance; NaN where
+        there is nothing.
     view : PreviewView
         The camera's view.
     scale : float

@@ -65,7 +65,7 @@ class PreviewView(ABC):
 
     @abstractmethod
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field at a distance."""
+        """Return width and height of the field at a distance, in the view's unit."""
 
     def field_in_units(self) -> str:
         """Return width and height of the field in the plane in focus as text with unit."""
@@ -146,7 +146,7 @@ class LensView(PreviewView):
         return np.asarray(blur <= camera.mla_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field at a distance, which grow with the distance."""
+        """Return width and height of the field at a distance, which grow with it, in mm."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size
@@ -214,7 +214,7 @@ class MicroscopeView(PreviewView):
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field, the same at every depth."""
+        """Return width and height of the field in mm, the same at every depth."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.bin_size(0)
         return columns * bin_size, rows * bin_size

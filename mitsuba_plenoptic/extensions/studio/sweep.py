@@ -114,11 +114,11 @@ class SweepSettings:
     camera : mapping, optional
         Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
     unit : str
-        Of the scene's lengths, as for `load_scene`.
+        Unit of the scene's lengths, as for `load_scene`.
     model, spp, seed
         As for `render_capture`; by model "wave" captures are made from signed rays.
     method : str
-        Of the reconstructions.
+        Method of the reconstructions.
     variant : str
         Mitsuba variant.
     """
@@ -306,23 +306,23 @@ def sweep(
     Parameters
     ----------
     settings : SweepSettings
-        What does not vary.
+        The settings that do not vary.
     grid : mapping of names to numbers
-        What does: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to which each
-        capture is refocused.
+        The settings that vary: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to
+        which each capture is refocused.
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.
     batch_map : callable, optional
         For wave captures: computes the sums, for example `Cluster`.
     stages : StageOptions, optional
-        How progress is reported, and what becomes of checkpoints.
+        Report of progress, and treatment of checkpoints.
 
     Returns
     -------
     xarray.Dataset
-        The file, read as it is used: ``capture`` over the grid, ``row`` and ``column`` (and ``channel``), with the
-        coordinate ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``,
-        ``bin_row`` and ``bin_column``, with ``bin_size``. Images are in units of radiance.
+        The file, opened: ``capture`` over the grid, ``row`` and ``column`` (and ``channel``), with the coordinate
+        ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``, ``bin_row`` and
+        ``bin_column``, with ``bin_size``. Images are in units of radiance.
 
     Raises
     ------

@@ -267,7 +267,7 @@ def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
 
 
 def _geometry(lf: xr.DataArray) -> dict[str, Any]:
-    """Return the positions of the views, and the disparities and distances of the focus slider."""
+    """Return the positions of the views on the pupil, and the disparities and distances of the focus slider."""
     try:
         steps = [view_steps(lf, axis).tolist() for axis in "vu"]
         reach = max(1.0, _REACH / (1 + np.ptp(steps[0])))

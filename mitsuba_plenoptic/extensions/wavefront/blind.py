@@ -46,9 +46,9 @@ class CorrectedObject:
     Attributes
     ----------
     weights : list of float64 arrays (n,)
-        For each zone those of its points, as for `fitting.View`.
+        Weights of the points of each zone, as for `fitting.View`.
     cameras : list of PlenopticCamera
-        For each zone the camera with its ``wavefront``.
+        Camera of each zone, with its ``wavefront``.
     misfits : list of float
         Mean squared residual of a pixel over its variance, before each turn of the wavefronts and at the end; 1 is
         noise alone.
@@ -78,15 +78,15 @@ def deconvolve_zones(
     Parameters
     ----------
     cameras : sequence of PlenopticCamera
-        For each zone the camera with its ``wavefront``.
+        Camera of each zone, with its ``wavefront``.
     image : array (rows, columns)
         Capture.
     zones : Zone, or sequence of Zone
         Parts of the field, each with its points; their weights do not matter.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     noise : PixelNoise
-        That of the capture.
+        Noise of the capture.
     accuracy : float
         As for `CaptureOperator`.
     iterations : int
@@ -152,18 +152,18 @@ def digital_adaptive_optics(
     held : int
         Terms up to this one stay as they are in `camera`: the default is piston, tilts and defocus.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     noise : PixelNoise
-        That of the capture. Default: that of pixels that are counted electrons.
+        Noise of the capture. Default: the noise of pixels that are counted electrons.
     accuracy : float
         As for `CaptureOperator`.
     turns : int
-        How often the wavefronts are improved at most. Turns end earlier where the residual is as small as noise, or
-        its excess falls by less than a hundredth.
+        Largest number of turns that improve the wavefronts. Turns end earlier where the residual is as small as noise,
+        or its excess falls by less than a hundredth.
     iterations : int
         Richardson's and Lucy's steps in each turn.
     progress : callable, optional
-        Called with the turns that have been made and the most that are.
+        Called with the number of turns made and the largest possible number.
 
     Returns
     -------

@@ -108,7 +108,7 @@ def spot_slopes(
     pixels_per_lens : int
         Rows and columns of pixels behind a lens, which divide those of the image; x and y grow with column and row.
     pixel_size : float
-        In millimetres.
+        Width of a pixel in millimetres.
     focal_length : float
         Distance from the lenses to the detector, in millimetres.
     magnification : float

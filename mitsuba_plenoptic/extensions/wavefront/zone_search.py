@@ -68,7 +68,7 @@ class Zone:
     Parameters
     ----------
     points : array (n, 3)
-        Its point sources in the camera frame, in millimetres.
+        Point sources of the zone in the camera frame, in millimetres.
     weights : array (n,), optional
         Their relative brightness, not negative. Default: all alike.
 
@@ -121,9 +121,9 @@ def fit_wavefronts(
     modes : int
         Number of Zernike terms, the piston included, which stays 0; from 2 to 66.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     noise : PixelNoise, float or array (rows, columns)
-        As for `fitting.View`. Default: that of pixels that are counted electrons.
+        Noise as for `fitting.View`. Default: the noise of pixels that are counted electrons.
     accuracy : float
         As for `CaptureOperator`.
 

@@ -86,7 +86,7 @@ class DerivativePlan(PatchPlan):
         done: int,
         total: int,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients by parameters, from the gradient with respect to the image, (rows, columns, channels).
+        """Return gradients with respect to parameters, from the image's gradient (rows, columns, channels).
 
         `done` of the job's `total` points are already complete.
         """
@@ -286,7 +286,7 @@ class Differentials:
         matrix: NDArray[np.float32],
         job: Job,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients by parameter name, from the image's gradient (rows, columns, channels)."""
+        """Return gradients with respect to parameters, by name, from the image's gradient (rows, columns, channels)."""
         _require_threads(job)
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():

@@ -72,7 +72,10 @@ class FourierResponse(StoredResponse):
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
         self._require_memory(fine, distances)
-        points = np.array([[*self._middle, depth] for depth in distances])
+        # The first bin on the pixel in the middle of a lens's picture.
+        size = camera.bin_size(0) / oversample
+        x, y = ((oversample * (count // 2) + 0.5 - oversample * count / 2) * size for count in camera.bin_count)
+        points = np.array([[x, y, depth] for depth in distances])
         system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
         self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
         one = np.ones(1, np.float32)
@@ -135,16 +138,6 @@ class FourierResponse(StoredResponse):
         """First bins of each position within a pixel."""
         starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
         return list(itertools.product(starts, starts))
-
-    @property
-    def _middle(self) -> tuple[float, float]:
-        """Object position of the first bin on the pixel in the middle of a lens's picture."""
-        size = self._camera.bin_size(0) / self._oversample
-        x, y = (
-            (self._oversample * (count // 2) + 0.5 - self._oversample * count / 2) * size
-            for count in self._camera.bin_count
-        )
-        return x, y
 
     def _spectrum(self, samples: NDArray[np.float32]) -> Any:
         """Return the spectrum of samples that lie in the first corner of the convolutions' period."""

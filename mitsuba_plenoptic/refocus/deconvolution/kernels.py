@@ -44,7 +44,7 @@ class SampleBlock:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """The response of the bins of any cell near one position."""
+    """The samples' response to the bins of any cell near one position."""
 
     steps: NDArray[np.int64]
     blocks: list[SampleBlock]

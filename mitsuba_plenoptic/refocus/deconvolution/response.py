@@ -73,7 +73,10 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
-    places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
+    limit = resolution_limit(cells.camera, distance, grid.wavelength)
+    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
+    points_along = max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
+    places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
     places = lens.within(places)
     batches = []
@@ -93,21 +96,13 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     return batches
 
 
-def _points(cells: BinCells, distance: float) -> int:
-    """Return the number of points, along a lens, by which the lens's bins are sampled."""
-    camera = cells.camera
-    limit = resolution_limit(camera, distance, cells.grid.wavelength)
-    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
-    return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
-
-
 def bin_weight(cells: BinCells) -> float:
     """Return the light that all pixels together record from a bin of radiance 1 if no light is lost."""
     return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
 
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:
-    """Return a finite distance; for infinity, a distance so large that light is collimated."""
+    """Return a finite distance in mm; for infinity, one so large that light is collimated."""
     return min(distance, _INFINITY * camera.focal_length)
 
 

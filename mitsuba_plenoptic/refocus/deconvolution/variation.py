@@ -115,7 +115,7 @@ class TotalVariation:
 
 
 def _differences(cells: BinCells, lit: CellSet) -> Differences:
-    """Return the difference matrices of bins in cells."""
+    """Return the matrices of differences between neighbouring bins of cells, along rows and across them."""
     across, down = cells.bins
     width, height = cells.bin_sizes
     index = lit.index
