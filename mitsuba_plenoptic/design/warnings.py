@@ -82,7 +82,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
-    """Yield findings about a design."""
+    """Yield the faults of a camera's design, with remedies."""
     if isinstance(camera.main_lens, Collimator):
         return
     if not camera.lens_data.converges:
