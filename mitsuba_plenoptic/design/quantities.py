@@ -53,8 +53,8 @@ _BETWEEN = 1.03
 def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
     r"""Return the name of the plane on which each type of microlens is focused.
 
-    - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
-      spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
+    - ``unfocused``: on the main lens, practically at infinity (Ng 2006; the "plenoptic camera 1.0"). The spot of
+      parallel light is at most a pixel wide: :math:`D_2 |z / f_2 - 1| \le` pixel.
     - ``keplerian``: on the main lens's image, a real one before the MLA; :math:`z > f_2`.
     - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
       :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The

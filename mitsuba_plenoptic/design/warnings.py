@@ -82,7 +82,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
-    """Yield findings about a design."""
+    """Yield the faults of a camera's design, with remedies."""
     if isinstance(camera.main_lens, Collimator):
         return
     if not camera.lens_data.converges:
@@ -192,7 +192,7 @@ def _gaps(camera: PlenopticCamera) -> dict[float, float]:
 
 
 def _seeing_farther(camera: PlenopticCamera) -> Changes:
-    """Return the detector distance in mm, closer to the microlenses' focal length, that leaves no gaps."""
+    """Return the detector distance in mm, nearer the microlenses' focal length, at which lenses leave no gaps."""
     (a, *others), pitch = mla_object_distances(camera), max(camera.mla_pitches)
     if others:
         # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.

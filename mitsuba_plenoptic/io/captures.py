@@ -65,9 +65,9 @@ class Capture(Displayed):
     wavelength : float or tuple of three floats, optional
         Wavelength in nanometres, 200 to 2500, one for all channels or one for each; None for a ray capture.
     model : {"ray", "wave"}
-        How light was propagated.
+        Model by which light was propagated.
     metadata : dict
-        How it was made: scene, seed, samples, software versions. Plain JSON values.
+        Facts on the making: scene, seed, samples, software versions. Plain JSON values.
     noise : array like the image, optional
         Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; stored
         as float32.

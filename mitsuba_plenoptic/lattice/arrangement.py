@@ -9,8 +9,7 @@ A lens is named by two integers (i, j), its steps along the two lattice vectors.
 - In the *unit frame*, lengths along the rows count in pitches and lengths across them in row distances. Each lattice
   states there which cell holds a point and where the cell's centre is.
 - The *lattice frame* has the rows along its first axis. Two different pitches stretch it across the rows: cells are
-  then affine images of the cells of equal pitches, which are the sets of points nearer to their centre than to any
-  other.
+  affine images of the cells of equal pitches, which are the sets of points nearer to their centre than to any other.
 - The *camera frame* is the lattice frame turned counter-clockwise about the axis (from +x towards +y of the camera
   frame) by `rotation`, then moved by `offset`.
 """

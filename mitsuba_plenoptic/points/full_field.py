@@ -236,7 +236,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """One point, as a batch."""
+    """The full field of one point, as a batch."""
 
     system: OpticalSystem
     position: NDArray[np.float64]

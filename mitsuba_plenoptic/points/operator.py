@@ -383,7 +383,7 @@ class CaptureOperator(CoherentPoints):
         Returns
         -------
         scipy.sparse.linalg.LinearOperator
-            Of shape (pixels, n), of the type of the images. Without a spectrum several columns are multiplied at once.
+            The operator, (pixels, n), of the images' type. Without a spectrum several columns are multiplied at once.
 
         Raises
         ------

@@ -94,9 +94,9 @@ class StoredOperator(CaptureOperator):
         Returns
         -------
         scipy.sparse.csc_array
-            Of shape (pixels, n). With a spectrum (pixels * channels, n * wavelengths), whose rows are the entries of
-            an image (rows, columns, channels), and whose columns are those of weights (n, wavelengths). Changes of the
-            matrix do not change the operator.
+            The matrix, (pixels, n). With a spectrum it is (pixels * channels, n * wavelengths): rows are the entries of
+            an image (rows, columns, channels), columns those of weights (n, wavelengths). Changes of the matrix do not
+            change the operator.
 
         Raises
         ------

@@ -100,7 +100,7 @@ def _orthogonal(
 
 
 def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
-    """Return the number of pixels for each plane, between the middles to its neighbours."""
+    """Return the number of pixels of each plane along z, up to halfway to the neighbouring planes."""
     depths = np.array(volume.distances)
     if len(depths) == 1:
         return np.array([_LEAST_PLANE])

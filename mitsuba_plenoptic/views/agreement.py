@@ -75,8 +75,8 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     most sinc(1 - f). If all complex amplitudes up to these are equally likely beforehand, an amplitude possible for
     both belongs to the finer stripes with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. A
     texture of many frequencies agrees only at its depth; but on other lattices interpolation between lenses adds
-    frequencies to finer stripes. These are recognised by a mean frequency above what shifting views by more than a lens
-    (`moved`) leaves of any other texture.
+    frequencies to finer stripes. Finer stripes are recognised by their mean frequency, above that of any other texture
+    in views shifted by more than a lens (`moved`).
     """
     if min(image.shape) < 3:
         return np.zeros(image.shape)

@@ -169,9 +169,10 @@ def test_cases_name_a_page_that_names_them():
 
 
 def commands(text):
+    # In Markdown a line break within a command is a space.
     return [
         found.replace("\n", " ")
-        for found in re.findall(r"python -m tools\.bench run ([^`#;]*?)(?=`|#|;|\n\n|\n\w|\n```)", text)
+        for found in re.findall(r"python\s-m\stools\.bench\srun\s([^`#;]*?)(?=`|#|;|\n\n|\n\w|\n```)", text)
     ]
 
 

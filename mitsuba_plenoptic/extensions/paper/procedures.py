@@ -29,8 +29,8 @@ def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.nd
     Returns
     -------
     array (rays, 3, 2)
-        For each pupil coordinate (z, x) at the object, the main lens and the microlens array; z is 0 at the main lens
-        and positive towards the detector.
+        Positions (z, x) of each ray at the object, the main lens and the microlens array; z is 0 at the main lens and
+        positive towards the detector.
     """
     X, g = point
     m = rays.mla_point(X, pupil, g, camera.mla_distance, camera.focal_length)
@@ -44,7 +44,7 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
     Returns
     -------
     array (pixels, 4, 2)
-        For each pixel (z, x) at the detector, the centre of the lens, the main lens and the object plane.
+        Positions (z, x) of each ray at the detector, the lens's centre, the main lens and the object plane.
     """
     b, z = camera.mla_distance, camera.detector_distance
     P, place = follow_back(pixels, lens, lens, distance, camera)

@@ -53,7 +53,7 @@ class CorrectedObject:
         Mean squared residual of a pixel over its variance, before each turn of the wavefronts and at the end; 1 is
         noise alone.
     explained : bool
-        Whether the last is as small as noise. Otherwise turns no longer helped, or all were made.
+        Whether the last misfit is as small as noise. Otherwise further turns did not help, or none were left.
     """
 
     weights: list[Array]

@@ -128,6 +128,7 @@ def test_a_fit_from_afar_goes_on_with_the_blur_where_it_stopped(tmp_path, capsys
     ],
 )
 def test_mistakes_are_one_line(tmp_path, capsys, words, message):
+    (tmp_path / "raw.exr").touch()
     given = ["fit", str(tmp_path / "raw.exr"), "--parameter", "mla_pitch", "-o", str(tmp_path / "camera.json")]
     assert main([*given, *([] if "--photons" in words else ["--photons", "10"]), *words]) == 2
     error = capsys.readouterr().err
