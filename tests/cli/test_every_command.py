@@ -204,7 +204,9 @@ BEFORE_A_REFUSAL |= {
         ("convert {there} -o lf.jpg", "lf.jpg: give a name that ends in .nc or .zarr or .mat or .eslf.png or .png"),
         ("convert {there} -o folder --format hcj", "did you mean hci?"),
         ("reconstruct letters -o out.png --distance 240", "letters: it is a scene: give what 'render' made of it"),
-        ("view {scene} -o page.html", "scene.xml: it is a scene: give what 'render' made of it"),
+        pytest.param(
+            "view {scene} -o page.html", "scene.xml: it is a scene: give what 'render' made of it", marks=STUDIO
+        ),
         ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
         pytest.param("view {there} -o page.pdf", "page.pdf: give a name that ends in .html", marks=STUDIO),
         pytest.param("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc", marks=STUDIO),
