@@ -172,7 +172,7 @@ class A:
     def _white_of(self, x):
         return 1 + self._white_of(x)
 ''',
-            "extensions/raw/b.py": "def _hidden():\n    return 1\n",
+            "extensions/raw/b.py": "def _hidden_white():\n    return 1\n",
         }
     )
     assert found["functions"] == 4
@@ -180,7 +180,7 @@ class A:
     assert found["lines of the median function of the core"] == 2
     assert found["private functions used once, of at most 3 statements"] == ["a.py:8 _add", "a.py:13 _white_of"]
     assert found["functions that only forward"] == ["a.py:8 _add"]
-    assert found["definitions of white"] == ["a.py:2 white", "a.py:13 _white_of"]
+    assert found["definitions of white in the core"] == ["a.py:2 white", "a.py:13 _white_of"]
     assert (found["parameters"], found["parameters typed Any"]) == (7, 2)
 
 
