@@ -12,7 +12,9 @@ import importlib.util
 import logging
 import os
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +24,7 @@ import typer
 
 from ..errors import InputError, at_shell, did_you_mean, relation
 from ..extension import entries, missing
+from ..runtime.progress import INTERRUPTED, plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -216,15 +219,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Options before the command, of which none is given: Typer would import pydantic to judge them.
         group.params.clear()
         group.add_help_option = False
-    with _remarks():
+    with _remarks(), _interrupts():
         try:
             # Progress begins before the options are read, thus before --quiet is.
             silent = not called or not words or not {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
             with at_shell(_OPTIONS), contextlib.ExitStack() as shown:
                 if not silent:
-                    from ..runtime.progress import plain_lines
-
                     shown.enter_context(plain_lines(words[0]))
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
@@ -267,6 +268,29 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
 def _is_usage(error: Exception) -> bool:
     """Return whether an error is one of Typer's usage errors, whose class has no public name in all versions."""
     return hasattr(error, "format_message")
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[None]:
+    """Note Ctrl-C for bars of progress, which end the command where a library has dropped the KeyboardInterrupt."""
+    INTERRUPTED.clear()
+
+    def stop(signal_number: int, frame: object) -> None:
+        INTERRUPTED.set()
+        raise KeyboardInterrupt
+
+    # Other handlers, and threads that receive no signals, keep what they have.
+    ours = threading.current_thread() is threading.main_thread() and (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if ours:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        INTERRUPTED.clear()
 
 
 @contextlib.contextmanager

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 1.0, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
+INTERRUPTED = threading.Event()
+"""Set by commands on Ctrl-C: where C++ libraries try to convert an object of Python they drop the KeyboardInterrupt."""
+
 SETTLED, MINUTE = 5.0, 60.0
 """Seconds of work after which its speed is known, and seconds in a minute."""
 
@@ -36,7 +39,9 @@ class ProgressBar:
         self._show = show
 
     def __call__(self, done: int, total: int) -> None:
-        """Show the fraction of the total that is done."""
+        """Show the fraction of the total that is done; end the work if Ctrl-C was pressed."""
+        if INTERRUPTED.is_set():
+            raise KeyboardInterrupt
         self.fraction = done / max(total, 1)
         if self._show:
             self._show(done, total)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -16,7 +17,7 @@ from rich.console import Console
 from stopped_runs import start_command
 from test_imports import loaded
 
-from mitsuba_plenoptic.cli import COMMANDS, app, commands_of, main
+from mitsuba_plenoptic.cli import COMMANDS, app, commands_of, main, render_command
 from mitsuba_plenoptic.runtime import progress
 
 STUDIO = pytest.mark.needs_extension("studio")
@@ -117,6 +118,22 @@ def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys):
     monkeypatch.setattr("mitsuba_plenoptic.plugins.sensor.read_camera", stop)
     assert main(["info", "letters"]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")
+
+
+def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys):
+    """C++ code that tries to convert an object of Python drops any exception from there."""
+    loading = render_command.open_scene
+
+    def dropping(*arguments):
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        return loading(*arguments)
+
+    monkeypatch.setattr(render_command, "open_scene", dropping)
+    assert main([*WAVES, "-o", str(tmp_path / "raw.exr")]) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")
+    assert not list(tmp_path.glob("*.exr"))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")

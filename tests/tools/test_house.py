@@ -196,7 +196,8 @@ def test_clones_and_long_files(gauged):
 def test_internal_names_in_tests(gauged):
     found = gauged(
         {
-            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n",
+            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n\n"
+            ".. automodule:: mitsuba_plenoptic.c\n   :no-members:\n",
             "docs/reference/python/b.rst": ".. autoclass:: mitsuba_plenoptic.a.Class\n",
             "docs/a.md": "```py\nfrom mitsuba_plenoptic.c import page, code\n```\n",
             "tests/test_a.py": "from mitsuba_plenoptic import any\nfrom mitsuba_plenoptic.a import _x, Class, other\n",
