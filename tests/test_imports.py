@@ -15,7 +15,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it.
 FLOORS = (
-    "served", "shipped", "errors", "extension", "scene_files", "presets", "refocus_options", "runtime", "lattice",
+    "served", "shipped", "errors", "extension", "scene_files", "presets", "refocus_options", "runtime", "runtime.progress", "lattice",
     "prescription", "microlens", "camera", "io", "optics", "lenses", "design", "light", "points", "plugins",
     "views", "refocus", "report", "cli", "extensions", "__main__",
 )  # fmt: skip
@@ -68,14 +68,25 @@ HEAVY = {"numpy", "scipy", "pandas", "xarray", "matplotlib", "skimage", "OpenEXR
 
 def test_the_package_imports_only_what_registers_its_plugins():
     own, libraries = loaded("import mitsuba_plenoptic")
-    assert own == {"", "served", "runtime", "runtime.llvm", "plugins"}
+    assert own == {"", "served", "runtime", "runtime.progress", "runtime.llvm", "plugins"}
     assert not libraries & HEAVY
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["--version"]])
 def test_the_help_imports_no_command(words):
     own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
-    assert own == {"", "served", "shipped", "extension", "runtime", "runtime.llvm", "plugins", "cli", "errors"}
+    assert own == {
+        "",
+        "served",
+        "shipped",
+        "extension",
+        "runtime",
+        "runtime.progress",
+        "runtime.llvm",
+        "plugins",
+        "cli",
+        "errors",
+    }
     assert not libraries & HEAVY
 
 
