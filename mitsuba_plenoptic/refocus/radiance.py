@@ -388,9 +388,10 @@ def _lens_patches(
     thin = ThinConjugates(OpticalSystem(around, wavelength))
     patch = libraries.to_host(object_patches(fields, lenses.tile, batch, distance, thin)[0]).astype(np.float64)
     everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
-    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    samples = everywhere.tile.samples
+    comb = np.zeros([(count - 1) * samples + 1 for count in everywhere.bins[::-1]])
     column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
-    comb[row * oversample, column * oversample] = 1
+    comb[row * samples, column * samples] = 1
     return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
 
 
