@@ -1,4 +1,4 @@
-"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""
+"""Names of everything that the shipped extensions add; written by ``tools/make_shipped.py``."""
 
 from __future__ import annotations
 
@@ -103,6 +103,6 @@ if TYPE_CHECKING:
     ]
 
     class ShippedParameters:
-        """Parameters of the camera that extensions add."""
+        """Camera parameters that shipped extensions add."""
 
         photodiode_response: PhotodiodeParameter

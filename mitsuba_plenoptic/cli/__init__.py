@@ -100,7 +100,7 @@ def _command() -> typer.Typer:
 
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with the named subcommands; loading all of them would take a second."""
+    """Return the command with the named subcommands only, since loading all of them would take a second."""
     from .judging import judging
     from .run_file import recorded
 
@@ -116,7 +116,7 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 
 def _outline() -> typer.Typer:
-    """Return the command with subcommands that have only their help, without importing their modules."""
+    """Return the command with all subcommands as help texts only, without importing their modules."""
     made = _command()
     for name in COMMANDS:
         made.command(name, help=_docstring(name))(lambda: None)
@@ -124,7 +124,7 @@ def _outline() -> typer.Typer:
 
 
 def _docstring(name: str) -> str | None:
-    """Return the docstring of a subcommand's function, or of the file for a group of commands, from the file."""
+    """Return the docstring of a subcommand's function, or of the file for a group of commands, read from source."""
     spec = importlib.util.find_spec(COMMANDS[name])
     module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
     own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
@@ -132,7 +132,7 @@ def _docstring(name: str) -> str | None:
 
 
 def _called(words: Sequence[str]) -> list[str]:
-    """Return the subcommand among the words of a command line, or of one being completed; empty without one."""
+    """Return the subcommand named in the words of a command line, or of one being completed; else an empty list."""
     if "_MITSUBA_PLENOPTIC_COMPLETE" in os.environ:
         # The last word is being typed.
         words = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split(" ")[1:-1]
@@ -251,10 +251,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
-    """Return the line that describes a user's mistake, None for an exception that is a mistake of ours.
+    """Return the line that describes a user's mistake; None for other exceptions, which are faults of the program.
 
-    Arguments that the message is about are spelled as the command's options are, which `options` has by their names at
-    a shell.
+    Arguments named in the message are spelled as options of the command, by the mapping `options`.
     """
     if isinstance(error, InputError):
         return _with_options(str(error), options)
@@ -275,7 +274,7 @@ def _is_usage(error: Exception) -> bool:
 
 
 def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
-    """Return `plain_lines` of a command that does something."""
+    """Return the context `plain_lines` for a command that computes."""
     from ..runtime.progress import plain_lines
 
     return plain_lines(command)
@@ -304,7 +303,7 @@ def _print_record(record: logging.LogRecord) -> None:
 
 
 def _with_options(message: str, options: Mapping[str, str]) -> str:
-    """Return a message with the arguments it is about, ``name = value: ...``, spelt as options of the command."""
+    """Return a message in which arguments, ``name = value: ...``, are spelt as options of the command."""
 
     def spelled(found: re.Match[str]) -> str:
         option = options.get(_OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}"))

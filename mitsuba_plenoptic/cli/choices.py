@@ -14,5 +14,6 @@ ALL_MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR", "QUAD_RGGB", "QUAD_GRBG", "QUAD_G
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
 PICTURES = (".exr", ".png", ".pdf")
 ANIMATED = (".gif", ".mp4")
+LIGHT_FIELDS = (".nc", ".zarr", ".mat", ".eslf.png", ".png")
 VOLUMES = (".tif", ".tiff", ".zarr")
 QUANTITIES = ("depth", "virtual_depth", "position", "normal", "albedo", "shape_index")

@@ -42,9 +42,8 @@ def compare(
 ) -> None:
     """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
-    Writes figures, captures and reconstructions, all results and report.html,
-    which shows them in a browser. Both captures have the same main lens, which
-    the scene's lens_model states. A run that was stopped resumes where it was.
+    Writes figures, captures, reconstructions and all results, with a report.html that shows them in a browser. Both
+    captures have the same main lens, which the scene's lens_model states. A run that was stopped resumes where it was.
 
     [bold]Examples:[/bold]
 

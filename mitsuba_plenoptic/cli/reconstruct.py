@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic reconstruct`` and ``sheet``: from a capture to refocused images, and these side by side."""
+"""``mitsuba-plenoptic reconstruct`` and ``sheet``: refocused images from a capture, and figures that compare them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def _with_method_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give the command an option for each that single methods use."""
+    """Give the command an option for each argument that only some methods take."""
     made: dict[str, Any] = {}
     for name, option in OPTIONS.items():
         flag = bool in option.types
@@ -292,7 +292,7 @@ def _recorded(
 
 
 def _value_of(option: Option, value: Any) -> Any:
-    """Return the value that a command was given for an option, None where none is; the library checks words."""
+    """Return the value of a command's option as the library takes it, None if not given; the library checks words."""
     if bool in option.types:
         # A flag that is off by default cannot be given as off.
         return value if option.default else value or None
@@ -320,7 +320,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Return a deconvolution's facts as words."""
+    """Return the facts of a deconvolution in words: iterations, how it ended, residual."""
     if not facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"

@@ -281,7 +281,7 @@ def expose(
 
 
 def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
-    """Return a sentence about the time of a capture, and the change that shortens it at least cost."""
+    """Return a sentence that states the time of a capture, and the cheapest change that shortens it."""
     from ..light.render_capture import plenoptic_sensor
 
     if (method or getattr(scene.integrator(), "method", "")) == "points":

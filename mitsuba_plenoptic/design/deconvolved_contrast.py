@@ -67,7 +67,7 @@ class ResolutionLimit:
 
     @property
     def frequency(self) -> float:
-        """Lower one of the two limiting frequencies."""
+        """Lower of the two limiting frequencies, in line pairs per scene unit; near focus that of the lens pitch."""
         return self.lenses if self.in_focus else min(self.waves, self.pixels)
 
 
@@ -121,7 +121,7 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
 def _behind_objective(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
-    r"""Return the limit of a microscope: :math:`n w / 0.94 \lambda M d` and :math:`n z / 2 M p d`; 2 NA bounds them."""
+    r"""Return the limit of a microscope, :math:`n w / 0.94 \lambda M d` or :math:`n z / 2 M p d`, at most 2 NA."""
     M, n, d = lens.magnification, lens.immersion, abs(depth)
     width = camera.lattice.aperture_width
     pixels = n * camera.reduced_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
@@ -136,7 +136,7 @@ def _behind_objective(
 def _in_the_stops_image(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
-    """Return the limit of the Fourier arrangement, which has no range around a plane in focus to avoid."""
+    """Return the limit of the Fourier arrangement, where no range around the plane in focus must be avoided."""
     pixels, waves = 1 / (2 * camera.bin_size(depth)), math.inf
     aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
     blur = aperture * abs(depth) / lens.immersion

@@ -1,4 +1,4 @@
-"""Warnings about the design of a camera, as sentences, and the camera without them."""
+"""Warnings about the design of a camera as sentences, and the camera without these faults."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ _MOST_CAMERAS = 60
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Return warnings about a design, one sentence each, with what would mend it."""
+    """Return warnings about a camera's design, one sentence each with its remedies."""
     return [finding.sentence(camera) for finding in _findings(camera, wavelength)]
 
 
 def mended(camera: PlenopticCamera, wavelength: float | None = None) -> PlenopticCamera:
-    """Return the camera of the fewest changes, each the remedy of a warning, that has no warnings.
+    """Return the camera without warnings that takes the fewest changes, each the remedy of a warning.
 
-    Of two the one whose remedies are named first. A camera without warnings remains as it is; if no remedies help, it
-    is the one with the fewest warnings.
+    Of two such cameras, the one whose remedies are named first is taken. A camera without warnings remains as it is; if
+    no remedies help, the camera with the fewest warnings is returned.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
 
 
 def _is_dual(camera: PlenopticCamera) -> bool:
-    """Return whether there are two pixels a lens, for the sides of the pupil, not for directions."""
+    """Return whether each lens has two pixels for the two sides of the pupil (a dual-pixel sensor)."""
     return abs(camera.pixels_per_lens / 2 - 1) <= _DUAL
 
 
@@ -184,7 +184,7 @@ def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
 
 
 def _gaps(camera: PlenopticCamera) -> dict[float, float]:
-    """Return planes where focused microlenses are sharpest but leave gaps, with the count of lenses a point lights."""
+    """Return the planes where focused microlenses leave gaps, with the number of lenses that a point lights."""
     if focus_type(camera) == "unfocused":
         return {}
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}
@@ -192,7 +192,7 @@ def _gaps(camera: PlenopticCamera) -> dict[float, float]:
 
 
 def _seeing_farther(camera: PlenopticCamera) -> Changes:
-    """Return the distance of the detector, nearer to the focal length of microlenses, that leaves no gaps."""
+    """Return the detector distance, closer to the microlenses' focal length, that leaves no gaps."""
     (a, *others), pitch = mla_object_distances(camera), max(camera.mla_pitches)
     if others:
         # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.
@@ -212,7 +212,7 @@ def _seeing_farther(camera: PlenopticCamera) -> Changes:
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding]:
-    """Yield findings about diffraction of light of one wavelength, and about aberrations."""
+    """Yield findings about diffraction at one wavelength, and about aberrations."""
     spot = spot_radius(camera, wavelength)
     # Pixels of unfocused microlenses are to gather directions; those of others sample an image.
     if focus_type(camera) != "unfocused" and camera.pixel_size > 0.5 * spot * (1 + SINGLE):

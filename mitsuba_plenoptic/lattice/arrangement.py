@@ -1,17 +1,16 @@
-r"""Microlens lattices: which lens a point belongs to, where its centre is, and what its aperture lets through.
+r"""Microlens lattices: the lens that a point belongs to, the lens's centre, and the outline of its aperture.
 
-Everything that has to do with the arrangement of microlenses is asked of a `Lattice`, which `PlenopticCamera.lattice`
-makes. It covers the whole plane and does not end with the detector. Points are given in the camera frame, in the
-plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own parameters be.
+All code asks a `Lattice`, made by `PlenopticCamera.lattice`, about the arrangement of microlenses. A lattice covers the
+whole plane and does not end with the detector. Points are given in the camera frame, in the plane of the microlens
+array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's parameters be.
 
 A lens is named by two integers (i, j), its steps along the two lattice vectors. It is found in three frames:
 
-- In the *unit frame* lengths along the rows count in pitches and lengths across them in row distances. Each lattice
-  says there which cell holds a point and where its centre is.
-- The lattice's own frame has the rows along its first axis. Two different pitches stretch it across the rows: cells are
-  then affine images of those of equal pitches, the sets of points nearer to their centre than to any other.
-- The camera frame: the lattice's, turned counter-clockwise about the axis (from +x towards +y of the camera frame) by
-  `rotation`, then moved by `offset`.
+- In the *unit frame*, lengths along the rows count in pitches and lengths across them in row distances. Each lattice
+states there which cell holds a point and where the cell's centre is. - The *lattice frame* has the rows along its first
+axis. Two different pitches stretch it across the rows: cells are then affine images of the cells of equal pitches,
+which are the sets of points nearer to their centre than to any other. - The camera frame is the lattice frame turned
+counter-clockwise about the axis (from +x towards +y of the camera frame) by `rotation`, then moved by `offset`.
 """
 
 from __future__ import annotations
@@ -41,19 +40,19 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the width along the rows and across them: from side to side, or the diameter."""
+        """Return the aperture's widths in mm along and across the rows; the diameter twice for a disc."""
 
     @abc.abstractmethod
     def area(self, lattice: Lattice) -> Any:
-        """Return its area."""
+        """Return the aperture's area in mm^2."""
 
     @abc.abstractmethod
     def reach(self, lattice: Lattice) -> Any:
-        """Return the greatest distance of one of its points from its centre."""
+        """Return the greatest distance in mm of a point of the aperture from the aperture's centre."""
 
     @abc.abstractmethod
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Return whether a point is within the aperture.
+        """Return whether an offset dx, dy (mm, camera frame) from the lens's centre lies within the aperture.
 
         Parameters
         ----------
@@ -67,7 +66,7 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map a point of the unit square evenly to the aperture; return its offset from the centre in the camera frame.
+        """Map a point of the unit square uniformly to the aperture; return its camera-frame offset from the centre.
 
         Parameters
         ----------
@@ -81,7 +80,7 @@ class Aperture(abc.ABC):
 
     @abc.abstractmethod
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
+        """Return the margin in mm and the scale by which an aperture, enlarged by `smear`, enlarges a cell."""
 
     def diffraction_width(self, lattice: Lattice) -> float:
         r"""Return the width w for which the first zero of the aperture's diffraction lies at :math:`\lambda / w`.
@@ -97,7 +96,7 @@ class Aperture(abc.ABC):
 
 
 class Cell(Aperture):
-    """The lattice's cell itself, shrunk by `fill`."""
+    """The lattice's cell as an aperture, shrunk by `fill`."""
 
     product = True
 
@@ -111,24 +110,24 @@ class Cell(Aperture):
         return lattice.cell_area * lattice.fill**2
 
     def reach(self, lattice: Lattice) -> Any:
-        """Return the distance of its farthest corner."""
+        """Return the distance of the aperture's farthest corner from its centre, in mm."""
         return lattice.fill * lattice.cell_reach
 
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Decide in the frame in which cells are regular."""
+        """Return whether an offset lies in the shrunk cell, decided in the frame in which cells are regular."""
         u, v = lattice.to_frame(dx, dy)
         return lattice.in_cell(u, v / lattice.aspect, lattice.fill * lattice.pitches[0])
 
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map to a cell shrunk by `fill`."""
+        """Map a point of the unit square to the cell shrunk by `fill`."""
         return lattice.cell_point(s, t, lattice.fill)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Enlarge the cell: cells are convex and the same on both sides of their centre."""
+        """Return no margin and a scale, since cells are convex and point-symmetric and add to a larger cell."""
         return 0.0, 1 + smear * lattice.fill
 
     def diffraction_width(self, lattice: Lattice) -> float:
-        """Return the narrower width of a rectangle, and of any other cell that of the disc of its area."""
+        """Return the narrower width of a rectangle; for other cells the width of the disc of equal area."""
         return min(self.widths(lattice)) if lattice.rectangular else super().diffraction_width(lattice)
 
 
@@ -148,22 +147,22 @@ class Circle(Aperture):
         return math.pi / 4 * self.widths(lattice)[0] ** 2
 
     def reach(self, lattice: Lattice) -> Any:
-        """Return the radius."""
+        """Return the radius of the disc in mm."""
         return self.widths(lattice)[0] / 2
 
     def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Compare with the radius."""
+        """Return whether an offset is within the radius."""
         radius = self.reach(lattice)
         return dx * dx + dy * dy <= radius * radius
 
     def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map to polar coordinates."""
+        """Map a point of the unit square to the disc by polar coordinates."""
         module = module_of(s)
         radius = module.sqrt(s) * self.reach(lattice)
         return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
     def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Reach out from the cell by the enlarged radius."""
+        """Return the enlarged radius as the margin, and the scale 1."""
         return smear * self.reach(lattice), 1.0
 
 
@@ -221,7 +220,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Return the indices, integers as floats, of the cell that holds a point of the unit frame."""
+        """Return the indices, integers as floats, of the cell that holds a point given in the unit frame."""
 
     @staticmethod
     @abc.abstractmethod
@@ -246,7 +245,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Return the point of a cell of equal pitches `width` for (s, t) in the unit square, evenly.
+        """Map (s, t) in the unit square uniformly to a point of a cell of equal pitches `width`.
 
         Parameters
         ----------
@@ -262,13 +261,13 @@ class Lattice(abc.ABC):
 
     @property
     def aspect(self) -> Any:
-        """Pitch across the rows over the pitch along the rows."""
+        """Ratio of the pitch across the rows to the pitch along the rows."""
         along, across = self.pitches
         return 1.0 if along is across else across / along
 
     @property
     def row_distance(self) -> Any:
-        """Distance between rows of lenses."""
+        """Distance between rows of lenses in millimetres."""
         return self.row_ratio * self.pitches[1]
 
     @property
@@ -280,32 +279,32 @@ class Lattice(abc.ABC):
 
     @property
     def nearest_distance(self) -> float:
-        """Distance of the closest two centres."""
+        """Smallest distance between two lens centres in millimetres."""
         first, second = np.array(self.basis)
         return float(min(np.hypot(*step) for step in (first, second, second - first)))
 
     @property
     def grid_step(self) -> tuple[Any, Any]:
-        """Sides, in the lattice's frame, of the coarsest rectangular grid that all centres lie on."""
+        """Sides in mm, in the lattice frame, of the coarsest rectangular grid that contains all centres."""
         return self.pitches[0] / self.stagger, self.row_distance
 
     def period(self, lens_types: int = 1) -> tuple[Any, Any]:
-        """Return the sides, in the lattice's frame, of a rectangle after which an array of `types` types repeats."""
+        """Return the sides in mm, in the lattice frame, of the rectangle with which an array of lens types repeats."""
         return self.pitches[0] * lens_types, self.row_distance * self.stagger
 
     @property
     def cell_area(self) -> Any:
-        """Area of a cell."""
+        """Area of a cell in mm^2."""
         return self.pitches[0] * self.row_distance
 
     @property
     def cell_reach(self) -> float:
-        """Greatest distance of a point of a cell from its centre."""
+        """Greatest distance in mm of a point of a cell from the cell's centre."""
         return float(np.hypot(*self.cell_corners().T).max())
 
     @property
     def aperture_widths(self) -> tuple[Any, Any]:
-        """Diameter of a circular aperture, twice; widths of other apertures along and across the rows."""
+        """Widths of the aperture in mm along and across the rows; the diameter twice for a circle."""
         return APERTURES[self.aperture].widths(self)
 
     @property
@@ -316,7 +315,7 @@ class Lattice(abc.ABC):
 
     @property
     def aperture_reach(self) -> Any:
-        """Greatest distance of a point of the aperture from its centre."""
+        """Greatest distance in mm of a point of the aperture from the aperture's centre."""
         return APERTURES[self.aperture].reach(self)
 
     @property
@@ -338,7 +337,7 @@ class Lattice(abc.ABC):
 
     @property
     def axis_aligned(self) -> bool:
-        """Whether cells are rectangles along x and y, with plain floats: an index along x follows from x alone."""
+        """Whether cells are rectangles along x and y, so that an index along x follows from x alone."""
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
@@ -373,7 +372,7 @@ class Lattice(abc.ABC):
         return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
 
     def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
-        """Return the point of a cell shrunk by `scale` for (s, t) in the unit square, as an offset from its centre.
+        """Map (s, t) in the unit square to the cell shrunk by `scale`; return the offset from the cell's centre.
 
         Parameters
         ----------
@@ -394,11 +393,11 @@ class Lattice(abc.ABC):
         return APERTURES[self.aperture].holds(self, dx, dy)
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """Return the point of the aperture for (s, t) in the unit square, evenly, as an offset from the centre."""
+        """Map (s, t) in the unit square uniformly to the aperture; return the offset from the aperture's centre."""
         return APERTURES[self.aperture].point(self, s, t)
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
-        """Return the fractions of samples of width `step` that an aperture, enlarged by `scale`, covers.
+        """Return the fraction of each sample of width `step` that an aperture, enlarged by `scale`, covers.
 
         Parameters
         ----------
@@ -425,7 +424,7 @@ class Lattice(abc.ABC):
     # -- sets of lenses, for lattices of plain floats -----------------------------------------------
 
     def cell_corners(self) -> np.ndarray:
-        """Return the corners of a cell from its centre, in the order of their angles.
+        """Return the offsets of a cell's corners from its centre, in order of angle.
 
         Returns
         -------
@@ -435,7 +434,7 @@ class Lattice(abc.ABC):
         return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
 
     def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
-        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
+        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of cell (0, 0).
 
         Parameters
         ----------
@@ -499,11 +498,11 @@ class Lattice(abc.ABC):
     # -- frames --------------------------------------------------------------------------------------
 
     def to_frame(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Turn a vector of the camera frame into one of the lattice's frame."""
+        """Return the lattice-frame components of a vector given in the camera frame."""
         return turn(x, y, -self.rotation)
 
     def from_frame(self, u: Any, v: Any) -> tuple[Any, Any]:
-        """Turn a vector of the lattice's frame into one of the camera frame."""
+        """Return the camera-frame components of a vector given in the lattice frame."""
         return turn(u, v, self.rotation)
 
 

@@ -1,4 +1,4 @@
-"""Focusing a real main lens by moving a group of its elements, with the array where it is."""
+"""Focusing a real main lens by moving a group of its elements, while the array stays."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
         return replace(lens, surfaces=tuple(surfaces))
 
     def behind(shift: float) -> tuple[float, float]:
-        """Return focal length and distance from the rear principal plane to the array."""
+        """Return focal length and distance from the rear principal plane to the array, for a shift of the group."""
         figures = paraxial(moved(shift))
         end = before.length + (shift if last == len(lens.surfaces) - 1 else 0.0)
         return figures.focal_length, array - end - figures.rear_principal
@@ -119,7 +119,7 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
 
 
 def _range(lens: Prescription, first: int, last: int, behind: float) -> tuple[float, float]:
-    """Return the distances that a group can move towards the scene and towards the array, leaving the gap `behind`."""
+    """Return how far a group can move, in mm, towards the scene and towards the array with the gap `behind`."""
     room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else behind
     ahead = lens.surfaces[first - 1].thickness if first > 0 else room
     return -(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room

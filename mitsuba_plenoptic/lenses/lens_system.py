@@ -1,11 +1,11 @@
 r"""Rays through a real lens, traced surface by surface.
 
-The camera frame's origin is the front principal plane, z increases towards the scene, and the microlens array (MLA) is
-at the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal
-length scales the prescription as a whole, and its aperture radius is that of the entrance pupil.
+The camera frame's origin is the front principal plane, and z increases towards the scene. The microlens array (MLA) is
+at the distance b behind the rear principal plane. Both planes are those at the prescription's wavelength. A camera's
+focal length scales the whole prescription, and its aperture radius is the radius of the entrance pupil.
 
-There is no :math:`\cos^4` factor: as with the thin lens, a pixel is the mean radiance over its lens, and light that
-surfaces or the stop block is dark. Vignetting and pupil aberrations affect only which part of a micro-image is lit.
+There is no :math:`\cos^4` factor: as with the thin lens, a pixel is the mean radiance over its lens; light blocked by
+surfaces or the stop counts as dark. Vignetting and pupil aberrations affect only which part of a micro-image is lit.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SECANTS = 8
 
 @dataclass(frozen=True, eq=False)
 class LensSystem(FiniteDistance):
-    """A lens of several surfaces, stopped down and scaled, before an array.
+    """A lens of several surfaces in front of an array, stopped down and scaled.
 
     Parameters
     ----------
@@ -95,38 +95,38 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def stop_radius(self) -> Any:
-        """Radius of the stop before scaling."""
+        """Radius of the stop in the prescription's lengths, before scaling."""
         full = self.prescription.surfaces[self.prescription.stop].semi_aperture
         return self.aperture_radius / self.scale * (full / self.numbers.entrance_radius)
 
     @property
     def is_round(self) -> bool:
-        """False: off the axis a vignetted pupil is not round."""
+        """False, since off the axis a vignetted pupil is not round."""
         return False
 
     @property
     def pupil_distance(self) -> Any:
-        """Distance from the paraxial exit pupil to the MLA."""
+        """Distance in mm from the paraxial exit pupil to the MLA."""
         return self.mla_distance + self.scale * (self.numbers.rear_principal - self.numbers.exit_pupil)
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of the paraxial exit pupil."""
+        """Radius of the paraxial exit pupil in millimetres."""
         return self.aperture_radius * (self.numbers.exit_radius / self.numbers.entrance_radius)
 
     @property
     def front(self) -> Any:
-        """Coordinate z of the first surface's vertex in the camera frame."""
+        """Coordinate z of the first surface's vertex in the camera frame, in mm."""
         return self.scale * self.numbers.front_principal
 
     @property
     def back_distance(self) -> Any:
-        """Distance from the last surface's vertex to the MLA."""
+        """Distance in mm from the last surface's vertex to the MLA."""
         return self.mla_distance + self.scale * self.numbers.rear_principal
 
     @property
     def front_bounds(self) -> tuple[float, tuple[float, float]]:
-        """Semi-aperture of the first surface, and the range of z that it occupies."""
+        """Semi-aperture of the first surface, and the range of z that the surface occupies, in mm."""
         surface = self.prescription.surfaces[0]
         radius = surface.semi_aperture
         sag = height(surface, radius * radius)
@@ -156,7 +156,7 @@ class LensSystem(FiniteDistance):
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane.
 
-        At wavelengths other than the prescription's own the principal planes move, too.
+        At other wavelengths than the prescription's, the principal planes move, too.
 
         Parameters
         ----------
@@ -188,9 +188,9 @@ class LensSystem(FiniteDistance):
         return self.trace(position, (tx, ty))
 
     def beside(self, point: tuple[Any, Any, Any], slope: Pair, change: Pair) -> tuple[tuple[Any, Any, Any], Pair]:
-        """Return the ray that leaves the MLA from the same position with slightly different slopes.
+        """Return the ray that leaves the MLA from the same position with slightly changed slopes.
 
-        The optics are paraxial: the height is the same on both principal planes. Ray differentials need no more.
+        The change is paraxial: the height is the same on both principal planes. Ray differentials need no more.
 
         Parameters
         ----------
@@ -208,7 +208,7 @@ class LensSystem(FiniteDistance):
         return (moved[0], moved[1], point[2]), (turned[0], turned[1])
 
     def chief_slope(self, height: Any) -> Any:
-        """Return the slope at the MLA of the ray from heights on its y axis through the centre of the stop.
+        """Return the slope, at the MLA, of the ray from heights on the MLA's y axis through the stop's centre.
 
         Parameters
         ----------
@@ -232,7 +232,7 @@ class LensSystem(FiniteDistance):
         return slope
 
     def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
-        """Return the result of `sequential.follow` for rays from the MLA, in lengths of the prescription."""
+        """Return the result of `sequential.follow` for rays from the MLA, in the prescription's lengths."""
         tx, ty = slope
         N = rsqrt(1 + tx * tx + ty * ty)
         x, y = (m / self.scale for m in position)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 def mix_pixels(image: NDArray[Any], fraction: float) -> NDArray[Any]:
     """Return an image with a fraction of each pixel moved to each neighbour; `image` is (rows, columns[, channels]).
 
-    What would leave across the edge stays, so that the sum is unchanged. The operation is its own adjoint.
+    Light that would leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint.
     """
     if not fraction:
         return image

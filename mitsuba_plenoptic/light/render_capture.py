@@ -1,4 +1,4 @@
-"""Ray and wave captures of scenes, and estimates of the time and memory that they take."""
+"""Ray and wave captures of scenes, and estimates of their time and memory."""
 
 from __future__ import annotations
 
@@ -180,25 +180,25 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
-    """Return whether a capture is by waves: as `model` states, or as the scene's integrator does if it is None."""
+    """Return whether a capture is by waves: as `model` states, or by the scene's integrator if `model` is None."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
 
 
 def require_taken(integrator: Any, **given: Any) -> None:
-    """Refuse arguments that a ray capture would ignore; None means not given."""
+    """Refuse arguments that the integrator of a ray capture would ignore; None means not given."""
     if not hasattr(integrator, "wavelengths"):
         refuse_by_rays(**given)
 
 
 def refuse_by_rays(**given: Any) -> None:
-    """Refuse arguments that are for wave captures; None means not given."""
+    """Refuse arguments of wave captures that were given for a ray capture; None means not given."""
     for name, value in given.items():
         if value is not None:
             raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
 
 
 def require_film(film: Any) -> None:
-    """Refuse films with alpha or in other colours than red, green and blue."""
+    """Refuse films with an alpha channel, or in colours other than red, green and blue."""
     channels = film.base_channels_count()
     refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
     # Films show their pixel format only in their description.
@@ -225,7 +225,7 @@ def sample_count(sensor: Any, spp: int | None) -> int:
 
 
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the integrator for a model; refuse one with extra outputs."""
+    """Return the integrator of a light model; refuse integrators with extra outputs."""
     integrator = _integrator(scene, model, wave)
     if integrator.aov_names():
         raise InputError(
@@ -235,7 +235,7 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
 
 
 def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped in a wave integrator or extracted from one as the model requires."""
+    """Return the scene's integrator, wrapped into a wave integrator or taken out of one as the model requires."""
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")
@@ -261,7 +261,7 @@ def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
-    """Return the bytes of a ray capture, for the camera's film or a film of the same aspect with `columns`."""
+    """Return the memory of a ray capture in bytes, for the camera's film or a film of equal aspect with `columns`."""
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
@@ -283,7 +283,7 @@ def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
 
 
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the channels of a film's image and their noise, both in the film's colours."""
+    """Return the channels of a film's image and of its noise, both in the film's colours."""
     image, deviation = image[..., :channels], image[..., channels:]
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
@@ -371,7 +371,7 @@ def estimate_capture(
 
 
 def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Return rays per second, timed with evenly spaced rows of pixels in the order in which Mitsuba traces them."""
+    """Return rays per second, timed on evenly spaced rows of pixels in Mitsuba's tracing order."""
     rows, columns = shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))
@@ -412,7 +412,7 @@ def _render_passes(
     progress: Callable[[int, int], None] | None,
     noise: bool,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
+    """Return the image, rendered in passes, whose memory does not grow with the samples, and the requested noise."""
     most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
     if noise:
         most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())
@@ -438,8 +438,8 @@ def _render_passes(
 def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:
     """Divide samples per pixel into passes of at most `most`, each a power of two.
 
-    Otherwise two threads may share a pixel, and the order in which they add its samples varies. Samplers other than
-    ``independent`` do not draw every count; the smallest that they draw is their least.
+    Otherwise two threads may share a pixel, and the order in which they add samples varies. Samplers other than
+    ``independent`` allow only some counts; their smallest allowed count is used for the smallest pass.
     """
     sampler = sensor.sampler().clone()
 

@@ -1,4 +1,4 @@
-"""Extent of a scene point's light in a camera, and the sampling and window that its field needs.
+"""Extent of a scene point's light in a camera, and the sampling and window that the light's field needs.
 
 Directions are given as direction cosines, as in the angular spectrum.
 """
@@ -62,9 +62,9 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return points (n, m, 2) with points of the rim, the last ones, and blocked points moved inwards to open places.
+    """Return points (n, m, 2) with blocked points moved inwards to open places; the last ones are points of the rim.
 
-    Rim points move towards the mean of the open points, and other blocked points to it.
+    Rim points move towards the mean of the open points; other blocked points move to this mean.
     """
     if not is_open.any(1).all():
         # The beam is narrow and passes between these points.
@@ -127,7 +127,7 @@ def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
 
 
 def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
-    """Refuse a point far within the focal length, such as a point given in metres, whose light exceeds any memory."""
+    """Refuse a point far within the focal length, such as one given in metres, whose light would exceed any memory."""
     g, pitch = float(nearest[2]), min(camera.mla_pitches)
     blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
     if abs(g) < camera.focal_length and blur > _WIDEST * pitch:

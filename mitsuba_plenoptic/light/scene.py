@@ -82,7 +82,7 @@ def _check(
 
 
 def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
-    """Return the defaults of a scene's parameters, of several of one name the first, which Mitsuba uses."""
+    """Return the defaults of a scene's parameters; of several with one name the first, as in Mitsuba."""
     found: dict[str, str] = {}
     for root in roots:
         for each in root.iter("default"):
@@ -130,7 +130,7 @@ def _filled(text: str, values: Mapping[str, str]) -> str:
 
 
 def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
-    """Yield the files of any kind that have a name in the folders."""
+    """Yield existing files, of any kind, with a given name in the folders."""
     if not name or "\0" in name:
         return
     for folder in dict.fromkeys(folders):
@@ -155,7 +155,7 @@ def _refuse_native_code(path: Path, folder: Path) -> None:
 
 
 def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a file that may never end, or whose header claims more data than exist or fit into memory."""
+    """Refuse a resource file that may never end, or whose header claims more data than exist or fit into memory."""
     status = file.stat()
     refuse_if(
         not stat.S_ISREG(status.st_mode),
@@ -209,7 +209,7 @@ KNOWN_PARAMETERS = {
 
 
 def unknown_parameter(plugin: str, name: str) -> str:
-    """Return the message on a parameter that a plugin does not have, with the one that was probably meant."""
+    """Return the message on a parameter that a plugin does not have, with the most similar known one."""
     return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
 
 
@@ -337,7 +337,7 @@ def _load_dictionary(
 
 
 def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[str, str]:
-    """Return parameters with the count of rows that preserves the detector's aspect ratio."""
+    """Return parameters with the number of rows that preserves the detector's aspect ratio."""
     wanted = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
     if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", each) for each in wanted):
         return parameters
@@ -409,11 +409,11 @@ def require_unit(unit: str) -> float:
 
 
 def scale_nodes(nodes: Any, factor: float) -> None:
-    """Multiply the lengths of a parsed scene by a factor; refuse what would change its look, by name.
+    """Multiply the lengths of a parsed scene by a factor; refuse by name what would change the scene's look.
 
-    Radiance stays, so that surfaces and skies look the same. Lamps at points send `factor` squared as much, and media
-    are as many times thinner as paths through them get longer. A plenoptic camera is moved and keeps its own lengths,
-    which are millimetres in every scene.
+    Radiance stays, so that surfaces and skies look the same. The intensity of point lamps grows with the square of
+    `factor`, and media become thinner as paths through them get longer. A plenoptic camera is moved and keeps its
+    lengths, which are millimetres in every scene.
     """
     for node in nodes:
         properties, plugin = node.props, node.props.plugin_name()
@@ -439,12 +439,12 @@ def _matrix(properties: Any) -> np.ndarray:
 
 
 def _scale(properties: Any, factor: float) -> None:
-    """Scale an object together with its place."""
+    """Scale an object and its position."""
     properties["to_world"] = mi.ScalarTransform4f(np.diag([factor, factor, factor, 1]) @ _matrix(properties))
 
 
 def _move(properties: Any, factor: float) -> None:
-    """Scale the place of an object alone."""
+    """Scale an object's position, but not the object."""
     if "to_world" in properties:
         matrix = _matrix(properties)
         matrix[:3, 3] *= factor
@@ -513,7 +513,7 @@ def _bsdf(properties: Any, plugin: str, name: str, factor: float) -> None:
 
 
 def _made() -> tuple[type, ...]:
-    """Return the classes of objects, in the active variant, that have lengths or may hold some that do."""
+    """Return the classes of objects, in the active variant, that have lengths or may contain objects with lengths."""
     return (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
 
 

@@ -80,12 +80,12 @@ class Conic(MicrolensShape):
         return rise * x, rise * y
 
     def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
         return self._excess(wavelength) / self._excess(LINE_D)
 
     @property
     def power(self) -> float:
-        """Power :math:`(n - 1) / R` at the vertex and the line d."""
+        """Power :math:`(n - 1) / R` at the vertex and the d line (587.6 nm), in 1/mm."""
         return self._excess(LINE_D) / self.curvature_radius
 
     def covers(self, x: Any, y: Any) -> Any:

@@ -19,8 +19,8 @@ from .shape import MicrolensShape, known_index, per_millimetre
 class Sampled(MicrolensShape):
     r"""A thin lens whose surface towards the main lens is sampled.
 
-    Light gains the phase :math:`(n - 1) h / \lambda` in waves, h being the height of the surface. Between samples it is
-    a bicubic spline, whose gradient deflects rays.
+    Light gains the phase :math:`(n - 1) h / \lambda` in waves, with the height h of the surface. Between samples the
+    surface is a bicubic spline, whose gradient deflects rays.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ class Sampled(MicrolensShape):
         return along * self._excess(LINE_D), across * self._excess(LINE_D)
 
     def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
         return self._excess(wavelength) / self._excess(LINE_D)
 
     @cached_property
     def power(self) -> float:
-        """Power of the paraboloid of revolution that fits the heights best, at the line d."""
+        """Power, at the d line in 1/mm, of the paraboloid of revolution that best fits the heights."""
         return fitted_power(self.height * self._excess(LINE_D), self._grid)
 
     def covers(self, x: Any, y: Any) -> Any:
@@ -85,7 +85,7 @@ class Sampled(MicrolensShape):
 
 
 def fitted_power(path: NDArray[np.float64], grid: SampledGrid) -> float:
-    """Return the power of the paraboloid of revolution that fits samples of a path best, besides tilt and offset."""
+    """Return the power in 1/mm of the paraboloid that best fits samples of a path, besides tilt and offset."""
     x, y = (np.linspace(-half, half, size) for half, size in zip(grid.reach, path.shape[::-1], strict=True))
     x, y = (values.ravel() for values in np.meshgrid(x, y))
     scale = max(grid.reach)

@@ -1,7 +1,7 @@
-"""Guards of the physics: the light that a computation loses or aliases, measured on its own data, with bounds.
+"""Guards of the physics: the light that a computation loses or aliases, measured in its data, with bounds.
 
-Grids and windows are chosen beforehand, from geometry or by the caller. Each guard measures one fraction of the power
-in the computed fields and thus checks that choice. All bounds are defined here, with their reasons.
+Grids and windows are chosen beforehand, by geometry or by the caller. Each guard checks that choice by a measured
+fraction of the power in the computed fields. All bounds are defined here, with their reasons.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class PhysicsError(InputError):
 
 @dataclass(frozen=True)
 class Guard:
-    """Fraction of the power that a computation loses, and the bounds for warning and error.
+    """A fraction of the power that a computation may lose, with the bounds for warning and error.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ APERTURE = Guard(
 
 
 class _Findings(dict[Guard, float]):
-    """Largest fraction that each guard has found so far."""
+    """The largest fraction that each guard has found so far."""
 
 
 _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
@@ -248,7 +248,7 @@ def require(guard: Guard, fraction: float) -> None:
 
 
 def check_window(in_rim: float, before: float = 0.0) -> None:
-    """Record the fraction of a field's power in the rim of its window, after and before propagation.
+    """Record the growth of a field's power in the rim of its window during propagation, as a fraction of its power.
 
     Parameters
     ----------

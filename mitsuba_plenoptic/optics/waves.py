@@ -34,9 +34,9 @@ def in_millimetres(wavelength: float) -> float:
 def phasor(waves: Any) -> Any:
     r"""Return :math:`\exp(2 \pi i w)` for path differences in waves.
 
-    Paths may be 10^6 waves, which single precision cannot represent. Whole waves are therefore removed in double
-    precision, and only the remainder is passed to sine and cosine in single precision, with an error of 3e-7 rad at any
-    distance.
+    Paths may be 10^6 waves long, which single precision cannot represent to a fraction. Whole waves are therefore
+    removed in double precision; sine and cosine of the remainder are computed in single precision, with an error of
+    3e-7 rad at any distance.
     """
     if not dr.is_array_v(waves):
         return np.exp(2j * math.pi * waves).astype(np.complex64)
@@ -54,7 +54,7 @@ def parabola(square: Any, focal_length: Any, wavelength: float) -> Any:
 
 
 def soft_edge(samples: Any) -> Any:
-    """Return the transmission of an edge that is softened over one sample, at distances inside it in samples.
+    """Return the transmission of an edge softened over one sample, at distances in samples, positive inside.
 
     The steep spectrum of a hard edge would be aliased into the band of the grid.
     """
@@ -63,7 +63,7 @@ def soft_edge(samples: Any) -> Any:
 
 
 def smooth_edge(samples: Any) -> Any:
-    """Return the transmission of an edge as `soft_edge` does, but smoothed by a cubic between the same ends."""
+    """Return the transmission of an edge softened over one sample, like `soft_edge`, but by a cubic."""
     passed = soft_edge(samples)
     return passed * passed * (3 - 2 * passed)
 
@@ -85,7 +85,7 @@ def rim(size: int) -> int:
 def band_edge_fraction(
     spectrum: Field, frequencies: np.ndarray | None = None, weight: np.ndarray | float = 1.0
 ) -> float:
-    """Fraction of the power in the outer eighth of the frequencies; zero frequency is first.
+    """Fraction of a spectrum's power in the outer eighth of the frequencies; zero frequency is first.
 
     `spectrum` has the shape (rows, columns); `frequencies` and `weight` have one value for each row.
     """
@@ -129,11 +129,10 @@ _UNSEEN = 0.01
 
 
 class StepGuard:
-    """Checks of one propagation step: of the field before it, its spectrum, and the field after it.
+    """Checks of one propagation step, made on the field before it, on the spectrum, and on the field after it.
 
-    About 32 rows of each large array are checked, which takes about a hundredth of the step's time. If they do not
-    contain their fraction of the power, because the power is concentrated in few rows, all rows of the spectrum are
-    checked.
+    About 32 rows of each large array are checked, in about a hundredth of the step's time. If these rows do not contain
+    their share of the power, because the power is concentrated in few rows, all rows of the spectrum are checked.
 
     `pitch` is the distance between samples in millimetres.
     """
@@ -240,9 +239,8 @@ def advance(
     r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
-    ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
-    spectrum. `paraxial` and `beyond_paraxial` are as in
-    `transfer`.
+    ones, in millimetres. `part` describes a block of rows: the index of its first row, and the number of rows of the
+    whole spectrum. `paraxial` and `beyond_paraxial` are as in `transfer`.
     """
     packed = drjit_array(array_module().UInt64, as_words(spectrum))
     packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial, beyond_paraxial)
@@ -284,9 +282,9 @@ def transfer(
 ) -> Any:
     r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
 
-    The `paraxial` one is Fresnel's, :math:`\exp(-i k s^2 d / 2)`: light of the frequency :math:`s / \lambda` moves
-    sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section 4.2.3).
-    With `beyond_paraxial`, return the ratio to Fresnel's.
+    The `paraxial` transfer function is Fresnel's, :math:`\exp(-i k s^2 d / 2)`: light of the frequency :math:`s /
+    \lambda` moves sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section
+    4.2.3). With `beyond_paraxial`, the ratio of the exact function to Fresnel's is returned.
     """
     types = array_types(sx)
 

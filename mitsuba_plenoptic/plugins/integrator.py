@@ -45,7 +45,7 @@ from .properties import (
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
-    """Return the names of the camera's parameters that carry gradients, and whether parameters of the scene do.
+    """Return the names of camera parameters that carry gradients, and whether scene parameters carry any.
 
     Parameters with respect to which captures have no derivative are refused.
     """
@@ -71,7 +71,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add to the gradient of a parameter of the camera."""
+    """Add a gradient to that of a camera parameter."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
@@ -221,7 +221,7 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Add the gradients by parameters from a gradient by the capture, for `mi.render`."""
+            """Add the gradients of parameters, from the gradient with respect to the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
@@ -234,7 +234,7 @@ def make_class() -> type:
         def _gradients(
             self, scene: Any, params: Any, sensor: Any, seed: int, spp: int, forward: bool
         ) -> tuple[tuple[str, ...], SignedGradients]:
-            """Return the camera parameters with gradients, and the capture's derivatives; refuse what has none."""
+            """Return the camera parameters with gradients, and the capture's derivatives; refuse unsupported ones."""
             refuse_if(
                 self.method != SIGNED_RAYS, f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}"
             )

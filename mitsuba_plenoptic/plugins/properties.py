@@ -1,4 +1,4 @@
-"""Reading of plugin parameters, with checks of their types, which Mitsuba does not make, and filling of films.
+"""Reading of plugin parameters with checks of their types, which Mitsuba lacks, and filling of films.
 
 Messages state the plugin, the parameter, its value and the rule.
 """
@@ -52,7 +52,7 @@ from ..runtime.backend import drjit_array
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
-    """Return a value of a plugin's properties unchecked; the caller checks it."""
+    """Return a value of a plugin's properties without any check, which is left to the caller."""
     return _plain(props[name]) if name in props else default
 
 
@@ -76,7 +76,7 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
 def require_read(props: Any, plugin: str) -> None:
     """Refuse a parameter that a plugin has not read, as no parameter has its name.
 
-    Mitsuba does so itself once a plugin is made, without the name that was meant.
+    Mitsuba also refuses it once the plugin is made, but without naming the most similar parameter.
     """
     for name in props.unqueried():
         if absent := missing("parameters", name):
@@ -85,12 +85,12 @@ def require_read(props: Any, plugin: str) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return the single entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
+    """Return the only entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
 def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
-    """Return the camera of a plugin's properties and its film, which is the detector."""
+    """Return the camera described by a plugin's properties and by its film, the detector."""
     with naming(plugin):
         given = {
             name: _READERS[entry.form](props, name) if entry.form in _READERS else _plain(props[name])
@@ -124,7 +124,7 @@ def _read_position(props: Any, name: str) -> tuple[float, ...]:
 
 
 def _text_for(read: Callable[..., Any], what: str) -> Callable[[Any, str], Any]:
-    """Return the reader of values that are given as files or their texts, which the function `read` takes."""
+    """Return the reader of values given as files or as text, which the function `read` accepts."""
 
     def read_text(props: Any, name: str) -> Any:
         source = _plain(props[name])
@@ -145,7 +145,7 @@ def _read_glass(props: Any, name: str) -> Any:
 
 
 def _read_response(props: Any, name: str) -> Any:
-    """Return a response of photodiodes, given as a file or the text of a JSON object."""
+    """Return a photodiode response, given as a file or as the text of a JSON object."""
     source = _plain(props[name])
     if not isinstance(source, str) or source.lstrip().startswith("{"):
         return source
@@ -234,7 +234,7 @@ class Colours:
         """Return the spectrum of a film with `channels`; None if each channel of light has one wavelength.
 
         `tables` are spectra of the scene whose products with the responses must be integrated accurately. `count` is
-        that of the wavelengths of each band, by default `nodes`.
+        the number of wavelengths of each band, by default `nodes`.
         """
         if self.table is not None:
             columns = self.table.shape[1] - 1
@@ -292,7 +292,7 @@ class Colours:
         return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
 
     def total_nodes(self) -> int | None:
-        """Return the count of wavelengths at which point spreads are computed; None means as many as they need."""
+        """Return the number of wavelengths at which point spreads are computed; None means as many as needed."""
         return None if self.nodes is None else self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
 
     def parameters(self) -> dict[str, Any]:
@@ -364,13 +364,13 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
 
 
 def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, int]:
-    """Return the sensor, the seed and the count of samples of `mi.render`, which gives indices, arrays or zeros."""
+    """Return the sensor, seed and sample count of a call of `mi.render`, which gives indices, arrays or zeros."""
     sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
     return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
 
 
 def make_base() -> type:
-    """Define the base of such integrators for the active Mitsuba variant; they offer `record` and `parameters`."""
+    """Define the base class of integrators with `record` and `parameters` for the active Mitsuba variant."""
 
     class RecordingIntegrator(mi.SamplingIntegrator):
         plugin: str

@@ -184,7 +184,7 @@ def make_class() -> type:
             return PlenopticCamera(**values, **film_numbers(self.film()))
 
         def _on_detector(self, film_sample: Any) -> Pair:
-            """Return the detector points for film samples, which are fractions of the crop window."""
+            """Return the detector points of film samples, which are fractions of the crop window."""
             film = self.film()
             pixel = self.detector_width / film.size()[0]
             x, y = (
@@ -195,7 +195,7 @@ def make_class() -> type:
             return x, y
 
         def crosstalk_missed(self) -> float:
-            """Estimate from a sample of rays the fraction of the light that passes lenses that are not sampled."""
+            """Return the fraction of light through lenses that are not sampled, estimated from a sample of rays."""
             steps = [step.numpy().astype(int) for step in self._candidates.steps]
             drawn = set(zip(*steps, strict=True))
             around = replace(self._rays.candidates(beyond=max(self._rays.camera.mla_pitches)), limits=None)
@@ -291,7 +291,7 @@ def make_class() -> type:
             return ray
 
         def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
-            """Return points of the four neighbours for light that crosses walls, and the unused part of the sample."""
+            """Return points of the four neighbouring pixels for light that crosses walls, and the unused sample."""
             fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
             scaled = sample[0] / fraction
             side = dr.floor(scaled)
@@ -304,7 +304,7 @@ def make_class() -> type:
             return (moved[0], moved[1]), mi.Point2f(within, sample[1])
 
         def _by_table(self, rays: CameraRays, pixel: Pair, sample: Any, wavelengths: Any) -> tuple[Traced, Any]:
-            """Return rays from the whole pupil to the lenses of pixels, and their weights by the table of responses."""
+            """Return rays from the whole pupil to the lenses of pixels, weighted by the photodiodes' response table."""
             size = self.detector_width / self.film().size()[0]
             point, slope, side = rays.pass_pixel_lens(pixel, size, sample)
             lens = rays.lens
@@ -326,7 +326,7 @@ def make_class() -> type:
             return self._sample(time, sample1, sample2, sample3, active, differential=True)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            """Refuse light tracing: a scene point sees the detector through many lenses at once."""
+            """Refuse light tracing, as a scene point sees the detector through many lenses at once."""
             raise InputError(
                 f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
                 "lenses; use path or direct"
@@ -358,7 +358,7 @@ def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
 
 
 def _flags(entry: Parameter) -> Any:
-    """Return the flags that state whether ray captures can be differentiated with respect to a parameter."""
+    """Return Mitsuba's flags for a parameter: whether ray captures are differentiable with respect to it."""
     if Captures.RAYS not in entry.gradients:
         return mi.ParamFlags.NonDifferentiable
     flags = mi.ParamFlags.Differentiable
@@ -366,7 +366,7 @@ def _flags(entry: Parameter) -> Any:
 
 
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
-    """Return single-precision values as given, or as their shortest decimals: 0.512 for 0.5120000243."""
+    """Return single-precision values as first given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(given).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}

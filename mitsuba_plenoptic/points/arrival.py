@@ -1,4 +1,4 @@
-"""The field of one scene point behind the exit pupil, and just before the microlenses."""
+"""The field of one scene point behind the exit pupil and directly in front of the microlenses."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def grids_around(
     refinement: float = 1.0,
     growth: float = 1.0,
 ) -> FieldGrids:
-    """Choose grids that hold the fields of all scene points (n, 3) with these footprints; `what` names the work."""
+    """Choose grids that hold the fields of all scene points (n, 3) around an image; `what` names the work."""
     camera, wavelength = system.camera, system.wavelength
     p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
@@ -166,7 +166,7 @@ class SampledField:
 
 
 def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
-    """Return a field on a grid of another pitch, of either sign, as its samples determine it by their band limit."""
+    """Return a field interpolated by its band limit on a grid of another pitch, of either sign."""
     arrays = backend().arrays
     # Along y, then along x.
     matrices = []
@@ -281,7 +281,7 @@ def telecentric_arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> tuple[SampledField, SampledField]:
-    """Return the field on the stop, and that in the native image just before the microlenses, for a scene point (3,).
+    """Return the fields of a scene point (3,) on the stop and in the native image directly before the microlenses.
 
     Both have the power 1, except for light that misses the detector's window.
     """

@@ -1,9 +1,9 @@
-"""The complex field of many mutually coherent points in the planes of the camera, and its adjoint.
+"""The complex field of many mutually coherent points in the planes of the camera, and the adjoint.
 
-The field on the pupil is a sum over layers of distance (see `pupil_sums`). From there it goes through the camera as
-that of a single point does (see `full_field`): by its angular spectrum to the array, through the microlenses by their
-diffraction orders, and by its angular spectrum to the detector. All of this is linear; the adjoint applies the adjoints
-of the steps in opposite order. Transfer functions and transmissions then are conjugated.
+The field on the pupil is a sum over layers of distance (see `pupil_sums`). It propagates through the camera like a
+single point's field (see `full_field`): by its angular spectrum to the array, through the microlenses by their
+diffraction orders, and by its angular spectrum to the detector. All steps are linear; the adjoint applies their
+adjoints in opposite order, with conjugated transfer functions and transmissions.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def require_coherent(camera: PlenopticCamera) -> None:
 class CoherentFields:
     """Fields of scene points (n, 3) of a camera with a thin main lens, each of unit power through the pupil.
 
-    The phase of a point's amplitude is that of its field at the centre of the pupil.
+    The phase of a point's amplitude is the phase of the point's field at the centre of the pupil.
     """
 
     def __init__(self, system: OpticalSystem, points: NDArray[np.float64]) -> None:
@@ -77,7 +77,7 @@ class CoherentFields:
             return SampledField(fft2(spectrum, inverse=True), array.origin, array.pitch)
 
     def intensity(self, amplitudes: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """Integrate the intensity of the field on the detector over the recorded pixels."""
+        """Return the intensity of the field on the detector, integrated over each recorded pixel."""
         array = self.at(amplitudes, "array")
         spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
         del array
@@ -105,7 +105,7 @@ class CoherentFields:
 
     @property
     def transforms(self) -> int:
-        """Number of transforms of the pupil that a field takes, in all layers."""
+        """Number of transforms of the pupil that a field takes, in all layers together."""
         return sum(layer.rank for _, layer in self._layers)
 
     @property
@@ -126,7 +126,7 @@ class CoherentFields:
         return SampledField(field, self.grids.wide_origin, self._pupil_pitch)
 
     def _before_microlenses(self, field: Field) -> Field:
-        """Apply the adjoint of the microlenses and of the propagation to the detector."""
+        """Return a detector field carried back through the adjoints of the propagation and of the microlenses."""
         camera = self.system.camera
         with resting_drjit():
             spectrum = fft2(field)
@@ -138,7 +138,7 @@ class CoherentFields:
         return field.conj()
 
     def _behind_pupil(self, field: Field) -> Field:
-        """Apply the adjoint of the propagation from the pupil to the array."""
+        """Return a field on the array carried back to the pupil by the adjoint of the propagation."""
         grids, camera = self.grids, self.system.camera
         with resting_drjit():
             spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
@@ -148,14 +148,14 @@ class CoherentFields:
 
 
 def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
-    """Return the footprints of points, computed for some of them at a time."""
+    """Return the footprints of points, computed for a limited number of points at a time."""
     parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
     names = [field.name for field in dataclasses.fields(Footprint)]
     return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
-    """Transform the detector's window along one axis to the spectrum of the wide window: adjoint of `onto_window`."""
+    """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
     arrays, count = backend().arrays, grids.wide_pupil
     start, size = grids.offset[1 - axis], field.shape[axis]
     positive = (count + 1) // 2

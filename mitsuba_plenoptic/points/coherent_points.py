@@ -1,4 +1,4 @@
-"""The part of a `CaptureOperator` that concerns mutually coherent points: complex fields and their adjoint."""
+"""Complex fields of mutually coherent points, and their adjoints, as a part of `CaptureOperator`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .coherent import CoherentFields, check_amplitudes, check_samples, require_p
 
 
 class CoherentPoints(ABC):
-    """Points whose light may add as fields."""
+    """Points whose light may add coherently, as fields."""
 
     points: NDArray[np.float64]
 
@@ -31,14 +31,14 @@ class CoherentPoints(ABC):
 
     @one_at_a_time
     def field(self, amplitudes: Any, *, plane: str = "detector") -> SampledField:
-        r"""Add the complex fields of all points, which are mutually coherent, each with an amplitude.
+        r"""Return the sum of the complex fields of all points, which are mutually coherent, each with an amplitude.
 
         .. math:: U(p) = \sum_r a_r \, u_r(p)
 
-        where the point spread of `forward` is the integral of :math:`|u_r|^2` over a pixel, before the light that the
-        method "patch" leaves out. The phase of an amplitude is that of the point's field at the centre of the pupil.
-        Points of similar distance are propagated together: the time depends little on their count. The main lens must
-        be thin, and there must be one wavelength and no `pupil_weights`.
+        where the point spread of `forward` is the integral of :math:`|u_r|^2` over a pixel, apart from the light that
+        the method "patch" leaves out. The phase of an amplitude is the phase of the point's field at the centre of the
+        pupil. Points of similar distance are propagated together: the time depends little on their number. The main
+        lens must be thin, and there must be one wavelength and no `pupil_weights`.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """Sources at infinity as points with weights for `CaptureOperator`: stars, binaries, and discs from pictures.
 
-Directions are angles in arcseconds in the camera frame: +x is to the left of the picture that the camera takes, +y up.
+Directions are angles in arcseconds in the camera frame: +x is to the left in the camera's picture, +y up.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
 def binary(
     separation: float, *, angle: float = 0.0, ratio: float = 1.0, direction: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Points, Points]:
-    """Return two stars, the brighter one first, which together have the power 1.
+    """Return the points and weights of two stars, the brighter one first, with a total power of 1.
 
     Parameters
     ----------
@@ -97,8 +97,7 @@ def binary(
 def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.0, 0.0)) -> tuple[Points, Points]:
     """Return points and weights of an extended source, one point for each bright pixel of a picture.
 
-    Pixels should be narrower than the telescope resolves, wavelength / 2 diameter. The points together have the power
-    1.
+    Pixels should be narrower than the telescope resolves, wavelength / 2 diameter. The total power is 1.
 
     Parameters
     ----------

@@ -2,12 +2,12 @@ r"""Sums of plane waves of any directions on a regular grid, and the adjoint: a 
 
 .. math:: F(k_y, k_x) = \sum_j c_j \, e^{2 \pi i (k_x x_j + k_y y_j)}
 
-for integers :math:`k = -\lfloor N/2 \rfloor, \ldots` and frequencies :math:`|x_j|, |y_j| < 1/2` in cycles per sample.
-Each plane wave is spread over neighbouring frequencies of a grid that is twice as fine as that of the transform, by a
-Kaiser-Bessel function; the transform of that grid is divided by the function's own transform (Beatty, Nishimura and
-Pauly, "Rapid gridding reconstruction with a minimal oversampling ratio", 2005, for the function's parameter). Only the
-frequencies that occur are stored and transformed: laser spots occupy some tenth of them along each axis, for which
-FINUFFT 2.5, at the same error, takes 2.6 to 5 times the processor time of a sum.
+for integers :math:`k = -\lfloor N/2 \rfloor, \ldots` and frequencies :math:`|x_j|, |y_j| < 1/2` in cycles per sample. A
+Kaiser-Bessel function spreads each plane wave over neighbouring frequencies of a grid twice as fine as that of the
+transform; the transform of the fine grid is divided by the function's transform (Beatty, Nishimura and Pauly, "Rapid
+gridding reconstruction with a minimal oversampling ratio", 2005, for the function's parameter). Only the frequencies
+that occur are stored and transformed: laser spots occupy some tenth of them along each axis, for which FINUFFT 2.5, at
+the same error, takes 2.6 to 5 times the processor time of a sum.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POINT_BYTES = 8.0 * _WIDTH**2 + 80
 
 
 class PlaneWaves:
-    """Plane waves of frequencies (n, 2), n > 0, x and y in cycles per sample, on `count` x `count` samples."""
+    """Plane waves of frequencies (n, 2) in cycles per sample, x and y, on a grid of `count` x `count` samples."""
 
     def __init__(self, frequencies: NDArray[np.float64], count: int) -> None:
         self.count = count
@@ -60,9 +60,9 @@ class PlaneWaves:
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
-        """Return an upper bound in bytes of the memory of the sums, without the memory of each plane wave.
+        """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the waves.
 
-        `band` is the part of the frequencies from -1/2 to 1/2, along each axis, that occurs.
+        `band` is the occupied part, along each axis, of the frequencies from -1/2 to 1/2.
         """
         held = band * length(count) + 2 * _WIDTH
         return 8.0 * held * (2.0 * count + held)
@@ -76,7 +76,7 @@ class PlaneWaves:
             yield rows, _to_samples(tall[rows], self._low[0], self._length, self.count, 1) * self._correction
 
     def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
-        """Return the inner product of each plane wave with samples, which come in blocks of rows."""
+        """Return each plane wave's inner product with samples, which come in blocks of rows."""
         tall = np.empty((self.count, self._shape[1]), np.complex64)
         for rows, block in samples:
             given = block * self._correction
@@ -88,7 +88,7 @@ class PlaneWaves:
 
 
 def length(count: int) -> int:
-    """Return the length of the transforms for some samples."""
+    """Return the length of the transforms for a number of samples."""
     return fast_length(_OVERSAMPLING * count + 2 * _WIDTH)
 
 

@@ -42,12 +42,12 @@ METHODS = tuple(PLANS)
 
 
 class CaptureOperator(CoherentPoints):
-    r"""Image that a camera's detector records from incoherent point sources, as a linear function of their weights.
+    r"""The image that a camera records of incoherent point sources, as a linear function of the points' weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
     where psf is the fraction of the power through the visible pupil that falls on the pixel p. All data that do not
-    depend on the weights are planned on first use, and cached.
+    depend on the weights are computed on first use, and cached.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ class CaptureOperator(CoherentPoints):
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
-        """Add the point spreads of all points, each with a weight.
+        """Return the image: the sum of the point spreads of all points, each with a weight.
 
-        The bits of the result do not depend on the number of threads or workers, or on whether the sum was resumed.
+        The bits of the result depend neither on the number of threads or workers, nor on whether the sum was resumed.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class CaptureOperator(CoherentPoints):
 
     @one_at_a_time
     def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
-        """Return the inner product of an image with the point spread of every point, the transpose of `forward`.
+        """Return each point spread's inner product with an image: the transpose of `forward` applied to the image.
 
         Parameters
         ----------
@@ -221,10 +221,10 @@ class CaptureOperator(CoherentPoints):
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the derivative of `forward` along changes of the camera's parameters.
 
-        Points, weights, the relative power over each pupil and the total power through it are fixed. Behind a real main
-        lens, for up to 512 points, or at accuracies below 0.004, each point has a spread of its own; otherwise points
-        share spreads as in `forward`, and each copy includes the changes by its own lenses. The method must be "patch",
-        and cameras with an objective are not supported.
+        Points, weights, the relative power over each pupil and the total power through it are fixed. Each point has its
+        own spread behind a real main lens, for up to 512 points, and at accuracies below 0.004; otherwise points share
+        spreads as in `forward`, and each copy includes the changes in its lenses. The method must be "patch", and
+        cameras with an objective are not supported.
 
         Parameters
         ----------
@@ -256,7 +256,7 @@ class CaptureOperator(CoherentPoints):
     def jacobian(
         self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
     ) -> NDArray[np.float32]:
-        """Return the derivatives of `forward` in several directions; the fields are computed once for all of them.
+        """Return the derivatives of `forward` in several directions, with the fields computed once for all.
 
         Parameters
         ----------
@@ -287,9 +287,9 @@ class CaptureOperator(CoherentPoints):
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradient by camera parameters of a scalar with a given gradient by the image.
+        """Return the gradient of a scalar by camera parameters, given the scalar's gradient by the image.
 
-        All parameters together take one reverse pass through all point spreads.
+        One reverse pass through all point spreads serves all parameters.
 
         Parameters
         ----------
@@ -357,7 +357,7 @@ class CaptureOperator(CoherentPoints):
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
 
     def as_linear_operator(self) -> Any:
-        """Return the operator of one channel for SciPy's solvers, between flat arrays.
+        """Return the operator of one channel, between flat arrays, for SciPy's solvers.
 
         Returns
         -------
@@ -392,7 +392,7 @@ class CaptureOperator(CoherentPoints):
 
     @property
     def sums(self) -> int:
-        """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
+        """Number of sums of point spreads in an image: one for each distinct wavelength, or for each node."""
         return self._channels.sums
 
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
@@ -411,7 +411,7 @@ class CaptureOperator(CoherentPoints):
         return self.sums * len(self.points)
 
     def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
-        """Return the data that identify a sum."""
+        """Return the facts that identify a sum in checkpoints."""
         pupils = self._pupil_weights
         arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
         return {

@@ -1,4 +1,4 @@
-"""Point spread of one scene point through the camera, and its fields at the planes in between."""
+"""Point spread of one scene point through the camera, and its fields in the planes on the way."""
 
 from __future__ import annotations
 

@@ -4,14 +4,14 @@ At the point P of the pupil, the field of the point X is the amplitude of X time
 
 .. math:: B(P, X) \, e^{2 \pi i p(P, X)}, \qquad p(P, X) = p_0(P) + c(P, X) + r(P, X)
 
-with the path p in waves as in `lenses`, that to the pupil's centre being 0. :math:`p_0` is common to a layer, and c are
-waves of which sums over points are convolutions or transforms (see `carriers`): spheres of one radius behind an ideal
-main lens, tilts behind a parabolic one. What is left, r, is small and smooth: the defocus within the layer and, with
-tilts, the non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a
-few products of a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and
-a singular value decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier
-integral operators", 2009, use the same separation). The cost is one convolution or transform for each of these
-products, whatever the count of points, and no step is paraxial.
+with the path p in waves as in `lenses`, 0 to the pupil's centre. :math:`p_0` is common to a layer, and c are waves of
+which sums over points are convolutions or transforms (see `carriers`): spheres of one radius behind an ideal main lens,
+tilts behind a parabolic one. The remainder r is small and smooth: the defocus within the layer and, with tilts, the
+non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a few products of
+a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and a singular value
+decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier integral operators",
+2009, use the same separation). The cost is one convolution or transform for each of these products, for any number of
+points, and no step is paraxial.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _RINGS, _SPOKES = 8, 24
 
 
 class Layer:
-    """Points of similar distance, (n, 3), with unit power each through the pupil, on the samples of a grid."""
+    """Points (n, 3) of similar distance, each with unit power through the pupil, on the samples of a grid."""
 
     def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
@@ -113,7 +113,7 @@ class Layer:
 
     @property
     def _half(self) -> float:
-        """Half the side of the square between whose nodes the fields are interpolated."""
+        """Half the side, in mm, of the square of nodes between which the fields are interpolated."""
         return self._grid.pitch * (self._grid.count // 2 + 1)
 
     def _common(self) -> Field:
@@ -130,12 +130,12 @@ class Layer:
         return as_field(pack(light), (grid.count, grid.count))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
-        """Return a function of P at rows of the samples, interpolated from values at the nodes."""
+        """Return a function of P at rows of the samples, interpolated from its values at the nodes."""
         along_x, along_y = self._interpolation
         return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
 
     def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return as many Chebyshev nodes between -1 and 1 as the layer needs."""
+        """Return the Chebyshev nodes between -1 and 1 that the layer needs."""
         some = _extremes(points)
         radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
         # A sunflower's pattern covers the pupil evenly.
@@ -160,7 +160,7 @@ class Layer:
     def _remainder(
         self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], which: Any
     ) -> NDArray[np.complex128]:
-        """Return B exp(2 pi i r) at m positions on the pupil for some of the points, (m, n)."""
+        """Return B exp(2 pi i r) at m positions on the pupil for some points, (m, n)."""
         point = tuple(points[which].T)
         waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
         waves = self._carrier.remainder(waves, x, y, which)
@@ -170,7 +170,7 @@ class Layer:
 
 
 def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
-    """Return the kind of waves from which the points' fields differ least: spheres behind an ideal lens, else tilts."""
+    """Return the kind of carrier waves that leaves the smallest remainder: spheres behind an ideal lens, else tilts."""
     spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
     return Spheres if spheres else Tilts
 
@@ -186,12 +186,12 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
 
 
 def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-    """Return an upper bound in bytes of the memory of the field of points (n, 3), without the memory of each point."""
+    """Return an upper bound, in bytes, of the memory of points' fields, apart from memory that grows with points."""
     return carrier_type(lens, points, grid).memory(lens, points, grid)
 
 
 def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the integral (n,) over the pupil of the squared amplitude of each point's light."""
+    """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
     nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
     radius = lens.pupil_radius * np.sqrt((nodes + 1) / 2)
     angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
@@ -202,7 +202,7 @@ def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the orthonormal functions (m, k) that represent some factors (m, n) within the tolerance."""
+    """Return the orthonormal functions (m, k) that represent factors (m, n) within the tolerance."""
     basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
     tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
     return np.asarray(basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))])
@@ -213,7 +213,7 @@ def _completed(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return a basis extended by functions that factors (m, n) need, and the factors' coefficients.
 
-    Points that are far from most others have such factors.
+    Points far from most others need such functions.
     """
     power = _squares(factors)
     while True:
@@ -236,7 +236,7 @@ def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the indices of points on the edges of the layer along all of its diagonals."""
+    """Return the indices of points on the edges of the layer, along all of its diagonals."""
     tilt = points[:, :2] / points[:, 2:]
     directions = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
     values = np.column_stack([tilt, 1 / points[:, 2]])

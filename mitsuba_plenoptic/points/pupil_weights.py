@@ -15,7 +15,7 @@ from ..runtime.backend import drjit_array
 
 
 def spline_parts(position: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the cubic B-splines of the four nearest knots, at positions from 0 to 1 between the middle two."""
+    """Return the weights of a cubic B-spline's four nearest knots, at positions 0 to 1 between the middle two."""
     left = 1 - position
     return left**3 / 6, 2 / 3 - position**2 + position**3 / 2, 2 / 3 - left**2 + left**3 / 2, position**3 / 6
 
@@ -41,7 +41,7 @@ class PupilWeights:
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
-        """Return the pupil weights of `count` points, None if all points see the whole pupil alike.
+        """Return the pupil weights of `count` points, None if the whole pupil is open to all points alike.
 
         The weights have the shape (points, m, m): relative power, or booleans for the visible part. None means uniform
         power.
@@ -81,14 +81,14 @@ class PupilWeights:
         return replace(self, table=self.table[used], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
-        """Return for each point whether any light passes its pupil."""
+        """Return, for each point, whether any light passes the pupil."""
         return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
-        """Return the weights, and their square roots, averaged over samples of the pupil.
+        """Return the weights, and their square roots, averaged over each sample of the pupil.
 
-        The steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider than a
-        cell are treated as one cell wide.
+        Otherwise the steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider
+        than a cell are treated as one cell wide.
         """
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
@@ -130,7 +130,7 @@ class PupilWeights:
 
 
 def _border(position: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
-    """Return the two cells that a sample of some half width overlaps, and the fraction of the sample on each."""
+    """Return the two cells that a sample of a given half width overlaps, and its fraction on each."""
     low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
     # The fraction of the sample beyond the border between the two cells.
     beyond = dr.clip((position + half - high) / (2 * half), 0, 1)

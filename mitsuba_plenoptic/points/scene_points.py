@@ -1,8 +1,8 @@
-r"""Incoherent points on a scene's surfaces where the camera's rays first hit; the reference method adds up their light.
+r"""Incoherent points on a scene's surfaces where the camera's rays first hit, for the reference method.
 
 A ray through a point q of the microlens array and a point P of the pupil hits a surface at X, where the child
-integrator finds the radiance L. The surface is taken to radiate evenly in all directions; shadow rays find the parts of
-the pupil that can see it. With n such rays from each lens, all pixels together record from a point
+integrator finds the radiance L. The surface is assumed to radiate uniformly in all directions; shadow rays find the
+parts of the pupil that it lights. With n such rays from each lens, all pixels together record from a point
 
 .. math:: L \, \frac{A_c}{n} \frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
 
@@ -59,7 +59,7 @@ _EVEN = 1e-3
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """Points that emit or reflect light, in the camera frame."""
+    """Points that emit or reflect light, in the camera frame, with their radiance."""
 
     # Positions (x, y, z), an array (n, 3).
     positions: NDArray[np.float64]
@@ -155,7 +155,7 @@ def _require_memory(count: int, lenses: int) -> None:
 
 @dataclass(frozen=True)
 class _Finder:
-    """Traces rays, which are indexed lens by lens."""
+    """Tracer of rays that are numbered lens by lens."""
 
     lights: Sequence[SceneLight]
     system: OpticalSystem
@@ -164,10 +164,10 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Return the points at which traced rays of the given indices meet the scene.
+        """Return the points where traced rays, given by their numbers, meet the scene.
 
-        Return the positions, radiance, slants, visible pupil cells as bits, and lenses of the lit points that rays
-        hit, and the lenses of all rays that pass the main lens.
+        For lit points that rays hit, the positions, radiance, slants, visible pupil cells as bits, and lenses are
+        returned; also the lenses of all rays that pass the main lens.
         """
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
@@ -218,7 +218,7 @@ class _Finder:
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
-        """Return, as bits (n, bytes), the pupil cells that see points; the cell of a point's ray always does."""
+        """Return the pupil cells that see points as bits (n, bytes); the cell of the point's own ray always does."""
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
@@ -266,7 +266,7 @@ def _landing(
 
 @dataclass(frozen=True)
 class PointsCapture:
-    """A capture by method ``points``: the camera, the light, the spectrum and the accuracy."""
+    """A capture by method ``points``: camera, light, spectrum, and accuracy."""
 
     camera: PlenopticCamera
     # Radiance along rays; the channels of the light are those of all entries, one after another.
@@ -279,10 +279,7 @@ class PointsCapture:
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Return the capture of the scene.
-
-        The result has the shape (rows, columns, channels).
-        """
+        """Return the capture of the scene, an array (rows, columns, channels)."""
         refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
@@ -300,7 +297,7 @@ class PointsCapture:
         return image
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Return the estimated cost of `compute` without ray tracing, from all points and some of their spreads."""
+        """Return the estimated cost of `compute`, from all points and some of their point spreads."""
         points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
         return replace(self._operator(points).estimate(job), points=len(points.positions))
 

@@ -1,4 +1,4 @@
-"""At how many wavelengths the spreads of points must be computed, for light of a band."""
+"""Number of wavelengths at which point spreads must be computed for light of a band."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def with_enough_nodes(
 ) -> Spectrum:
     """Return a spectrum with as few nodes as accurate point spreads need.
 
-    The number of nodes is raised in steps until images of each point, by every channel, change by no more than half
-    of the error; the other half allows for the error that remains.
+    The number is raised in steps until images of each point, in every channel, change by no more than half of the
+    error; the other half allows for the remaining error.
 
     `points` are a few representative points; `error` is relative (L2) and applies to the image of each channel.
     """
@@ -82,7 +82,7 @@ def _cropped(camera: PlenopticCamera, rows: slice, columns: slice) -> PlenopticC
 
 
 def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
-    """Return the relative difference (L2) of the channel that differs most."""
+    """Return the relative difference (L2) between images, of the channel with the largest one."""
     norms = np.sqrt(np.sum(np.square(reference, dtype=np.float64), axis=(0, 1)))
     change = np.sqrt(np.sum(np.square(image - reference, dtype=np.float64), axis=(0, 1)))
     return float(np.max(change[norms > 0] / norms[norms > 0], initial=0.0))

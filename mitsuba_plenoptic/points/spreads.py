@@ -1,4 +1,4 @@
-"""Point spreads one by one, in the pixels that each of them reaches."""
+"""Point spreads one by one, each in the pixels that it reaches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TOGETHER_BYTES = 2**26
 
 @dataclass(frozen=True)
 class Spread:
-    """The point spread that some points share, in the pixels of a window of the image."""
+    """A point spread shared by some points, in the pixels of a window of the image."""
 
     points: NDArray[np.int64]
     window: tuple[slice, slice]
@@ -63,20 +63,20 @@ class PatchSpreads(PatchPlan):
             guards.check(guards.PATCH, loss)
 
     def _few(self, chunk: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Return parts of a chunk whose patterns fit into memory together."""
+        """Return the parts of a chunk whose patterns fit into memory together."""
         corner, samples = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
         tile = 4.0 * float((np.ptp(corner, axis=0) + samples).prod())
         size = max(1, int(_TOGETHER_BYTES // tile))
         return [chunk[first : first + size] for first in range(0, len(chunk), size)]
 
     def _apart(self, patterns: NDArray[np.int64]) -> Scatter:
-        """Return the data of patterns with one channel for each."""
+        """Return the data of patterns with a separate channel for each."""
         channels = np.eye(len(patterns), dtype=np.float32)
         copies = [Copies(np.zeros((1, 2), np.int64), channel[None]) for channel in channels]
         return Scatter(self._fields(patterns), np.full(len(patterns), self.gain**0.5), copies)
 
     def _recorded(self, pattern: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Recorder]]:
-        """Yield the points, the shift and the pixels of each copy of a pattern that reaches any."""
+        """Yield points, shift and pixels of each copy of a pattern that reaches recorded pixels."""
         members = slice(self._first[pattern], self._last[pattern])
         shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
         for index, shift in enumerate(shifts):

@@ -26,8 +26,8 @@ class StoredOperator(CaptureOperator):
     """`CaptureOperator` that computes its point spreads once and stores them, one set per wavelength.
 
     `forward` and `adjoint` are then products with a sparse matrix, for any number of columns of weights or channels of
-    an image. Spreads are computed at the first product. The derivatives by the camera's parameters compute their fields
-    anew, as those of `CaptureOperator` do.
+    an image. Point spreads are computed at the first product. Derivatives by camera parameters compute the fields anew,
+    as in `CaptureOperator`.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class StoredOperator(CaptureOperator):
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[Any]:
-        """Add the point spreads of all points, each with a weight.
+        """Return the image: the sum of the point spreads of all points, each with a weight.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class StoredOperator(CaptureOperator):
 
     @one_at_a_time
     def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
-        """Return the inner product of an image with the point spread of every point, the transpose of `forward`.
+        """Return each point spread's inner product with an image: the transpose of `forward` applied to the image.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class StoredOperator(CaptureOperator):
 
     @one_at_a_time
     def to_dense(self, *, job: Job | None = None) -> NDArray[Any]:
-        """Return the operator as an array between flat arrays.
+        """Return the operator as a dense matrix between flat arrays.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class StoredOperator(CaptureOperator):
         return self._matrices
 
     def _matrix(self, spreads: Any) -> Any:
-        """Collect spreads as the columns of a matrix (pixels, n)."""
+        """Return a matrix (pixels, n) with point spreads as its columns."""
         index = np.arange(math.prod(self.camera.shape), dtype=np.int32).reshape(self.camera.shape)
         empty = np.zeros(0, np.int32), np.zeros(0, self._dtype)
         columns = [empty] * len(self.points)

@@ -14,9 +14,9 @@ from ..light.optical_system import OpticalSystem
 
 
 def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:
-    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`, the camera's part of a point's weight.
+    r"""Return the camera's factor in a point's weight, :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`.
 
-    The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that it represents.
+    The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that the point represents.
     """
     pupil = math.pi * pupil_radius**2
     return pupil * reduced_distance**2 / (lattice.lens_area * pixel_size**2)
@@ -28,7 +28,7 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
 
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `brightness` with the part of the pupil that is open to each of some points, (n,)."""
+    """Return `brightness` with the open part of the pupil for each point, (n,)."""
     return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
 
 

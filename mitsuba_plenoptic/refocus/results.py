@@ -1,4 +1,4 @@
-"""Results: images refocused to one distance, on disk as OpenEXR, and volumes of them, as TIFF or Zarr."""
+"""Results: images refocused to one distance, as OpenEXR files, and volumes, as TIFF or Zarr files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ALONG = {"z": 0, "y": 1, "x": 2}
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction(Displayed):
-    """An image refocused to one distance.
+    """An image refocused to one object distance.
 
     Attributes
     ----------
@@ -153,8 +153,8 @@ class Volume:
     def of(cls, results: Sequence[Reconstruction]) -> Volume:
         """Return the volume of reconstructions of one capture.
 
-        Bins grow with the distance. Here all planes have voxels as wide as the finest bins, over the field of the
-        farthest plane, interpolated linearly between the centres of their own bins.
+        Bins grow with the distance. All planes of a volume have voxels as wide as the finest bins, over the field of
+        the farthest plane, interpolated linearly between bin centres.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class Volume:
 
     @property
     def spacing(self) -> float | None:
-        """Distance between planes; None for one plane, and where it varies by more than a thousandth."""
+        """Distance between planes in mm; None for one plane, and for distances that vary by more than a thousandth."""
         steps = np.diff(self.distances)
         if not len(steps) or float(np.ptp(steps)) > 2 * _EVEN * float(steps.mean()):
             return None
@@ -259,7 +259,7 @@ class Volume:
         return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
-        """Return the volume as an array with the axes ``distance``, ``y`` and ``x``, from the axis, x to the right."""
+        """Return the volume as an array with axes ``distance``, ``y`` and ``x``, which start on the optical axis."""
         _, rows, columns = self.values.shape[:3]
         coordinates = {
             "distance": list(self.distances),
@@ -272,7 +272,7 @@ class Volume:
 
 
 def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
-    """Return a path after a check, before a long computation, that a volume of these planes can be written there."""
+    """Return a path after a check, before a long computation, that a volume of these planes can be written to it."""
     path = require_writable(path, *SUFFIXES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)
@@ -324,7 +324,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
 
 
 def _ome(volume: Volume, axes: str) -> dict[str, Any]:
-    """Return the description of a volume for OME's XML."""
+    """Return a volume's description for OME-XML."""
     channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
     positions = [distance for distance in volume.distances for _ in range(channels)]
     spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
@@ -345,7 +345,7 @@ def _is_ome(path: Path) -> bool:
 
 
 def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
-    """Return voxels from bins `width` voxels wide about the same middle, along one axis; NaN beyond the bins."""
+    """Return voxels along one axis, interpolated from bins `width` voxels wide; NaN beyond the bins."""
     bins = image.shape[axis]
     position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
     outside = np.abs(position - (bins - 1) / 2) > bins / 2 + 1e-6

@@ -1,4 +1,4 @@
-"""Animations: GIF, and MP4 where imageio-ffmpeg is installed."""
+"""Animations as GIF, and as MP4 if imageio-ffmpeg is installed."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def write_animation(
 
 
 def _labelled(picture: Image.Image, text: str) -> Image.Image:
-    """Return a picture with an outlined text of suitable size."""
+    """Return a picture with outlined text of suitable size on it."""
     if text:
         size = max(9, picture.height // 20)
         at = (size // 2, picture.height - size // 2)
@@ -87,7 +87,7 @@ def _labelled(picture: Image.Image, text: str) -> Image.Image:
 
 
 def _write_mp4(writer: Any, path: Path, pictures: Sequence[Image.Image]) -> None:
-    """Write H.264, which needs even sides: an odd side loses its last line."""
+    """Write pictures as H.264, which needs even sides: an odd side loses its last line."""
     width, height = (side // 2 * 2 for side in pictures[0].size)
     # Without a macro block size of its own the writer would resize.
     video = writer.write_frames(str(path), (width, height), fps=_RATE, quality=8, macro_block_size=2)

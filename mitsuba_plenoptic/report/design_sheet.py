@@ -1,4 +1,4 @@
-"""Quantities that follow from a camera's parameters, as a sheet."""
+"""The design sheet: quantities that follow from a camera's parameters."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _Line = tuple[str, str, str, str]
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
-    """Return the rows of a camera's parameters and derived quantities; without a wavelength not of diffraction."""
+    """Return a camera's parameters and derived quantities as rows; diffraction only with a wavelength."""
     if camera.objective is not None or isinstance(camera.main_lens, Collimator):
         if camera.objective is not None:
             seen = _microscope_groups(camera, camera.objective, wavelength)
@@ -93,7 +93,7 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
 
 
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Return lines with paraxial quantities of a real main lens, and its spots and light over the field."""
+    """Return lines with a real main lens's paraxial quantities, and its spots and light over the field."""
     cardinal = paraxial(lens)
     scale = camera.focal_length / cardinal.focal_length
     wanted = f"at {lens.wavelength:g} nm"
@@ -223,7 +223,7 @@ def _seen(camera: PlenopticCamera) -> str:
 
 
 def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
-    """Whether the main lens forms an image of a plane at a finite distance."""
+    """Return whether the main lens forms an image of a plane at a finite distance."""
     try:
         image_distance(camera.focal_length, distance)
     except InputError:
@@ -300,7 +300,7 @@ def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) ->
 
 
 def _distance(value: float) -> tuple[str, str]:
-    """Return a distance and its unit as texts, also for no plane and for infinity."""
+    """Return a distance and its unit as texts; the text may be that for infinity or for no plane."""
     if value < 0:
         return "none", ""
     return ("infinity", "") if math.isinf(value) else (_four(value), "mm")
@@ -314,7 +314,7 @@ def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
 
 
 def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]]:
-    """Return ranges with overlapping ones joined, nearest first."""
+    """Return ranges of distances, nearest first, with overlapping ones joined."""
     union: list[tuple[float, float]] = []
     for near, far in sorted(limits for limits in ranges if limits is not None):
         if union and near <= union[-1][1]:
@@ -325,12 +325,12 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
 
 
 def _four(value: float) -> str:
-    """Return a number as text with four digits, without an exponent for sizes of cameras."""
+    """Return a number as text with four digits, without an exponent for sizes usual in cameras."""
     return f"{value:.4g}"
 
 
 def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
-    """Return the lines about a telescope with a collimator and what its Shack-Hartmann sensor sees."""
+    """Return the lines about a telescope with a collimator, as the fore-optics of a Shack-Hartmann sensor."""
     image = camera.blur_diameter(math.inf)
     # Angles before the telescope are smaller by the magnification of the pupil than those at the array.
     to_sky = math.degrees(image / camera.aperture_diameter / camera.reduced_distance) * 3600

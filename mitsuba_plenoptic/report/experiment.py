@@ -27,7 +27,7 @@ _RAYS_PER_PASS = 2**24
 
 
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
-    """Return the image by a thin lens of the camera's aperture focused at `distance`, one pixel per bin.
+    """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
 
     There are `oversample` bins per lens along each axis.
     """
@@ -38,7 +38,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Return the sharp image of the camera's field of view from the centre of its main lens, `columns` wide."""
+    """Return the sharp image of the camera's field from the centre of its main lens, `columns` pixels wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
@@ -48,7 +48,7 @@ _FARTHEST = 1e12
 
 
 def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, int], **lens: Any) -> Any:
-    """Return a sensor of Mitsuba with the camera's field, at the position of the scene's first sensor."""
+    """Return a Mitsuba sensor with the camera's field, at the position of the scene's first sensor."""
     width = camera.bin_count[0] * camera.mla_pitch
     return mi.load_dict(
         {
@@ -88,7 +88,7 @@ _FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
-    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it refocuses."""
+    """A refocusing method: name, title in figures, options of `reconstruct`, and the capture that it refocuses."""
 
     name: str
     title: str
@@ -113,7 +113,7 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment: scene, camera, distances and methods."""
+    """The settings of an experiment: scene, camera, distances and methods."""
 
     # A scene file or a built-in name.
     scene: str
@@ -167,7 +167,7 @@ class Experiment:
     seconds: dict[str, float]
 
     def image(self, method: str, distance: float) -> np.ndarray:
-        """Return the reconstruction of a method, or for ``truth`` the thin lens's image."""
+        """Return the reconstruction by a method at a distance, or for ``truth`` the thin lens's image."""
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
@@ -270,7 +270,7 @@ def load_with_sensor(
 
 
 def open_store(output: Path, stages: StageOptions | None) -> Stages:
-    """Return the store of an output folder, checked before the work and made with the first stage."""
+    """Return the store in an output folder, checked before the work and created with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
@@ -282,7 +282,7 @@ def open_store(output: Path, stages: StageOptions | None) -> Stages:
 def refocused(
     store: Stages, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
 ) -> np.ndarray:
-    """Return the reconstruction of a capture with some key, by options of `reconstruct`, as a stage."""
+    """Return the reconstruction of a capture, identified by a key, by options of `reconstruct`, as a stage."""
 
     def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
         result: Reconstruction = reconstruct(capture, distance, progress=progress, **options)
@@ -293,7 +293,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Return a capture of a mono variant, whose film has three equal channels, with one channel."""
+    """Return a mono variant's capture, whose film has three equal channels, with one channel."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

@@ -1,6 +1,6 @@
-"""Figures for papers: images in rows and columns with a colour bar and scale bars, depth maps, epipolar images.
+"""Figures for papers: images in rows and columns with colour bar and scale bars, depth maps, epipolar images.
 
-All are as wide as a column or a page, with text of 7 points, and are written as PNG or PDF. What is NaN is hatched.
+All figures are as wide as a column or a page, with text of 7 points, and are written as PNG or PDF. NaN is hatched.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _MOST_LABELS = 9
 
 @dataclass(frozen=True)
 class Panel:
-    """Image of a sheet with its title and, if known, its width in millimetres of the object."""
+    """Image on a sheet with its title and, if known, its width in millimetres of the object."""
 
     image: np.ndarray
     title: str = ""
@@ -126,7 +126,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
-    """Return a figure of a light field's views as they lie on the pupil, labelled by u and v.
+    """Return a figure of a light field's views, arranged as they lie on the pupil and labelled by u and v.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
 
 
 def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Canvas:
-    """Return a figure of panels of one size and scale, with labels at the left of rows and bars below."""
+    """Return a figure of panels of equal size and scale, with labels on the left and bars below."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     aspect = images[0].shape[0] / images[0].shape[1]
     grey = images[0].ndim == 2
@@ -269,7 +269,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
 
 
 def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
-    """Return the scale of radiances from black to white, encoded in sRGB as pictures are."""
+    """Return the scale of radiances from black to white, encoded in sRGB like pictures."""
     peak = Brightness().peak(images) if white is None else white
     return FuncNorm(
         (lambda values: srgb(np.clip(np.asarray(values) / peak, 0, None)), lambda codes: peak * linear_of(codes)),
@@ -299,7 +299,7 @@ def _state(axes: Axes, text: str) -> None:
 
 
 def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
-    """Return the width of images in the plane in focus, None without a camera."""
+    """Return the width in mm of images in the plane in focus, None without a camera."""
     if "camera" not in lf.attrs or "s" not in lf.coords:
         return None
     return abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
@@ -312,23 +312,23 @@ def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, t
 
 
 def _end(values: np.ndarray, norm: Normalize) -> str:
-    """Return the shape of a scale's end: an arrow where values surpass the end."""
+    """Return the shape of a scale's end: an arrow if values exceed the end."""
     return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
 def _sampled(lf: xr.DataArray) -> np.ndarray:
-    """Return the samples of a light field, NaN where no light comes from."""
+    """Return the samples of a light field; NaN where no light comes from."""
     return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
 
 
 def _edges(positions: np.ndarray) -> tuple[float, float]:
-    """Return the outer edges of evenly spaced samples; a single one is drawn 1 wide."""
+    """Return the outer edges of evenly spaced samples; a single sample is drawn 1 wide."""
     half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
 
 
 def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
-    """Return labels of positions, so few that they do not overlap; the first names the quantity."""
+    """Return labels of positions, few enough not to overlap; the first names the quantity."""
     every = -(-len(positions) // _MOST_LABELS)
     texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]

@@ -1,4 +1,4 @@
-"""The means of rendering on this machine, and whether they suffice."""
+"""Check of this machine's installation: what rendering needs, and whether it suffices."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def inspect_installation() -> Installation:
 
 
 def _state(variant: str, cuda: bool, problem: str | None) -> str:
-    """Return a sentence on whether a variant works, and how much of it a wave capture uses."""
+    """Return a sentence on whether a variant works here, and which of its functions wave captures use."""
     if not cuda if variant.startswith("cuda") else problem:
         return "not usable here"
     if "polarized" in variant:

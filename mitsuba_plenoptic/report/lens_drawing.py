@@ -28,7 +28,7 @@ _WIDER = 1.5
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """The effect of a main lens on the light at one distance from the axis of the microlens array (MLA).
+    """Effects of a main lens on light at one distance from the axis on the microlens array (MLA).
 
     Parameters
     ----------
@@ -60,13 +60,13 @@ class _DrawnRays:
     def directions(
         self, height: float, slopes: tuple[np.ndarray, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return X/g and Y/g of the object points that rays meet, and which rays get through."""
+        """Return X/g and Y/g of the object points where rays arrive, and a mask of rays that pass."""
         point, slope, is_open = self.lens.trace((np.zeros_like(slopes[0]), np.full_like(slopes[0], height)), slopes)
         X, Y = (p / self._g + (1 - point[2] / self._g) * t for p, t in zip(point[:2], slope, strict=True))
         return X, Y, is_open
 
     def all_of(self, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the directions of rays all over the exit pupil, and which get through."""
+        """Return the directions of rays through the whole exit pupil, and a mask of rays that pass."""
         Px, Py = self._pupil
         distance = self.lens.pupil_distance
         return self.directions(height, (Px / distance, (Py - height) / distance))
@@ -80,8 +80,8 @@ class _DrawnRays:
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions on the MLA of the rays of one object point that pass the lens.
 
-    The object point is that of the chief ray of a position on the MLA. Rays are traced back from the position to the
-    object plane, and their distances from the point are scaled to the size of its image.
+    The object point is where the chief ray of a position on the MLA meets the object plane. Rays are traced back from
+    the position to that plane, and their distances from the point are scaled to the size of its image.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
-    """Return the difference in image height between chief rays of the second and the first wavelength.
+    """Return the difference in image height, in mm, between chief rays of the second and the first wavelength.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
 
 
 def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Return ray paths in the plane of the axis from a position on the MLA through all surfaces, to before the lens.
+    """Return ray paths, in a plane with the axis, from a position on the MLA through all surfaces to before the lens.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
 
 
 def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[FieldFigures]:
-    """Return figures of a camera with a real main lens, by bundles traced from the MLA to the plane in focus.
+    """Return the field figures of a real main lens, from ray bundles traced from the MLA to the plane in focus.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
 
 
 def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> None:
-    """Draw glasses, stop and rays from the axis, 0.7 of the field and the corner."""
+    """Draw a lens's glasses and stop, with rays from the axis, 0.7 of the field and the corner."""
     lens = main_lens(camera)
     surfaces = lens.forwards
     # From the scene to the array z falls.

@@ -1,4 +1,4 @@
-"""A drawing of a microlens: the path that it adds to light, its section with rays, and the spot on the detector."""
+"""A drawing of a microlens: its optical path, its section with rays, and the spot on the detector."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
 
 
 def _waves(camera: PlenopticCamera, u: NDArray, v: NDArray, wavelength: float) -> NDArray[np.float64]:
-    """Return the phase of a lens in waves at offsets in the lattice's frame."""
+    """Return the phase of a lens in waves at offsets in the lattice frame."""
     if camera.mla_shape is None:
         return np.asarray(parabola(u * u + v * v, camera.reduced_focal_lengths[0], wavelength))
     return np.asarray(camera.mla_shape.waves(u, v, wavelength))
@@ -79,7 +79,7 @@ def _map(canvas: Canvas, waves: NDArray[np.float64], along: NDArray[np.float64])
 
 
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
-    """Draw rays that are parallel to the axis, through the lens to the detector and half as far beyond."""
+    """Draw a section of the lens, with rays parallel to the axis up to half the distance beyond the detector."""
     half = float(camera.lattice.aperture_width) / 2
     start = np.linspace(-1, 1, _RAYS) * half * 0.98
     sine = _slopes(camera, start, wavelength) / camera.mla_medium
@@ -96,7 +96,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np.float64], wavelength: float) -> None:
-    """Draw the square root of the intensity on the detector of parallel light, from Fresnel's integral."""
+    """Draw the square root of the detector intensity for parallel light, from Fresnel's integral."""
     scale = in_millimetres(wavelength) * camera.reduced_distance
     reach = max(4 * scale / float(camera.lattice.aperture_width), 1.5 * camera.pixel_size)
     place = np.linspace(-reach, reach, 161)

@@ -35,7 +35,7 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Claim:
-    """A conclusion of the paper next to our results."""
+    """A conclusion of the paper beside this package's results."""
 
     statement: str
     measured: str
@@ -108,7 +108,7 @@ def template(name: str, folder: Path = Path(__file__).parent / "templates") -> T
 
 
 def _prose(text: str) -> str:
-    """Set quotation marks and apostrophes as books do."""
+    """Return a text with typographic quotation marks and apostrophes."""
     return re.sub(r'"(.*?)"', "“\\1”", text.replace("'", "\N{RIGHT SINGLE QUOTATION MARK}"))
 
 
@@ -162,7 +162,7 @@ def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, 
 
 
 def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str, str]]:
-    """Return the difference between the wave capture and the capture by points as pairs of texts."""
+    """Return the difference between the wave capture and the capture by points, as pairs of texts."""
     if found is None:
         return []
     apart = f"{found['relative_error']:.2%} (relative L2, with the noise of both), energy {found['energy']:.4f}"
@@ -175,14 +175,14 @@ _QUALITIES = (85, 70, 50, 30)
 
 
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
-    """Encode the captures, of one scale, as pictures of bounded size."""
+    """Return the captures as pictures of bounded size, drawn on one scale."""
     ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
     peak = float(np.quantile(ray[ray > 0.05 * ray.max()], 0.98)) if ray.max() > 0 else 1.0
     return {"ray": _webp(ray, peak), "wave": _webp(wave, peak)}
 
 
 def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
-    """Return the size of the capture's cut-out, and the positions of close-ups in fractions of it."""
+    """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
     rows, columns = experiment.wave.image.shape
     height, width = window.of(experiment.wave.image).shape
     top, left = round(window.top * rows), round(window.left * columns)

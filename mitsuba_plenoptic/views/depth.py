@@ -1,4 +1,4 @@
-"""Depth from a light field, by how well the views agree."""
+"""Depth from a light field, by the agreement of its views."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def depth_map(
 
 
 def beyond_search(found: xr.Dataset) -> tuple[float, float]:
-    """Return the probable fractions of bins that see points nearer, and farther, than the search of a depth map.
+    """Return the fractions of bins that probably see points nearer, and farther, than the range of a depth search.
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
@@ -162,10 +162,10 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
-    """Return the nearest and farthest distance whose depth views or micro-images can show.
+    """Return the nearest and farthest distance in mm at which views or micro-images can show depth.
 
-    Views show it while they move by up to `_WIDEST` lenses, twice as far as `depth_range`; micro-images of focused
-    cameras while their lenses are not farther apart than what they show.
+    Views can while they move by up to `_WIDEST` lenses, twice as far as in `depth_range`; micro-images of focused
+    cameras can while their lenses are no farther apart than the field that each shows.
     """
     if is_focused(lf):
         return depth_range(lf)
@@ -181,11 +181,11 @@ def default_slopes(lf: xr.DataArray) -> np.ndarray:
 
 
 def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> np.ndarray:
-    """Return the disparities of the planes, from the first to the last.
+    """Return the disparities of the search planes, from the first to the last.
 
     Views move evenly from plane to plane. Micro-images of focused cameras move by the inverse of the disparity, so that
-    planes are the denser the smaller it is, and those at which neighbouring lenses have nothing in common are left out,
-    but for one in the middle of them.
+    planes are denser for smaller disparities; planes at which neighbouring lenses have nothing in common are left out,
+    except one in their middle.
     """
     if not is_focused(lf):
         return np.linspace(first, last, planes or max(64, math.ceil(_PER_LENS * (last - first)) + 1))
@@ -194,7 +194,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
     dense = math.sqrt(_PER_PIXEL / _PER_LENS)
 
     def steps(slope: np.ndarray | float) -> Any:
-        """Return the number of planes from a disparity of `dense` on: the integral of the greater of both densities."""
+        """Return the number of planes from a disparity `dense` on: the integral of the larger of both densities."""
         return np.where(
             slope < dense, _PER_PIXEL * (1 / dense - 1 / np.maximum(slope, 1e-9)), _PER_LENS * (slope - dense)
         )
@@ -220,7 +220,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
 
 
 def is_focused(lf: xr.DataArray) -> bool:
-    """Return whether all microlenses of a light field's camera are focused on the main lens's image."""
+    """Return whether all microlenses of a light field's camera are focused on the image of the main lens."""
     return "unfocused" not in focus_types(camera_of(lf))
 
 
@@ -230,9 +230,9 @@ def disagreement_of_planes(
     progress: Progress | None = None,
     micro_images: MicroImages | None = None,
 ) -> tuple[Disagreement, float]:
-    """Return the disagreement of views on planes of rising disparities, and the number of samples.
+    """Return the disagreement of views on planes of rising disparity, and the number of samples.
 
-    `micro_images` are those of a focused camera; those of another camera are refused.
+    `micro_images` must be those of a focused camera.
     """
     central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):
@@ -273,7 +273,7 @@ class DepthError:
 
 
 def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
-    """Compare the depths of `depth_map` with the truth, where the confidence is above a bound.
+    """Return the errors of the depths of `depth_map` where the confidence is above a bound.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Finding the micro-images of a camera of which only a white image is known."""
+"""Location of micro-images if only a white image of a camera is known."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
 
 
 def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Read two lattice vectors (rows of a matrix, in pixels) and one centre off the spectrum of the middle."""
+    """Return two lattice vectors (rows, in pixels) and one centre, read off the spectrum of the image's middle."""
     rows, columns = image.shape
     height, width = min(rows, _CROP), min(columns, _CROP)
     top, left = (rows - height) // 2, (columns - width) // 2
@@ -112,7 +112,7 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Position of a peak between samples, by a parabola through the logarithm."""
+    """Return the position of a peak between samples, by a parabola through logarithms."""
     result = position.astype(np.float64)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]
@@ -123,7 +123,7 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere."""
+    """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
     size = np.array(image.shape[::-1])
     radius = min(math.hypot(*step) for step in (*vectors, vectors.sum(0))) / 2
     reach = _FIRST_REACH
@@ -158,13 +158,13 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
 
 
 def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Centroid and brightness of the image within a disc about each centre, over the darkest in it."""
+    """Return centroid and brightness of the image in a disc about each centre, above the darkest pixel in it."""
     patches = pixels_around(image, centres, math.ceil(radius) + 1)
     return centroids(patches, centres, lambda distance: (radius + 0.5 - distance).clip(0, 1))
 
 
 def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns (n, k) and the rows (n, k) of the pixels about each centre, and their values (n, k, k)."""
+    """Return the columns (n, k) and rows (n, k) of the pixels around each centre, and their values (n, k, k)."""
     window = np.arange(-half, half + 1)
     base = np.floor(centres).astype(np.int64)
     x, y = (base[:, axis, None] + window for axis in (0, 1))

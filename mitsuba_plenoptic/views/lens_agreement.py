@@ -57,7 +57,7 @@ _POINTS = 32
 
 
 class LensComparison:
-    """Micro-images of a capture, compared plane by plane."""
+    """The micro-images of a capture, for comparison plane by plane."""
 
     def __init__(self, images: MicroImages) -> None:
         self._images = images
@@ -67,9 +67,9 @@ class LensComparison:
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
-        The results are those of `agreement.view_disagreement`; the ratio is NaN where lenses compare nothing. The
-        variance that samples of a bin have is to be explained, and that between samples of neighbouring lenses is left
-        unexplained. Interpolation lessens both alike.
+        The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. To be
+        explained is the variance of a bin's samples; the variance between samples of neighbouring lenses is left
+        unexplained. Interpolation reduces both alike.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
@@ -109,9 +109,9 @@ class LensComparison:
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
-        """Return each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
+        """Each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
 
-        The way is in pitches of the bins, along columns and rows.
+        The offset is in pitches of the bins, along columns and rows.
         """
         grid, bins = self._images.grid, self._images.bins
         rows, columns = grid.shape
@@ -139,7 +139,7 @@ class LensComparison:
         return pairs
 
     def _straightened(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return samples at the positions where a pencil through the lens's centre shows them, and a mask."""
+        """Return samples at the positions where a pencil through the lens's centre would show them, and a mask."""
         images = self._images
         values, weight = np.empty_like(self._values), np.empty_like(images.weight)
         types = images.types
@@ -194,7 +194,7 @@ class LensComparison:
         return found
 
     def _bins_of(self, slope: float) -> np.ndarray:
-        """Return the number of the bin of the central view that each sample shows; one beyond the last for none."""
+        """Return the index of the central view's bin that each sample shows; the number of bins if there is none."""
         shape = self._images.bins.shape
         column, row = np.moveaxis(self._images.places, 2, 0)
         down, across = self._steps
@@ -205,13 +205,13 @@ class LensComparison:
 
 
 def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return weighted sums of samples along both axes, where all weights have samples."""
+    """Return weighted sums of samples along both axes, where samples exist for all weights."""
     part = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(part * 1.0, down, axis=0), across, axis=1)
     return np.asarray(part[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
 
 
 def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return samples smoothed within their micro-images, weighted by the part of the pupil that they see."""
+    """Return samples smoothed within their micro-images, weighted by the visible part of the pupil."""
     total, seen = values * weight[..., None], weight
     for axis in (2, 3):
         total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
@@ -220,20 +220,20 @@ def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points that lie evenly on a lens's aperture, in mm from its centre."""
+    """Return points spread evenly over a lens's aperture, in mm from its centre."""
     s, t = np.meshgrid(position, position)
     x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
     return np.asarray(x), np.asarray(y)
 
 
 def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
-    """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view, one view fewer per axis."""
+    """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view; each axis has one view fewer."""
     part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
     return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:
-    """Return views that have a partner `move` views on, the partners' whole views, and the fraction between these."""
+    """Return views with a partner `move` views on, the partners' integer views, and the fraction between them."""
     whole = math.floor(move)
     first, last = max(0, -whole), min(views, views - 1 - whole)
     return slice(first, last), slice(first + whole, last + whole + 1), np.float32(move - whole)

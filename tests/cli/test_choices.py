@@ -13,6 +13,7 @@ from mitsuba_plenoptic.onchip import LAYOUTS
 from mitsuba_plenoptic.refocus import methods, results
 from mitsuba_plenoptic.refocus_options import METHODS
 from mitsuba_plenoptic.report import images, output_files
+from mitsuba_plenoptic.views import light_field_files
 from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS
 from mitsuba_plenoptic.views.viewpoints import AXES
 
@@ -28,6 +29,7 @@ LIBRARY = {
     "RAW_SUFFIXES": captures.RAW_SUFFIXES,
     "PICTURES": output_files.SUFFIXES,
     "ANIMATED": images.ANIMATED,
+    "LIGHT_FIELDS": light_field_files.SUFFIXES,
     "VOLUMES": results.SUFFIXES,
     "QUANTITIES": ground_truth.QUANTITIES,
 }

@@ -184,6 +184,10 @@ BEFORE_A_REFUSAL |= {
         ("sheet {there} -o sheet.exr", "sheet.exr: give a name that ends in .pdf or .png"),
         ("views {there} -o views.jpg", "views.jpg: give a name that ends in .exr or .png or .pdf or .gif or .mp4"),
         ("stack {there} -o stack.jpg --distance 240", "stack.jpg: give a name"),
+        ("convert {there} -o lf.jpg", "lf.jpg: give a name that ends in .nc or .zarr or .mat or .eslf.png or .png"),
+        ("convert {there} -o folder --format hcj", "did you mean hci?"),
+        ("reconstruct letters -o out.png --distance 240", "letters: it is a scene: give what 'render' made of it"),
+        ("view {scene} -o page.html", "scene.xml: it is a scene: give what 'render' made of it"),
         ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
         ("view {there} -o page.pdf", "page.pdf: give a name that ends in .html"),
         ("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc"),
@@ -201,8 +205,9 @@ BEFORE_A_REFUSAL |= {
         ("mtf missing.exr", "missing.exr: there is no such file"),
     ],
 )
-def test_values_are_refused_before_the_library_is_imported(words, rule, raw, capfd, complaint):
-    words = words.format(there=raw).split()
+def test_values_are_refused_before_the_library_is_imported(words, rule, raw, tmp_path, capfd, complaint):
+    (tmp_path / "scene.xml").write_text("<scene/>")
+    words = words.format(there=raw, scene=tmp_path / "scene.xml").split()
     assert rule in complaint(*words)
     own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
     module = COMMANDS[words[0]].removeprefix("mitsuba_plenoptic.")

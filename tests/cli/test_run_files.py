@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,6 +106,23 @@ def test_a_file_that_another_process_runs_is_refused(folder, complaint):
     with checkpoints.locked(checkpoints.lock_of(log), "never"):
         assert f"{folder / 'run.yaml'}: another process is running it; wait" in complaint("run", folder / "run.yaml")
     assert not log.exists()
+
+
+def test_a_finished_run_needs_no_folder_that_it_may_write(folder, fresh, monkeypatch):
+    assert fresh() == [1, 2, 3]
+    opened = Path.open
+
+    def denied(path, mode="r", *given, **options):
+        if "w" in mode:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return opened(path, mode, *given, **options)
+
+    monkeypatch.setattr(Path, "open", denied)
+    folder.chmod(0o555)  # for all but the superuser
+    try:
+        assert fresh() == []
+    finally:
+        folder.chmod(0o755)
 
 
 def test_save_run_repeats_a_command(raw, tmp_path, run):

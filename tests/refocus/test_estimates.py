@@ -23,8 +23,8 @@ def test_an_estimate_ends_before_the_reconstruction_does(capture, method, option
     """With a speed known from the first results on, no method by waves may reach its end."""
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     ended = []
-    whole = api._side_by_side
-    monkeypatch.setattr(api, "_side_by_side", lambda *a, **k: ended.append(True) or whole(*a, **k))
+    whole = api._refocused
+    monkeypatch.setattr(api, "_refocused", lambda *given: (whole(*given), ended.append(True))[0])
     cost = estimate_reconstruction(capture, 210.0, method=method, **options)
     assert not ended
     assert cost.seconds > 0 and cost.memory > 0

@@ -1,4 +1,4 @@
-r"""Focal lengths of microlenses from the blur of the corners that they show.
+r"""Focal lengths of microlenses from the blur of corners in their micro-images.
 
 A point whose image by the main lens lies the distance a before the microlens array (negative: behind it) is spread on
 the detector, the distance z behind the array, by a lens of the focal length f and the diameter D, over a disc of the
@@ -119,7 +119,7 @@ def fit_blur(
 
 
 def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return z/a of each observation: the detector's distance over that of the corner's image, both from the array."""
+    """Return z/a for each observation: the detector's distance from the array over that of the corner's image."""
     f, b, z = numbers[:3]
     distance = placed(seen.board, poses, seen.pose)[:, 2]
     return np.asarray(z / (b - distance * f / (distance - f)))
@@ -132,7 +132,7 @@ _BEYOND = 1.25
 
 
 class CutBlur:
-    """Mean positions that pixels show through the open parts of their lenses, where the rim of the pupil cuts blur."""
+    """Mean positions that pixels show through the unblocked parts of their lenses, where the pupil cuts the blur."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class CutBlur:
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
 
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
-        """Return the displacement from a pixel's position to the mean position that the pixel shows, in pixels.
+        """Return the displacement, in pixels, from a pixel's position to the mean position that the pixel shows.
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """

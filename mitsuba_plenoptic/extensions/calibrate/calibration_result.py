@@ -32,7 +32,7 @@ GROUPED_BY = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Errors with which a camera explains corners; every row counts.
+    """Errors of the positions at which a camera predicts corners; every row counts.
 
     Attributes
     ----------
@@ -134,10 +134,10 @@ class Calibration:
 
     @property
     def open_direction(self) -> dict[str, float]:
-        """Changes of the parameters when the focal length changes by its deviation, empty below a tenth of the length.
+        """Changes of the correlated parameters if the focal length changes by its standard deviation.
 
-        Only the parameters that follow the focal length are named, those with a correlation beyond 0.5; empty where
-        the data determine it.
+        Only parameters with a correlation above 0.5 are named. Empty if the deviation is below a tenth of the focal
+        length.
         """
         at = NAMES.index("focal_length")
         if self.deviations["focal_length"] < OPEN * abs(self.numbers["focal_length"]):
@@ -281,7 +281,7 @@ class Deviations:
 
 
 def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
-    """Return standard deviations and covariance of a fit's parameters, all of them free.
+    """Return standard deviations and covariance of a fit's parameters, of which none is held fixed.
 
     Shapes: `weights` (n,).
     """
@@ -320,9 +320,9 @@ def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviat
 
 
 def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
-    """Return solutions a standard deviation away along each independent combination of parameters, the poses refitted.
+    """Return solutions one standard deviation away along each independent combination of parameters, poses refitted.
 
-    The squared changes of anything else that follows from parameters and poses add up to its variance.
+    For any quantity that follows from parameters and poses, the squared changes add up to its variance.
     """
     heads, _ = problem.blocks(found.numbers, found.poses, weights, np.arange(len(NAMES)))
     scale = np.sqrt(np.diag(covariance))
@@ -339,7 +339,7 @@ _TURNED = np.deg2rad(30) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0
 
 
 def prediction_deviation(problem: Problem, found: Adjusted, covariance: np.ndarray) -> float:
-    """Return the RMS in pixels by which parameters' errors displace corners of turned boards, the poses fitted."""
+    """Return the RMS displacement, in pixels, of corners of turned boards due to errors of the parameters."""
     seen, count = problem.corners, len(NAMES)
     middle = np.append((seen.board.min(0) + seen.board.max(0)) / 2, 0.0)
     square, rows = 0.0, 0

@@ -209,7 +209,7 @@ def write_sheet(path: Path, made: Benchmark) -> None:
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:
-    """Return a picture `_WIDTH` wide and high, by repeated or averaged pixels and a black border."""
+    """Return a picture `_WIDTH` wide and high, enlarged or averaged by whole numbers, with a black border."""
     small = shrink(enlarge(picture, max(1, _WIDTH // len(picture))), _WIDTH)
     room = [(0, _WIDTH - size) for size in small.shape]
     return np.pad(small, room)

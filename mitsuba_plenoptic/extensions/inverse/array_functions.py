@@ -1,8 +1,8 @@
-"""Captures and reconstructions as functions of NumPy's arrays with derivatives: what PyTorch's and JAX's modules share.
+"""Captures and reconstructions as functions of NumPy arrays with derivatives, shared by the PyTorch and JAX modules.
 
-Axes before those that a function names are a batch. There are two kinds of functions: linear maps, with their
-transposes, and others, which return their value at some arrays together with the derivatives there, so that nothing is
-computed again in the reverse pass.
+Leading axes beyond those that a function names are a batch. There are two kinds of functions: linear maps with their
+transposes, and others, which return their value together with the derivatives at the given arrays, so that the reverse
+pass computes nothing again.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class LinearFunction:
 
     @property
     def T(self) -> LinearFunction:
-        """Transpose of this function."""
+        """Transpose of this linear map."""
         return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the result for arrays of a given shape; refuse a wrong one before computing."""
+        """Return the shape of the result for an array of a given shape; refuse wrong shapes before computing."""
         return *_batch(self.takes, given, self.before), *self.after
 
 
@@ -56,20 +56,20 @@ class Value(Protocol):
     value: Array
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the value for changes of the arrays; None stands for an array that does not change."""
+        """Return the change of the value for changes of the arrays; None stands for no change of an array."""
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradient by each array that needs one, in the shape of the array."""
+        """Return the gradient with respect to each array that needs one, in the array's shape."""
 
 
 class SmoothFunction(Protocol):
-    """A function of arrays that has derivatives."""
+    """A differentiable function of arrays."""
 
     def at(self, *given: Array) -> Value:
         """Return the value of the function at given arrays, with the data for its derivatives."""
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the value for a first array of a given shape; refuse a wrong one before computing."""
+        """Return the shape of the result for a first array of a given shape; refuse wrong shapes before computing."""
 
 
 class Latest:
@@ -105,7 +105,7 @@ class Latest:
 
 
 def _batch(name: str, given: Shape, last: Shape) -> Shape:
-    """Return the axes of a batch, or refuse an array of other last axes."""
+    """Return the batch axes of a shape; refuse arrays whose last axes are wrong."""
     refuse_if(
         given[-len(last) :] != last or not math.prod(given),
         f"{name} of shape {given}: it must not be empty, and its last axes must be {last}",
@@ -118,7 +118,7 @@ ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusin
 
 
 def working_array(array: Array) -> Array:
-    """Return an array of a type that the sums take: half precision as single."""
+    """Return an array in single or double precision; half precision becomes single."""
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float32)
 
 
@@ -126,7 +126,7 @@ def working_array(array: Array) -> Array:
 
 
 def points(operator: CaptureOperator) -> LinearFunction:
-    """Return the map from weights of points to images."""
+    """Return the linear map from weights of points to images of an operator."""
     both = partial(_images, operator), partial(_products, operator)
     return LinearFunction(*both, "weights", "images", *_axes(operator))
 
@@ -147,17 +147,17 @@ def _products(operator: CaptureOperator, images: Array) -> Array:
 
 
 def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
-    """Return weights, one column for each capture, in the layout of the operator."""
+    """Return batched weights as a list in the operator's layout."""
     return _split("weights", weights, _axes(operator)[0], operator)
 
 
 def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
-    """Return images, one for each capture, in the layout of the operator."""
+    """Return batched images as a list in the operator's layout."""
     return _split("images", images, _axes(operator)[1], operator)
 
 
 def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
-    """Return the shapes that weights and images have in their last axes."""
+    """Return the last axes of weights and of images of an operator, without the batch."""
     count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
     if spectrum is None:
         return (count,), shape
@@ -165,7 +165,7 @@ def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
 
 
 def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
-    """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
+    """Return a batch as one array of columns for one wavelength, or as a list of arrays for a spectrum."""
     _batch(name, given.shape, last)
     flat = given.reshape(-1, *last)
     return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
@@ -175,7 +175,7 @@ def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> l
 
 
 class CameraCapture:
-    """The captures of points as a function of their weights and of parameters of the camera."""
+    """Captures of points as a function of the points' weights and of camera parameters."""
 
     def __init__(
         self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
@@ -185,11 +185,11 @@ class CameraCapture:
 
     @cached_property
     def _last_axes(self) -> tuple[Shape, Shape]:
-        """The last axes of weights and of images: not the operator that has them, which may be large."""
+        """The last axes of weights and of images; the operator itself is not kept, since it may be large."""
         return _axes(self._make(self._camera))
 
     def at(self, *given: Array) -> CameraValue:
-        """Capture points with weights by a camera with some values."""
+        """Return the captures of weighted points by the camera with given parameter values."""
         weights, *values = given
         changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
         camera = self._camera.replace(**changed)
@@ -202,7 +202,7 @@ class CameraCapture:
 
 
 class CameraValue:
-    """Captures of points, and their derivatives by the weights and by parameters of the camera."""
+    """Captures of points, and their derivatives with respect to the weights and to camera parameters."""
 
     def __init__(
         self,
@@ -221,7 +221,7 @@ class CameraValue:
         self.value = _images(operator, weights)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the images for changes of parameters and weights; see `Value`."""
+        """Return the change of the images for changes of weights and parameters; see `Value`."""
         of_weights, *of_values = changes
         total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
         named = {name: each for name, each in zip(self._names, of_values, strict=True) if each is not None}
@@ -232,7 +232,7 @@ class CameraValue:
         return total + np.concatenate(made).reshape(total.shape)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradients by parameters and weights; see `Value`."""
+        """Return the gradients with respect to weights and parameters; see `Value`."""
         names = [name for name, one in zip(self._names, needed[1:], strict=True) if one]
         total: dict[str, Any] = dict.fromkeys(names, 0.0)
         if names:
@@ -248,7 +248,7 @@ class CameraValue:
 
 
 def _shaped(gradient: Array, shape: Shape, for_all: bool) -> Array:
-    """Return the gradient by the parts of a parameter as one by its value, which may be one number for all parts."""
+    """Return the gradient with respect to a parameter's value from that of its components; one value may serve all."""
     return np.reshape(gradient.sum() if for_all else gradient[: math.prod(shape)], shape)
 
 
@@ -270,12 +270,12 @@ _NAMES = "captures", "images"
 
 @dataclass(frozen=True, eq=False)
 class Refocused:
-    """Refocusing as a function of captures that is not linear: by waves or by deconvolution."""
+    """Refocusing by waves or by deconvolution, as a nonlinear function of captures."""
 
     by: CoherentRefocus | DeconvolvedRefocus
 
     def at(self, *given: Array) -> RefocusedValue:
-        """Return refocused captures, with their derivatives."""
+        """Return refocused captures together with their derivatives."""
         return RefocusedValue(self.by, *given)
 
     def shape(self, given: Shape) -> Shape:
@@ -284,7 +284,7 @@ class Refocused:
 
 
 class RefocusedValue:
-    """Refocused captures, with their derivatives by the captures."""
+    """Refocused captures, with their derivatives with respect to the captures."""
 
     def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
         def image(given: Array) -> Array:
@@ -302,7 +302,7 @@ class RefocusedValue:
         return _together(self._at.jvp, _NAMES[0], self._axes[0], change)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradient by the captures; see `Value`."""
+        """Return the gradient with respect to the captures; see `Value`."""
         return [_together(self._at.vjp, _NAMES[1], self._axes[1], gradient) if needed[0] else None]
 
 

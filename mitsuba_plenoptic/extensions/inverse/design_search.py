@@ -1,4 +1,4 @@
-"""The search for the parameters of a camera by which a figure is best."""
+"""The search for camera parameters that maximise a figure of merit."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _TOLERANCE = 1e-6
 
 
 class Figure(Protocol):
-    """The figure of merit, to be as large as possible."""
+    """A figure of merit of a camera, which a search maximises."""
 
     def value(self, camera: PlenopticCamera) -> float:
         """Return the figure of merit of a camera."""
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the figure of merit of a camera and its derivatives, named as by `CaptureOperator.gradient`."""
+        """Return a camera's figure of merit and its derivatives, by name as in `CaptureOperator.gradient`."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Camera and figure of merit that a search has found.
+    """The camera that a search has found, and its figure of merit.
 
     Attributes
     ----------
@@ -63,10 +63,9 @@ def maximise(
     steps: int = 30,
     progress: Callable[[int, float, PlenopticCamera], None] | None = None,
 ) -> Design:
-    """Find parameters of a camera by which a figure is best, near where they start.
+    """Find camera parameters near a start that maximise a figure of merit.
 
-    By SciPy's L-BFGS-B with the figure's own gradient: a local search, several starts of which show whether there are
-    other optima.
+    SciPy's L-BFGS-B searches locally with the figure's gradient; several starts show whether there are other optima.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def maximise(
 
 
 def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
-    """Return the vector of the varied camera parameters, which are those with bounds."""
+    """Return the vector of the varied camera parameters, those that have bounds."""
     named: list[str] = []
     for name in bounds:
         found = vector_of(camera, str(name).split(".", 1)[0])

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic fit``: a camera from captures of known scenes."""
+"""``mitsuba-plenoptic fit``: camera parameters from captures of known scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...cli.inputs import (
     parse_definitions,
     require_in_use,
 )
-from ...cli.judging import ends_in
+from ...cli.judging import RECORDING, ends_in
 from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
@@ -33,7 +33,9 @@ _NAMED = 3
 
 def fit(
     captures: Annotated[
-        list[Path], typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.")
+        list[Path],
+        typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera."),
+        RECORDING,
     ],
     output: Annotated[Path, output_option("FILE.json", "File to write: the camera."), ends_in(".json")],
     scenes: Annotated[
@@ -80,10 +82,8 @@ def fit(
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
 
-    It starts from the captures' own camera, or from --camera. Noise and
-    saturation of captures that 'expose' made are those of their detector.
-    Changes of several numbers at once that hardly change the captures are
-    printed.
+    The fit starts from the captures' own camera, or from --camera. Captures made by 'expose' have the noise and
+    saturation of their detector. Joint changes of several parameters that hardly change the captures are printed.
 
     [bold]Example:[/bold]
 
@@ -92,6 +92,7 @@ def fit(
     import numpy as np
 
     from ...io.captures import read_capture
+    from ...io.checkpoints import SUFFIX
     from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
@@ -137,11 +138,13 @@ def fit(
             saturation=full if saturation is None else saturation,
         )
         views.append(view)
-    with checkpoint_of(output, resume) as steps:
+    # The coarse fit's stays until the end, as the fine fit starts, and has its bounds, from there.
+    coarse = checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{SUFFIX}"))
+    with coarse, checkpoint_of(output, resume) as steps:
+        if afar:
+            with progress_bar("Coarse fit") as progress, stopped_by_hand(coarse, progress):
+                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress, checkpoint=coarse)
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
-            # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
-            if afar and not (resume and steps.path.exists()):
-                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,
                 views,
@@ -157,7 +160,7 @@ def fit(
 
 
 def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
-    """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
+    """Return the noise and saturation stored in a capture; refuse a capture whose noise is unknown or given twice."""
     from . import fitting
 
     noise, saturation = fitting.noise_of(capture)

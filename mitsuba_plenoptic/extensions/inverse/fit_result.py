@@ -27,7 +27,7 @@ _SAME = 10
 
 @dataclass(frozen=True)
 class Direction:
-    """A joint change of all parameters that the captures determine to some deviation, independent of other directions.
+    """A joint change of all parameters, with its standard deviation, that is independent of other such changes.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ def summary(
     pixels: Pixels,
     steps: int,
 ) -> Fit:
-    """Return the result of a fit; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
+    """Return the result of a fit; `rows` are weighted derivatives per unit of `Fit.scales`."""
     for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
         refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
@@ -157,7 +157,7 @@ def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Seq
 
 
 def steps_along(found: Fit) -> NDArray[np.float64]:
-    """Return a step of one deviation, at most a unit of `Fit.scales`, along each direction, (directions, numbers)."""
+    """Return a step along each direction: one deviation, at most a unit of `Fit.scales`, (directions, parameters)."""
     lengths = np.fmin([direction.deviation for direction in found.directions], 1.0)
     parts = np.array([list(direction.parts.values()) for direction in found.directions])
     return np.asarray(lengths[:, None] * parts * list(found.scales.values()))

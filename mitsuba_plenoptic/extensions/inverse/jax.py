@@ -1,8 +1,8 @@
 """Captures and reconstructions as differentiable functions of JAX's arrays (extra ``jax``).
 
-Axes before those that a function names are a batch. Results have the type of the array given, which must be of floating
-point. The functions run on the processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``,
-and differentiated in reverse and in forward mode.
+Leading axes beyond those that a function names are a batch. Results have the type of the input, which must be floating
+point. The functions run on the CPU as host callbacks: they can be used inside ``jax.jit`` and ``jax.vmap``, and
+differentiated in reverse and in forward mode.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 def forward(operator: CaptureOperator, weights: Any) -> Any:
     """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times.
 
-    A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
-    compute them in each direction.
+    A `StoredOperator` computes its point spreads once; forward and reverse passes are then products with its matrix.
+    Other operators compute them in each pass.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def forward(operator: CaptureOperator, weights: Any) -> Any:
 
 
 def adjoint(operator: CaptureOperator, images: Any) -> Any:
-    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
+    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def capture(
     parameters: Mapping[str, Any],
     weights: Any,
 ) -> Any:
-    """Capture points by a camera with some parameters: differentiable by these and by the weights, once.
+    """Return captures of points by a camera, differentiable once with respect to given parameters and to the weights.
 
     The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
 
@@ -132,8 +132,8 @@ def capture(
 def refocus(by: Refocus, captures: Any) -> Any:
     """Return refocused captures; differentiable any number of times with the ray model, once with other methods.
 
-    The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
-    those of all captures of the latest batch.
+    For the reverse pass, a coherent refocus stores the fields, and a deconvolution the images of all steps, of every
+    capture in the latest batch.
 
     Parameters
     ----------
@@ -160,10 +160,10 @@ def refocus(by: Refocus, captures: Any) -> Any:
 
 
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
-    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
 
-    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The scene keeps the values; its derivatives give it those of their image again.
+    Captures by ``plenoptic_wave`` have the derivatives with respect to scene and camera that its documentation lists.
+    The scene keeps the given values; derivatives restore them first.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp
 
 
 def _required(name: str, value: Any) -> Any:
-    """Return a value as an array of floating point; others would round results."""
+    """Return a value as a floating-point array; other types, which would round results, are refused."""
     array = jax.numpy.asarray(value)
     refuse_if(
         not jax.numpy.issubdtype(array.dtype, jax.numpy.floating),
@@ -210,7 +210,7 @@ _latest_made: deque[Latest] = deque(maxlen=_VALUES)
 
 
 def _latest(function: SmoothFunction) -> Latest:
-    """Return a function that remembers its latest value, until many others are made."""
+    """Return a function that remembers its latest value; few such functions are kept."""
     made = Latest(function, np.copy, np.array_equal, np.asarray)
     # JAX's caches keep thousands of functions that were called once, which must be empty then.
     if len(_latest_made) == _VALUES:
@@ -224,9 +224,9 @@ def _latest(function: SmoothFunction) -> Latest:
 
 
 def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
-    """Return `function`, which takes a list of NumPy arrays, as a function of arrays; `like` describes its results.
+    """Return `function` of NumPy arrays as a function of JAX arrays on the host; `like` describes its results.
 
-    JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    JAX calls it from its own threads, and independent calls, such as a value and its derivatives, at the same time.
     """
 
     @one_at_a_time
@@ -238,12 +238,12 @@ def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
 
 
 def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
-    """Return a description of an array of the same type, with a given shape."""
+    """Return JAX's description of an array of the same type as `array`, with a given shape."""
     return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
 
 
 def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], several: bool = False) -> Primitive:
-    """Return a primitive that applies a function; `like` returns what stands for its results."""
+    """Return a JAX primitive that applies a function; `like` returns the descriptions of its results."""
     made = Primitive(f"plenoptic_{name}")
     made.multiple_results = several
 
@@ -268,7 +268,7 @@ def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], s
 
 
 def _one_by_one(primitive: Primitive) -> None:
-    """Register a rule by which ``jax.vmap`` applies a primitive to one row after the other."""
+    """Register the rule by which ``jax.vmap`` applies a primitive row by row."""
 
     def batched(given: Sequence[Any], axes: Sequence[Any], **options: Any) -> Any:
         mapped = [k for k, axis in enumerate(axes) if axis is not None]

@@ -1,4 +1,4 @@
-"""Fitting the textured planes of a scene to raw captures, by gradients through the camera."""
+"""Fits of a scene's textured planes to raw captures, by gradients through the camera."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ def fit_layers(
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Layers:
-    """Find the radiance and the opacity of planes that explain raw captures of a scene from several positions.
+    """Find the radiance and opacity of planes that explain raw captures of a scene from several positions.
 
-    The micro-images are compared as they are: nothing is decoded, and no views are made. The mean squared difference
-    is reduced by Adam's method (Kingma and Ba 2015), a step for each capture of a round, with gradients through the
-    camera in the ray model or the wave model. Rays are drawn anew for each step, and others for its gradient. Nothing
-    smooths the planes.
+    The raw micro-images are compared directly, without decoding into views. The mean squared difference is reduced by
+    Adam's method (Kingma and Ba 2015), with one step for each capture of a round, and with gradients through the camera
+    in the ray or wave model. Each step, and its gradient, uses new rays. The planes are not smoothed.
 
     Parameters
     ----------
@@ -112,7 +111,7 @@ def fit_layers(
 
 
 def _sensor(capture: Capture, to_world: Any) -> Any:
-    """Return the sensor of a capture, whose film has the same channels."""
+    """Return the sensor of a capture, with a film of the same channels."""
     described = capture.camera.to_sensor(to_world)
     if capture.image.ndim == 3 and capture.image.shape[2] == 3:
         described["film"]["pixel_format"] = "rgb"
@@ -120,7 +119,7 @@ def _sensor(capture: Capture, to_world: Any) -> Any:
 
 
 def _through(planes: Any, capture: Capture, model: str) -> Any:
-    """Return the integrator that captures planes with a model."""
+    """Return the integrator that captures planes by a light model."""
     if model == "ray":
         return planes
     if capture.wavelength is None:

@@ -38,7 +38,7 @@ _LEAST_COUNT = 1.0
 
 @dataclass(frozen=True)
 class InteractionMatrix:
-    """The capture of known points, and its derivatives by Zernike terms.
+    """The capture of known points, and its derivatives with respect to Zernike terms.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class InteractionMatrix:
         wavelength: float = 633.0,
         accuracy: float = 0.01,
     ) -> InteractionMatrix:
-        """Return the matrix of a camera for known points.
+        """Return the interaction matrix of a camera for known points.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class InteractionMatrix:
         return cls(camera, image / image.sum(), responses / image.sum())
 
     def estimate(self, image: Any, *, prior: Any = None, rank: int | None = None) -> Array:
-        """Estimate the terms by which the wavefront of a capture differs from the reference.
+        """Return the Zernike terms by which the wavefront of a capture differs from the reference.
 
         Parameters
         ----------

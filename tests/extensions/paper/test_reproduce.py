@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from mitsuba_plenoptic import (
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import reproduce, seconds_on_one_core
+from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.comparison import compare
@@ -215,6 +217,26 @@ def test_a_stage_that_another_process_makes_is_refused(tmp_path):
 
     assert Stages(tmp_path).facts("facts", {}, make) == {"answer": 42}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["facts.json", "stages.json"]
+
+
+def test_stages_that_end_together_are_both_noted(tmp_path, monkeypatch):
+    write, begun, ended = checkpoints.write_json, threading.Event(), threading.Event()
+
+    def slow(path, content):
+        if not begun.is_set():
+            # The log has been read: the other stage has a second to be noted in between.
+            begun.set()
+            ended.wait(1)
+        write(path, content)
+
+    monkeypatch.setattr(checkpoints, "write_json", slow)
+    first = threading.Thread(target=Stages(tmp_path).facts, args=("first", {}, lambda _: {}))
+    first.start()
+    assert begun.wait(10)
+    Stages(tmp_path).facts("second", {}, lambda _: {})
+    ended.set()
+    first.join()
+    assert len(json.loads((tmp_path / "stages.json").read_text())) == 2
 
 
 def test_photographs_are_aligned_with_each_other(tiny):
