@@ -46,6 +46,7 @@ from .lens_by_lens import (
 )
 from .methods import Progress, Task, portion
 from .ray_sums import ray_sums
+from .splatting import thin_places
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""
@@ -301,8 +302,26 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine
         crop_offset=tuple(parts * size for size in camera.crop_offset),
         crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
     )
-    white = (white_pixels(camera) / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
-    counted = ray_sums(white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    white = white_pixels(camera) / parts**2
+    across, down = (count * oversample * fine + 2 for count in camera.bin_count)
+    counted = np.zeros(down * across)
+    for block, *position, is_lit in thin_places(split, distance, camera.lit_radius):
+        lit = np.flatnonzero(is_lit)
+        # Divided among the four samples around, as lenses, whose borders would show else, lie between samples.
+        places = [
+            values[lit] * (oversample * fine / camera.mla_pitch) + (size - 1) / 2
+            for values, size in zip(position, (across, down), strict=True)
+        ]
+        (column, x), (row, y) = ((np.floor(values), values - np.floor(values)) for values in places)
+        inside = np.flatnonzero((column >= 0) & (column < across - 1) & (row >= 0) & (row < down - 1))
+        light = white[np.arange(block.start, block.stop) // parts].repeat(parts, 1).ravel()[lit][inside]
+        x, y, corner = x[inside], y[inside], (row * across + column)[inside].astype(np.int64)
+        start = int(corner.min(initial=counted.size))
+        for below, right in np.ndindex(2, 2):
+            added = np.bincount(corner - start, light * abs(1 - below - y) * abs(1 - right - x))
+            first = start + below * across + right
+            counted[first : first + added.size] += added
+    counted = counted.reshape(down, across)[1:-1, 1:-1]
     return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
