@@ -37,7 +37,6 @@ from .displacement import brought_back, displacements, is_known, rising, tilt
 from .lens_by_lens import (
     LensSet,
     LensTile,
-    fine_bins,
     object_patches,
     on_bins,
     passing_power,
@@ -229,6 +228,9 @@ _WHOLE = 0.2
 _RAY_BINS = 36
 """Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
 
+_PIXEL_PARTS = 4
+"""Parts of a pixel along an axis, at least: of whole pixels, ten across a lens, some rows of lenses have 1 % more."""
+
 _MOST_RAY_BINS = 2**26
 
 
@@ -280,23 +282,23 @@ def white_sums(
         share = _throughput(camera, wavelength, relay)
     if camera.lens_data.traced_surfaces or camera.lenses_like_bins or is_focused:
         return white_sums(camera, distance, radius, footprint, oversample) * share
-    return _spread_rays(camera, distance, oversample, fine_bins(OpticalSystem(camera, wavelength), oversample)) * share
+    return _spread_rays(camera, distance, oversample) * share
 
 
 @once_a_camera
-def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
     """Return the number of white pixels whose rays come to each bin, spread over lenses like the light of waves.
 
     A ray must pass at least half a pixel inside the pupil: a smooth wave returns through the lens's centre alone. Light
-    of waves comes from all of a pixel, and pixels of fast cameras have images as wide as several lenses: pixels are
-    split into parts whose images are no wider than a lens.
+    of waves comes from all of a pixel, through the lens of each part, and pixels of fast cameras have images as wide as
+    several lenses: pixels are split into parts whose images are no wider than a lens.
     """
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
-    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
-    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    bins = math.prod(camera.bin_count) * oversample**2
+    fine = max(1, min(-(-_RAY_BINS // oversample), math.isqrt(_MOST_RAY_BINS // bins)))
     _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
-    parts = max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
+    parts = max(1, min(max(_PIXEL_PARTS, math.ceil(abs(float(image)) / camera.mla_pitch)), most))
     split = camera.replace(
         resolution=tuple(parts * size for size in camera.resolution),
         crop_offset=tuple(parts * size for size in camera.crop_offset),

@@ -171,3 +171,14 @@ def test_rows_of_a_hexagonal_array_do_not_show_where_images_of_pixels_are_wide(d
     result = reconstruct(white_image(camera), distance, camera=camera, method="coherent", wavelength=550.0)
     rows = result.image.mean(axis=1)
     np.testing.assert_allclose(rows, rows.mean(), rtol=0.05)
+
+
+@pytest.mark.parametrize("distance", [300.0, 320.0])
+def test_white_of_hexagonal_lenses_has_no_rows(distance):
+    """A white wall refocused lens by lens is even, with rows of lenses at any height between the rows of pixels."""
+    sheet = {"f_number": 2.8, "lenses": 24, "pixels_per_lens": 10, "pixel_size": 0.005}
+    camera = PlenopticCamera.matched(**sheet, focal_length=50, focus_distance=320, mla_lattice="hexagonal")
+    options = {"method": "partial", "interleave": "auto", "wavelength": 550.0, "camera": camera}
+    wall = reconstruct(white_image(camera), distance, **options).image[6:-6, 6:-6]
+    assert wall.mean() == pytest.approx(1, abs=0.02)
+    assert wall.mean(1).std() < 1.5e-3 and wall.mean(0).std() < 5e-4
