@@ -179,7 +179,7 @@ def reconstruct(
 
     chosen = reconstruction.METHODS[method]
     if estimate:
-        refused = {"output": output, "overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
+        refused = {"overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
     elif output is None:
@@ -197,7 +197,7 @@ def reconstruct(
     white, resume, workers, scheduler = (used.pop(name) for name in ("white", "resume", "workers", "scheduler"))
     used |= {"method": method, "oversample": oversample}
     require_linear(linear, capture, white)
-    if output is None:
+    if estimate or output is None:
         with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, known, linear, variant)
             progress(1, 3)

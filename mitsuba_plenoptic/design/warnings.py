@@ -36,6 +36,9 @@ from .remedies import (
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
 
+_HARDLY = 0.5
+"""Pixels by which rims of micro-images overlap unseen: no pixel gets half of its light from another lens."""
+
 _DUAL = 0.01
 """Largest relative deviation from two pixels across the lenses of dual and quad pixels."""
 
@@ -139,11 +142,11 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
                 (f"open the main lens to a diameter of {touching:.6g} mm", stop),
             ),
         )
-    elif focus_type(camera) != "unfocused" and crosstalk_lenses(camera) > 1:
+    elif focus_type(camera) != "unfocused" and _rims_overlap(camera):
         z, radius, fill = camera.reduced_distance, camera.aperture_radius, camera.mla_fill
 
         def apart(other: PlenopticCamera) -> bool:
-            return crosstalk_lenses(other) == 1
+            return not _rims_overlap(other)
 
         yield Finding(
             "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
@@ -160,6 +163,12 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
                 ("narrow the lenses", least_change(lambda factor: {"mla_fill": factor * fill}, camera, apart)),
             ),
         )
+
+
+def _rims_overlap(camera: PlenopticCamera) -> bool:
+    """Return whether pixels are lit through several lenses, even if rims were narrower by a part of a pixel."""
+    narrower = camera.aperture_radius - _HARDLY * camera.pupil_step
+    return narrower > 0 and crosstalk_lenses(camera.replace(aperture_radius=narrower)) > 1
 
 
 def _focus(camera: PlenopticCamera) -> Iterator[Finding]:

@@ -37,7 +37,6 @@ from .displacement import brought_back, displacements, is_known, rising, tilt
 from .lens_by_lens import (
     LensSet,
     LensTile,
-    fine_bins,
     object_patches,
     on_bins,
     passing_power,
@@ -46,6 +45,7 @@ from .lens_by_lens import (
 )
 from .methods import Progress, Task, portion
 from .ray_sums import ray_sums
+from .splatting import thin_places
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""
@@ -228,6 +228,9 @@ _WHOLE = 0.2
 _RAY_BINS = 36
 """Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
 
+_PIXEL_PARTS = 4
+"""Parts of a pixel along an axis, at least: of whole pixels, ten across a lens, some rows of lenses have 1 % more."""
+
 _MOST_RAY_BINS = 2**26
 
 
@@ -279,30 +282,48 @@ def white_sums(
         share = _throughput(camera, wavelength, relay)
     if camera.lens_data.traced_surfaces or camera.lenses_like_bins or is_focused:
         return white_sums(camera, distance, radius, footprint, oversample) * share
-    return _spread_rays(camera, distance, oversample, fine_bins(OpticalSystem(camera, wavelength), oversample)) * share
+    return _spread_rays(camera, distance, oversample) * share
 
 
 @once_a_camera
-def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
+def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
     """Return the number of white pixels whose rays come to each bin, spread over lenses like the light of waves.
 
     A ray must pass at least half a pixel inside the pupil: a smooth wave returns through the lens's centre alone. Light
-    of waves comes from all of a pixel, and pixels of fast cameras have images as wide as several lenses: pixels are
-    split into parts whose images are no wider than a lens.
+    of waves comes from all of a pixel, through the lens of each part, and pixels of fast cameras have images as wide as
+    several lenses: pixels are split into parts whose images are no wider than a lens.
     """
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
-    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
-    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    bins = math.prod(camera.bin_count) * oversample**2
+    fine = max(1, min(-(-_RAY_BINS // oversample), math.isqrt(_MOST_RAY_BINS // bins)))
     _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
-    parts = max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
+    parts = max(1, min(max(_PIXEL_PARTS, math.ceil(abs(float(image)) / camera.mla_pitch)), most))
     split = camera.replace(
         resolution=tuple(parts * size for size in camera.resolution),
         crop_offset=tuple(parts * size for size in camera.crop_offset),
         crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
     )
-    white = (white_pixels(camera) / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
-    counted = ray_sums(white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    white = white_pixels(camera) / parts**2
+    across, down = (count * oversample * fine + 2 for count in camera.bin_count)
+    counted = np.zeros(down * across)
+    for block, *position, is_lit in thin_places(split, distance, camera.lit_radius):
+        lit = np.flatnonzero(is_lit)
+        # Divided among the four samples around, as lenses, whose borders would show else, lie between samples.
+        places = [
+            values[lit] * (oversample * fine / camera.mla_pitch) + (size - 1) / 2
+            for values, size in zip(position, (across, down), strict=True)
+        ]
+        (column, x), (row, y) = ((np.floor(values), values - np.floor(values)) for values in places)
+        inside = np.flatnonzero((column >= 0) & (column < across - 1) & (row >= 0) & (row < down - 1))
+        light = white[np.arange(block.start, block.stop) // parts].repeat(parts, 1).ravel()[lit][inside]
+        x, y, corner = x[inside], y[inside], (row * across + column)[inside].astype(np.int64)
+        start = int(corner.min(initial=counted.size))
+        for below, right in np.ndindex(2, 2):
+            added = np.bincount(corner - start, light * abs(1 - below - y) * abs(1 - right - x))
+            first = start + below * across + right
+            counted[first : first + added.size] += added
+    counted = counted.reshape(down, across)[1:-1, 1:-1]
     return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
@@ -387,9 +408,10 @@ def _lens_patches(
     thin = ThinConjugates(OpticalSystem(around, wavelength))
     patch = libraries.to_host(object_patches(fields, lenses.tile, batch, distance, thin)[0]).astype(np.float64)
     everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
-    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    samples = everywhere.tile.samples
+    comb = np.zeros([(count - 1) * samples + 1 for count in everywhere.bins[::-1]])
     column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
-    comb[row * oversample, column * oversample] = 1
+    comb[row * samples, column * samples] = 1
     return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
 
 

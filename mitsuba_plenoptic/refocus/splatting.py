@@ -180,7 +180,7 @@ def _landing(
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
     """
     lattice, columns, found = camera.lattice, camera.crop_size[0], []
-    traced = _places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
+    traced = thin_places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
     for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
         x, y = (
@@ -201,7 +201,7 @@ def _landing(
     return sample, lens_type, pixels
 
 
-def _places(
+def thin_places(
     camera: PlenopticCamera, distance: float, radius: float
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
     """Yield the result of `traced_places` for a thin main lens, where rays are linear in pixel and lens centre."""

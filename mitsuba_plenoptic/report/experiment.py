@@ -293,7 +293,14 @@ def load_with_sensor(
     name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
 ) -> Any:
     """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
-    scene = load_scene(name, parameters=parameters, unit=unit)
+    level = mi.log_level()
+    try:
+        if mi.is_monochromatic:
+            # Mitsuba warns that films of colours record luminance, which the variant says.
+            mi.set_log_level(mi.LogLevel.Error)
+        scene = load_scene(name, parameters=parameters, unit=unit)
+    finally:
+        mi.set_log_level(level)
     if camera is not None:
         return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
     with naming(name):
