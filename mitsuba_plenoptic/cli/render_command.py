@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import time
 from contextlib import nullcontext
@@ -87,8 +86,7 @@ def render(
     white: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.exr",
-            help="Write the camera's white image, too: computed by rays, or for wave captures captured by waves.",
+            metavar="FILE.exr", help="Write the camera's white image, too: by rays, without noise, for any model."
         ),
         ends_in(".exr"),
     ] = None,
@@ -217,32 +215,11 @@ def render(
             typer.echo(f"{truth_file}: ground truth, {', '.join(names)}")
         write_capture(output, capture)
     if white:
-        facts = {"scene": "white image"}
-        if by_waves:
-            import mitsuba as mi
+        # Brings libraries that take a second to load.
+        from ..views import white_image
 
-            from ..light.render_capture import plenoptic_sensor
-            from ..plugins.other_camera import with_camera
-
-            # Divided by the white of rays, the rims of micro-images would be bright.
-            empty = mi.load_dict({"type": "scene", "integrator": loaded.integrator(), "light": {"type": "constant"}})
-            samples = spp or plenoptic_sensor(loaded, sensor).sampler().sample_count()
-            with progress_bar("Rendering white") as progress:
-                lit = render_capture(
-                    with_camera(empty, capture.camera),
-                    model="wave",
-                    spp=samples,
-                    seed=seed,
-                    progress=progress,
-                    **wave | {"method": "signed_rays"},
-                )
-            write_capture(white, dataclasses.replace(lit, metadata=lit.metadata | facts))
-        else:
-            # Brings libraries that take a second to load.
-            from ..views import white_image
-
-            write_capture(white, Capture(white_image(capture.camera), capture.camera, metadata=facts))
-        typer.echo(f"{white}: white image, by {'waves' if by_waves else 'rays'}")
+        write_capture(white, Capture(white_image(capture.camera), capture.camera, metadata={"scene": "white image"}))
+        typer.echo(f"{white}: white image, by rays")
     rows, columns = capture.camera.shape
     deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")
