@@ -1,4 +1,4 @@
-"""The one exception for a user's mistake, the checks that raise it, and the bounds of a camera's parameters.
+"""The exception for a user's mistake, the checks that raise it, and the bounds of a camera's parameters.
 
 Every ``require_...`` returns what it was given, as the type that it should be, or raises an `InputError` that names the
 thing, its value and the rule.
@@ -45,7 +45,7 @@ class InputError(ValueError):
 
 
 def refuse_if(broken: object, message: str) -> None:
-    """Raise an `InputError` if a rule is broken; the message is always made, so it must be quick to make."""
+    """Raise an `InputError` if a rule is broken; the message is built in any case, so it must be cheap."""
     if broken:
         raise InputError(message)
 
@@ -68,7 +68,7 @@ NO_RECORD = ValueError, TypeError, KeyError, RecursionError
 
 @contextlib.contextmanager
 def refusing(rule: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Raise an `InputError` of a rule in place of other exceptions, of any kind if none is named.
+    """Raise an `InputError` that states a rule, in place of the named kinds of exceptions, or of any kind.
 
     A rule that ends in a colon is followed by the exception's own message.
     """
@@ -83,7 +83,7 @@ def refusing(rule: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 def printable(text: str, longest: int | None = None) -> str:
-    """Return a text as one line on which no terminal acts: white space becomes a space, control characters escapes."""
+    """Return a text as one line without terminal control: white space becomes a space, control characters escapes."""
     if longest is not None and len(text) > longest:
         text = f"{text[: longest - 3]}..."
     if text.isprintable():
@@ -109,7 +109,7 @@ _options: Mapping[str, str] | None = None
 
 @contextlib.contextmanager
 def at_shell(options: Mapping[str, str]) -> Iterator[None]:
-    """Let advice name options of the command line; `options` lists options named differently from their arguments."""
+    """Spell arguments as command-line options in advice while the context is open; `options` lists deviating names."""
     global _options
     before, _options = _options, options
     try:
@@ -119,7 +119,7 @@ def at_shell(options: Mapping[str, str]) -> Iterator[None]:
 
 
 def advice(*, python: str, shell: str) -> str:
-    """Return the advice that suits where the user is."""
+    """Return the advice for Python or the advice for a shell, whichever the user works in."""
     return python if _options is None else shell
 
 
@@ -152,7 +152,7 @@ _RELATIONS = {
 
 
 def relation(name: str) -> str:
-    """Return a sentence about the parameter that a camera has instead of a common name, empty for other names."""
+    """Return a sentence on the camera parameter that replaces a commonly used name, empty for other names."""
     parameter, rule = _RELATIONS.get(name.lower(), ("", ""))
     return f"{parameter} is {rule.format(name)}" if parameter else ""
 
@@ -174,9 +174,8 @@ def suggest_keywords(
 ) -> _Call:
     """Return a function that answers an unknown keyword with the most similar known one.
 
-    A function that hands further keywords on knows the `others`. Of a class it is the constructor. Keywords that
-    earlier versions had are refused with what serves instead, `gone`, and those that an extension would add with the
-    line that `absent` returns for them.
+    `others` are keywords that the function hands on; for a class, the constructor counts. `gone` names, for keywords of
+    earlier versions, what serves instead; `absent` returns the line for keywords that a missing extension would add.
     """
     if isinstance(function, type):
         constructor = function.__init__  # type: ignore[misc]
@@ -210,7 +209,7 @@ def require_number(
     positive: bool = False,
     finite: bool = True,
 ) -> float:
-    """Return `value` as a float within the bounds; refuse anything else."""
+    """Return `value` as a float if it is a number within the bounds; refuse anything else."""
     if _is_flag(value) or isinstance(value, (str, bytes, bytearray)) or value is None:
         raise InputError(f"{name} = {short_repr(value)}: it must be a number")
     try:
@@ -231,7 +230,7 @@ def require_number(
 
 
 def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
-    """Return a word that is one of the choices."""
+    """Return a word that is one of the choices; refuse other words."""
     if not isinstance(value, str) or value not in choices:
         rule = f"it must be one of {', '.join(choices)}"
         raise InputError(f"{name} = {short_repr(value)}: {rule}{did_you_mean(value, choices)}")
@@ -261,7 +260,7 @@ def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> No
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:
-    """Return the two entries of a pair, which are not checked."""
+    """Return the two entries of a pair, unchecked; refuse anything that is not a pair."""
     try:
         first, second = value
     except (TypeError, ValueError):
@@ -277,13 +276,13 @@ def require_flag(name: str, value: Any) -> bool:
 
 
 def put(record: Any, **values: Any) -> None:
-    """Replace fields of a frozen dataclass that is being made, such as by their checked values."""
+    """Replace fields of a frozen dataclass while it is being made, for example by their checked values."""
     for name, value in values.items():
         object.__setattr__(record, name, value)
 
 
 def require_module(name: str, message: str) -> Any:
-    """Return a module of a package that few need; the message says what it is for and how to install it."""
+    """Return an optional package's module; the message says what it is for and how to install it."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -365,7 +364,7 @@ def require_wavelength(value: Any, name: str = "wavelength") -> float:
 
 
 def require_accuracy(accuracy: Any, name: str = "accuracy") -> float:
-    """Return an allowed error as a float."""
+    """Return an allowed error as a float; refuse values that no computation can keep."""
     number = require_number(name, accuracy)
     refuse_if(not 0 <= number < 1, f"{name} = {accuracy!r}: it must be from 0 (exact) to below 1")
     return number
@@ -402,7 +401,7 @@ def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
 
 
 def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a position in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
+    """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
     pair = require_pair(name, value, "(x, y)")
     x, y = (require_number(name, number, minimum=-LONGEST, maximum=LONGEST) for number in pair)
     return x, y
@@ -436,7 +435,7 @@ def require_chief_rays(name: str, value: Any) -> tuple[float, ...]:
 
 
 def _require_pairs(name: str, value: Any, meaning: str, rising: str) -> tuple[float, ...]:
-    """Return two or more pairs of numbers of at least 0, the first of each pair rising from 0, or no pair."""
+    """Return two or more pairs of nonnegative numbers, the first ones rising from 0, as one tuple; it may be empty."""
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
         raise InputError(f"{name} = {short_repr(value)}: it must be two or more pairs of {meaning}")

@@ -25,7 +25,7 @@ GROUP = "mitsuba_plenoptic.extensions"
 
 @dataclass(frozen=True)
 class FileFormat:
-    """Places of the functions that read and write files of a suffix.
+    """The places of the functions that read and write files of one suffix.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class Extension:
 
 @cache
 def installed() -> Mapping[str, Extension]:
-    """Return the records of all extensions by the names of their packages."""
+    """Return the records of all installed extensions by package name."""
     packages = [entry.value for entry in entry_points(group=GROUP)]
     try:
         shipped = importlib.import_module(GROUP)
@@ -119,7 +119,7 @@ def place(package: str, text: str) -> Any:
 
 
 def entries(kind: str) -> Iterator[tuple[str, str, Any]]:
-    """Yield package, key and value of all entries of a mapping of the records, such as ``commands``."""
+    """Yield package, key and value of all entries in one mapping of the records, such as ``commands``."""
     for package, record in installed().items():
         for key, value in getattr(record, kind).items():
             yield package, key, value
@@ -131,7 +131,7 @@ def entry_of(kind: str, key: str, what: str) -> Any:
     Raises
     ------
     InputError
-        If no extension has it; `what` begins the line.
+        If no extension has the entry; `what` begins the line.
     """
     for package, found, text in entries(kind):
         if found == key:
@@ -140,7 +140,7 @@ def entry_of(kind: str, key: str, what: str) -> Any:
 
 
 class Displayed:
-    """A class whose objects notebooks show as an extension draws them, and as plain text without one."""
+    """A class whose objects notebooks show as an extension draws them, or as plain text without that extension."""
 
     __slots__ = ()
 
@@ -152,7 +152,7 @@ class Displayed:
 
 
 def register(kind: str) -> None:
-    """Import the modules that the records list under ``methods`` or ``lenses``, and that register themselves."""
+    """Import the modules listed under ``methods`` or ``lenses`` of the records, which register themselves."""
     for package, record in installed().items():
         for module in getattr(record, kind):
             importlib.import_module(f"{package}.{module}")
@@ -174,6 +174,6 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 
 
 def missing(kind: str, name: str) -> str:
-    """Return the line that a shipped extension is missing, which adds `name`; an empty text for other names."""
+    """Return the line that the shipped extension which adds `name` is missing; empty for other names."""
     owner = SHIPPED[kind].get(name)
     return f"{name}: extension {owner} is not installed" if owner and f"{GROUP}.{owner}" not in installed() else ""

@@ -1,7 +1,8 @@
-"""Options of single methods of reconstruction: a field of `MethodOptions` is all that there is to write of one.
+"""Options of single reconstruction methods, each declared once as a field of `MethodOptions`.
 
 The signature and docstring of `mitsuba_plenoptic.reconstruct`, its checks, the options of ``mitsuba-plenoptic
-reconstruct`` with their help, and the keys of run files follow. Help reads this module, which imports no library.
+reconstruct`` with their help, and the keys of run files follow from these fields. Help reads this module, which imports
+no library.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _Call = TypeVar("_Call", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Option:
-    """What is known of an option beside its name."""
+    """Properties of an option of a method, such as its default and its text."""
 
     # Names of the methods that use it.
     methods: tuple[str, ...]
@@ -51,7 +52,7 @@ class Option:
 
     @property
     def label(self) -> str:
-        """The text, after the methods that use the option."""
+        """Text of the option, preceded by the methods that use it."""
         return f"For {' and '.join(self.methods)}: {self.text}"
 
     @property
@@ -61,7 +62,7 @@ class Option:
 
 
 def _require_interleave(name: str, value: object, lenses: int) -> int | str:
-    """Return the period of the subsets of lenses, or ``"auto"``."""
+    """Return the period of the lens subsets, or ``"auto"``; refuse other values."""
     if isinstance(value, str) and value == "auto":
         return value
     try:
@@ -75,7 +76,7 @@ _PARTIAL, _DECONVOLVED = ("partial",), ("deconvolved",)
 
 
 class MethodOptions(TypedDict, total=False):
-    """Options of `mitsuba_plenoptic.reconstruct` that single methods use; None is the default."""
+    """Options of `mitsuba_plenoptic.reconstruct` that only some methods use; None is the default."""
 
     interleave: Annotated[
         int | str | None,
@@ -172,7 +173,7 @@ OPTIONS = {name: replace(option, types=get_args(kind)[:-1]) for name, (kind, opt
 
 
 def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
-    """Give a function that takes ``**options`` a signature that names them; `parameters` has their annotations."""
+    """Return a function of ``**options`` with a signature that names them; `parameters` has their annotations."""
     signature = inspect.signature(function, eval_str=True)
     own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
     keyword = inspect.Parameter.KEYWORD_ONLY
@@ -187,7 +188,7 @@ def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
 
 
 def with_options(function: _Call) -> _Call:
-    """Give `reconstruct` the options of single methods, in its signature and in its docstring."""
+    """Return `reconstruct` with the options of single methods in its signature and docstring."""
     text = ""
     for name, option in OPTIONS.items():
         words = " or ".join([repr(word) for word in option.choices] or [one.__name__ for one in option.types])

@@ -1,4 +1,4 @@
-"""What `mitsuba_plenoptic` serves by name: public names, public modules, and modules by their names in version 1.0."""
+"""The names that `mitsuba_plenoptic` serves: public names, public modules, and module names of version 1.0."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def attribute(name: str) -> Any:
 
 
 def _moved(name: str) -> str:
-    """Return the new name of a module of version 1.0, with its former content; empty for other modules."""
+    """Return the new name of a module of version 1.0, now with the former content; empty for other modules."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         if now := MOVED.get(".".join(parts[:count])):
@@ -145,11 +145,11 @@ class _Alias(Loader):
         self._spec = self._module.__spec__
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
-        """Return the module that has the new name."""
+        """Return the module under its new name."""
         return self._module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore attributes that the import system has overwritten; some modules were packages in version 1.0."""
+        """Restore attributes overwritten by the import system; some modules were packages in version 1.0."""
         module.__spec__ = self._spec
         if not hasattr(module, "__path__"):
             module.__path__ = []
@@ -161,7 +161,7 @@ class _MovedFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that has another name now, None for all others."""
+        """Return the spec of a module that now has another name, otherwise None."""
         root, _, name = fullname.partition(".")
         moved = _moved(name) if root == ROOT else ""
         if not moved:
@@ -171,12 +171,12 @@ class _MovedFinder(MetaPathFinder):
 
 
 class _ServedFinder(MetaPathFinder):
-    """Finder of public modules that lie deeper in the package, those of extensions among them."""
+    """Finder of public modules, including those of extensions, that lie deeper in the package."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of a module that is served by its name, None for all others."""
+        """Return the spec of a module that is served by its name, otherwise None."""
         root, _, name = fullname.partition(".")
         if root != ROOT or name in ("", "extensions") or "." in name:
             return None
@@ -193,7 +193,7 @@ class _ServedFinder(MetaPathFinder):
 
 
 def install() -> None:
-    """Let the import system find modules under the names that they are served by."""
+    """Let the import system find modules under the names by which they are served."""
     if not any(isinstance(finder, _MovedFinder) for finder in sys.meta_path):
         # Before the finder of files, which would load files of a moved package again, under the former name.
         sys.meta_path.insert(0, _MovedFinder())

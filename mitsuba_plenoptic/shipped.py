@@ -1,4 +1,4 @@
-"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""
+"""Names of everything that the shipped extensions add; written by ``tools/make_shipped.py``."""
 
 from __future__ import annotations
 
@@ -51,6 +51,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     "captures": {"small lenses": "onchip"},
     "cameras": {"libpleno": "calibrate"},
     "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", "parameters.cfg": "raw", ".mat": "raw"},
+    "plugins": {"plenoptic_laser": "laser"},
 }
 
 # For type checkers: at run time names are served when they are asked for.
@@ -103,6 +104,6 @@ if TYPE_CHECKING:
     ]
 
     class ShippedParameters:
-        """Parameters of the camera that extensions add."""
+        """Camera parameters that shipped extensions add."""
 
         photodiode_response: PhotodiodeParameter

@@ -26,6 +26,7 @@ import pytest
 import mitsuba_plenoptic  # chooses LLVM before Dr.Jit loads
 
 import mitsuba as mi  # isort: skip
+from mitsuba_plenoptic.extension import installed  # isort: skip
 import scene_cases  # isort: skip
 
 
@@ -38,6 +39,14 @@ def pytest_collection():
     finally:
         gc.freeze()
         gc.enable()
+
+
+def pytest_runtest_setup(item):
+    """Skip a test of the core that needs an extension where this one is not installed."""
+    for marker in item.iter_markers("needs_extension"):
+        for name in marker.args:
+            if f"mitsuba_plenoptic.extensions.{name}" not in installed():
+                pytest.skip(f"extension {name} is not installed")
 
 
 @pytest.fixture(autouse=True)
@@ -141,6 +150,17 @@ def complaint(capfd):
         return error.removeprefix("mitsuba-plenoptic: error: ").rstrip("\n")
 
     return complaint
+
+
+@pytest.fixture
+def mistake(raw, tmp_path, complaint):
+    """See that a command line is a user's mistake, that what is said has some words, and that nothing is written."""
+
+    def mistake(line, words):
+        assert words in complaint(*line.format(raw=raw, out=tmp_path / "out").split())
+        assert list(tmp_path.iterdir()) == []
+
+    return mistake
 
 
 @pytest.fixture(scope="session")

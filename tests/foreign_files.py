@@ -7,6 +7,7 @@ import zlib
 
 import h5py
 import numpy as np
+import OpenEXR
 
 
 def write_matlab_7(path, fill):
@@ -100,3 +101,26 @@ def write_lytro_white(path, numbers, metadata):
     frames = [{"frame": {"metadata": metadata}}]
     path.with_suffix(".TXT").write_text(json.dumps({"master": {"picture": {"frameArray": frames}}}))
     return path.with_suffix(".RAW")
+
+
+def large(path):
+    """Make a file of 3 GiB without any content, which takes no room on the disk."""
+    with path.open("wb") as file:
+        file.truncate(3 * 2**30)
+    return path
+
+
+def write_exr_parts(path, parts, attributes):
+    """Write the parts of an OpenEXR file, channels by name, of which the first has our attributes."""
+    headers = [{"mitsuba_plenoptic": json.dumps(attributes)}] + [{} for _ in range(len(parts) - 1)]
+    size = np.array([0, 0]), np.max([plane.shape[::-1] for one in parts.values() for plane in one.values()], axis=0) - 1
+    window = {"displayWindow": tuple(each.astype(np.int32) for each in size), "compression": OpenEXR.ZIP_COMPRESSION}
+    made = [
+        OpenEXR.Part(
+            header | window | {"type": OpenEXR.scanlineimage},
+            {name: OpenEXR.Channel(np.float32(plane)) for name, plane in channels.items()},
+            part,
+        )
+        for header, (part, channels) in zip(headers, parts.items(), strict=True)
+    ]
+    OpenEXR.File(made).write(str(path))

@@ -4,6 +4,9 @@ import math
 
 import mitsuba as mi
 import numpy as np
+import pytest
+
+from mitsuba_plenoptic import scene_path
 
 _SCENE = """<scene version="3.0.0">
 <integrator type="path"/>
@@ -15,6 +18,12 @@ _SCENE = """<scene version="3.0.0">
 </sensor>
 {text}
 </scene>"""
+
+BUILT_IN = [
+    pytest.param(name, marks=pytest.mark.needs_extension("laser")) if name == "speckle" else name
+    for name in sorted(path.stem for path in scene_path("letters").parent.glob("*.xml"))
+]
+"""Names of the built-in scenes, one of which has a laser."""
 
 SMALL_SENSOR = '<float name="detector_width" value="0.128"/>'
 """Two lenses across, for scenes that are rendered."""

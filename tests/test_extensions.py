@@ -6,10 +6,13 @@ import ast
 import importlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import textwrap
+import venv
 from pathlib import Path
 
 import pytest
@@ -147,6 +150,7 @@ MISSING = """
         line(module, "torch"),
         line(open_light_field, "a.mat"),
         line(lambda: mp.render_capture(mp.load_scene(small), spp=1)),
+        line(mp.load_scene, "speckle"),
     ]
     from mitsuba_plenoptic.cli import main
     open("photo.lfr", "wb").close()
@@ -165,6 +169,8 @@ def test_one_line_names_a_missing_extension(copy):
     made = copy(["extensions"], MISSING)
     assert made.returncode == 0, made.stderr
     lines, statuses = json.loads(made.stdout.splitlines()[-1])
+    scene = lines.pop()
+    assert scene.endswith("speckle.xml, line 42, col 6: plenoptic_laser: extension laser is not installed")
     assert lines == [
         "photodiode_response: extension onchip is not installed",
         "photodiode_response: extension onchip is not installed",
@@ -177,6 +183,13 @@ def test_one_line_names_a_missing_extension(copy):
     assert statuses == [2, 2]
     assert "mitsuba-plenoptic: error: dual: extension onchip is not installed" in made.stderr
     assert "photo.lfr: .lfr: extension raw is not installed" in made.stderr
+
+
+@pytest.mark.parametrize("name", ["calibration", "dataset", "fitting", "laser", "onchip", "wavefront", "exchange"])
+def test_public_modules_of_extensions_are_imported_without_a_warning(python, name):
+    made = python(f"from mitsuba_plenoptic import {name}; import mitsuba_plenoptic.{name} as m; assert m is {name}")
+    assert made.returncode == 0, made.stderr
+    assert not made.stderr
 
 
 @pytest.mark.slow
@@ -198,6 +211,31 @@ def core(tmp_path):
 def test_types_are_right_without_extensions(core):
     made = subprocess.run([sys.executable, "-m", "mypy"], cwd=core, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stdout
+
+
+SKIPPED_WITHOUT_EXTENSIONS = 24
+"""The most tests of the core that may be left out for want of an extension; they are listed when it is exceeded."""
+
+
+@pytest.mark.slow
+def test_the_suite_of_the_core_passes_without_extensions(core, tmp_path, capsys):
+    """All tests but those of the site and of the tools, which show and measure extensions, too."""
+    # An environment with the installed libraries, but without what runs when it starts: the editable installation.
+    venv.create(tmp_path / "environment", with_pip=False, symlinks=True)
+    python = tmp_path / "environment" / "bin" / "python"
+    paths = {"base": str(tmp_path / "environment"), "platbase": str(tmp_path / "environment")}
+    own = Path(sysconfig.get_path("purelib", "venv", paths))
+    (own / "core.pth").write_text(f"{core}\n{sysconfig.get_path('purelib')}\n")
+    command = [python, "-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-rs"]
+    others = ("--ignore=tests/docs", "--ignore=tests/tools", "--ignore=tests/test_packaging.py")
+    made = subprocess.run([*command, *others], cwd=core, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stdout
+    # A line of the summary has its number of tests in brackets.
+    skipped = re.findall(r"^SKIPPED \[(\d+)\] (.*extension \w+ is not installed)", made.stdout, flags=re.MULTILINE)
+    count = sum(int(number) for number, _ in skipped)
+    with capsys.disabled():
+        print(f"\n{made.stdout.splitlines()[-1]}; {count} of the skipped ones need an extension")
+    assert count <= SKIPPED_WITHOUT_EXTENSIONS, skipped
 
 
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):

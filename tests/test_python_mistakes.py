@@ -12,10 +12,10 @@ from scene_cases import letters
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
-from mitsuba_plenoptic.benchmark import run_baseline
-from mitsuba_plenoptic.exchange import save_light_field, write_mosaic
 from mitsuba_plenoptic.prescription.lens_file import write_prescription
 from mitsuba_plenoptic.refocus import Volume, write_reconstruction, write_volume
+from mitsuba_plenoptic.views.light_field_files import save_light_field
+from mitsuba_plenoptic.views.mosaics import write_mosaic
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 IMAGE = np.ones((64, 64), np.float32)
@@ -79,8 +79,6 @@ def test_a_name_is_no_camera():
     ):
         with pytest.raises(InputError, match="camera = 'paper': it must be a PlenopticCamera"):
             work()
-    with pytest.raises(InputError, match="start = 'raytrix': it must be a PlenopticCamera"):
-        mp.calibrate({}, None, "raytrix")
     with pytest.raises(InputError, match="main_lens: the camera has none with surfaces"):
         mp.LensSystem.of(CAMERA)
 
@@ -152,11 +150,10 @@ POINTS = [(0, 0, 240)]
         (lambda: mp.StoredOperator(CAMERA, POINTS, wavelength=633, method="bank"), "method = bank"),
         (lambda: mp.point_spread_function(CAMERA, POINTS[0], wavelength=633, method="bank"), "method = bank"),
         (lambda: mp.reconstruct(IMAGE, 240, camera=CAMERA, method="partial", partition=[[0]]), "partition"),
-        (lambda: run_baseline("network", None, "answers"), "baseline = network"),
     ],
 )
 def test_what_is_gone_is_answered_with_what_serves_instead(call, words):
-    serves = {"method = bank": "patch", "partition": "interleave", "baseline = network": "ray"}[words]
+    serves = {"method = bank": "patch", "partition": "interleave"}[words]
     with pytest.raises(InputError, match=rf"^{words}: it is gone since version 2\.0; use {serves}[^\n]*$"):
         call()
 
@@ -227,7 +224,6 @@ RANDOM = np.random.default_rng(0).random((64, 64), np.float32)
 LIGHT_FIELD = mp.decode(IMAGE, camera=CAMERA)
 NOISY = mp.expose(Capture(IMAGE, CAMERA), mp.Detector(), photons=100)
 REFOCUSED = mp.reconstruct(IMAGE, 240, camera=CAMERA)
-CORNERS = {name: np.arange(3000) for name in ("k", "l", "u", "v", "cluster", "frame")}
 WRITERS = {
     "x.exr": lambda path: mp.write_capture(path, Capture(RANDOM, CAMERA)),
     "r.exr": lambda path: write_reconstruction(path, dataclasses.replace(REFOCUSED, image=RANDOM)),
@@ -237,12 +233,17 @@ WRITERS = {
     "lf.nc": lambda path: save_light_field(path, LIGHT_FIELD),
     "lf.mat": lambda path: save_light_field(path, LIGHT_FIELD),
     "lf.png": lambda path: write_mosaic(path, LIGHT_FIELD),
-    "c.csv": lambda path: mp.calibration.write_corners(path, CORNERS),
+    "c.csv": lambda path: mp.calibration.write_corners(path, dict.fromkeys(CORNERS, np.arange(3000))),
     "lens.yaml": lambda path: write_prescription(path, PlenopticCamera.preset("paper_double_gauss").prescription),
 }
+CORNERS = ("k", "l", "u", "v", "cluster", "frame")
+NEEDS = {"lf.mat": "raw", "c.csv": "calibrate"}
+NAMES = [
+    pytest.param(name, marks=pytest.mark.needs_extension(NEEDS[name])) if name in NEEDS else name for name in WRITERS
+]
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", NAMES)
 def test_writers_refuse_names_of_other_kinds_of_file(name, tmp_path):
     for wrong in ("x.txt", "x", "x.exr.gz"):
         with pytest.raises(InputError, match=rf"{wrong}: give a name that ends in \."):
@@ -252,7 +253,7 @@ def test_writers_refuse_names_of_other_kinds_of_file(name, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", NAMES)
 def test_what_a_disk_has_no_room_for_is_named_and_leaves_what_was_there(name, tmp_path):
     """As of a full disk, here of a limit on the size of files."""
     resource = pytest.importorskip("resource")

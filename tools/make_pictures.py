@@ -17,18 +17,18 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from check_release import page_code, page_files
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from phase_space_picture import panels
+from picture_layout import DPI, WIDTH, coloured, drawn, in_browser, narrowed, sheet, write
 from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
@@ -47,70 +47,13 @@ FOLDER = ROOT / "docs" / "pictures"
 STORED = ROOT / "build" / "pictures"
 NOTEBOOKS = ROOT / "build" / "jupyter_execute" / "gallery"
 
-WIDTH, DPI, LARGEST = 7.5, 104, 150_000
-"""Width of a picture in inches, its pixels per inch, and the size of its file in bytes."""
-
 PICTURES: dict[str, Callable[[], Image.Image]] = {}
-
-Panel = tuple[str, np.ndarray]
-"""A title, and an image of bytes or of radiances, which are drawn on the scale of their sheet."""
 
 
 def picture(make: Callable[[], Image.Image]) -> Callable[[], Image.Image]:
     """Register a picture under its function's name."""
     PICTURES[make.__name__] = make
     return make
-
-
-def sheet(
-    rows: Sequence[Sequence[Panel]], white: float | None = None, colours: tuple[ScalarMappable, str] | None = None
-) -> Image.Image:
-    """Lay out images of one size with their titles; radiances share a scale.
-
-    The colours of the last image are explained by a bar below it.
-    """
-    radiances = [image for row in rows for _, image in row if image.dtype != np.uint8]
-    peak = white or (Brightness().peak(radiances) if radiances else 1.0)
-    columns, gap, title = len(rows[0]), 0.06, 0.24
-    side = (WIDTH - (columns - 1) * gap) / columns
-    tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
-    tops = [sum(tall[:index]) + index * (title + gap) + title for index in range(len(rows))]
-    below = tops[-1] + tall[-1]
-    canvas = Canvas(WIDTH, below + (0.6 if colours else 0), DPI)
-    if colours:
-        # Numbers at the ends of the bar need room.
-        left, narrower = (columns - 1) * (side + gap) + 0.1, side - 0.25
-        canvas.colour_bar(colours[0], left, below + 0.06, 0.1, colours[1], width=narrower, text=8)
-    for top, height, row in zip(tops, tall, rows, strict=True):
-        for index, (name, image) in enumerate(row):
-            axes = canvas.axes(index * (side + gap), top, side, height)
-            shown = image if image.dtype == np.uint8 else to_bytes(image, peak)
-            axes.imshow(shown, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
-            axes.set_title(name, size=9, loc="left", pad=3)
-    return drawn(canvas)
-
-
-def drawn(canvas: Canvas) -> Image.Image:
-    """Return what a canvas shows."""
-    stream = io.BytesIO()
-    canvas.figure.savefig(stream, format="png")
-    return Image.open(stream).convert("RGB")
-
-
-def write(path: Path, image: Image.Image) -> None:
-    """Write a palette PNG with as many colours as its size allows."""
-    for colours in (256, 128, 64, 32):
-        stream = io.BytesIO()
-        palette = image.quantize(colours, kmeans=1, dither=Image.Dither.NONE)
-        palette.save(stream, "PNG", optimize=True)
-        if stream.tell() <= LARGEST:
-            break
-    else:
-        raise SystemExit(f"{path}: {stream.tell()} bytes with 32 colours; at most {LARGEST}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(stream.getvalue())
-    size = f"{image.width} x {image.height}, {colours} colours, {stream.tell() / 1000:.0f} kB"
-    print(f"{path.relative_to(path.parents[1])}: {size}", flush=True)
 
 
 CAMERA: dict[str, Any] = {"mla_pitch": 0.032, "mla_focal_length": 0.256, "resolution": (2048, 2048)}
@@ -181,7 +124,7 @@ def start() -> Image.Image:
     near, middle, far = (result.image for result in mp.reconstruct(capture, [212, 258, 284]))
     found = depth()["depth"].values
     scale = ScalarMappable(Normalize(190, 310), "viridis_r")
-    shown = np.where(np.isfinite(found)[..., None], 255 * scale.to_rgba(found)[..., :3], 238).astype(np.uint8)
+    shown = coloured(found, 190, 310, colours="viridis_r", unknown=238)
     return sheet(
         [
             [
@@ -199,14 +142,17 @@ def start() -> Image.Image:
     )
 
 
-@picture
-def reconstructions() -> Image.Image:
-    """Show the comparison of methods of the paper's report."""
-    path = STORED / "paper" / "methods.png"
+def of_report(name: str) -> Image.Image:
+    """Return a figure of the report on the paper, which is reproduced once."""
+    path = STORED / "paper" / f"{name}.png"
     if not path.exists():
         words = ["reproduce", "--preset", "paper", "-o", str(path.parent)]
         subprocess.run([sys.executable, "-m", "mitsuba_plenoptic", *words], check=True)
     return narrowed(Image.open(path).convert("RGB"), 1000)
+
+
+PICTURES |= {"reconstructions": partial(of_report, "methods")}
+PICTURES |= {name: partial(of_report, name) for name in ("fig2", "fig4")}
 
 
 @picture
@@ -371,8 +317,8 @@ def wavefront_sensors() -> Image.Image:
     star = np.abs(field.samples[slice(*middle), slice(*middle)]) ** 2
     inside = np.hypot(*np.meshgrid(*2 * [np.linspace(-1, 1, 128)])) < 1
     path = screen.waves - screen.waves[inside].mean()
-    shown = matplotlib.colormaps["viridis"](0.5 + path / np.ptp(path[inside]))[..., :3]
-    wavefront = np.where(inside[..., None], 255 * shown, 255).astype(np.uint8)
+    half = np.ptp(path[inside]) / 2
+    wavefront = coloured(np.where(inside, path, np.nan), -half, half, unknown=255)
     return sheet(
         [
             [
@@ -482,12 +428,10 @@ def run_files() -> Image.Image:
     light_field = mp.decode(mp.example("letters-ray"))
     found = mp.reconstruct(mp.example("letters-wave"), [210, 240, 280], method="partial")
     depth = mp.views.depth_map(light_field)["depth"].values
-    shown = matplotlib.colormaps["viridis"](np.clip((depth - 200) / 90, 0, 1))
-    shown[np.isnan(depth)] = 0.85, 0.85, 0.85, 1
     views = mp.views.view_mosaic(mp.views.pick_views(light_field, 5))
     panels = [(f"wave.pdf, {one.distance:g} mm", one.image) for one in found]
     white = Brightness().peak([one.image for one in found])
-    depths = ("depth.exr", (255 * shown[..., :3]).astype(np.uint8))
+    depths = ("depth.exr", coloured(depth, 200, 290))
     views = to_bytes(np.nan_to_num(views), Brightness().peak([np.nan_to_num(views)]))
     return sheet([[*panels, depths, ("views.png, 5 x 5", views)]], white)
 
@@ -504,13 +448,11 @@ def dual_pixel() -> Image.Image:
     white = Brightness().peak([left + right])
     grey = [to_bytes(half.mean(-1) * 2, white) for half in (left, right)]
     disparity = mp.match_halves(halves, window=21, search=12).values
-    shown = matplotlib.colormaps["viridis"](np.clip((disparity + 8) / 12, 0, 1))
-    shown[np.isnan(disparity)] = 0.5, 0.5, 0.5, 1
     panels = {
         "Left photodiodes": to_bytes(2 * left, white),
         "Right photodiodes": to_bytes(2 * right, white),
         "Left red, right cyan": np.dstack([grey[0], grey[1], grey[1]]),
-        "Disparity: blue -8, yellow 4 lenses": (255 * shown[..., :3]).astype(np.uint8),
+        "Disparity: blue -8, yellow 4 lenses": coloured(disparity, -8, 4, unknown=128),
     }
     return sheet([list(panels.items())[:2], list(panels.items())[2:]])
 
@@ -543,8 +485,7 @@ def fitting() -> Image.Image:
     deviation = np.sqrt(exact.clip(0) / photons + 1 / photons**2)
 
     def residual(camera: mp.PlenopticCamera) -> np.ndarray:
-        part = np.clip((model(camera) / brightest - seen) / deviation / 10 + 0.5, 0, 1)
-        return (255 * matplotlib.colormaps["RdBu_r"](part)[..., :3]).astype(np.uint8)
+        return coloured((model(camera) / brightest - seen) / deviation, -5, 5, colours="RdBu_r")
 
     pitch, (x, y) = 1e3 * found.camera.mla_pitch, (1e3 * value for value in found.camera.mla_offset)
     print(f"fitting: pitch {pitch:.3f} um, offset ({x:.3f}, {y:.3f}) um; true: 64, (0, 0)")
@@ -612,22 +553,6 @@ def compare() -> Image.Image:
         words = ["compare", "letters", "-o", folder, *options, "--distance", "210", "--distance", "280"]
         subprocess.run([sys.executable, "-m", "mitsuba_plenoptic", *words], check=True)
         return in_browser(Path(folder) / "report.html", 1100, 1000)
-
-
-def in_browser(page: Path, width: int, height: int) -> Image.Image:
-    """Take a picture of a page."""
-    with tempfile.TemporaryDirectory() as folder:
-        taken = Path(folder) / "page.png"
-        size = ["--width", str(width), "--height", str(height)]
-        subprocess.run(
-            [sys.executable, str(ROOT / "tools" / "report_picture.py"), str(page), str(taken), *size], check=True
-        )
-        return Image.open(taken).convert("RGB")
-
-
-def narrowed(image: Image.Image, width: int = 900) -> Image.Image:
-    """Shrink a picture to a width."""
-    return image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS)
 
 
 def thumbnail(page: str) -> Image.Image:

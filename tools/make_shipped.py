@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import pkgutil
 import subprocess
@@ -15,7 +16,7 @@ from mitsuba_plenoptic.extension import Extension, installed
 
 PATH = Path(__file__).parents[1] / "mitsuba_plenoptic" / "shipped.py"
 
-KINDS = ("names", "modules", "commands", "parameters", "presets", "captures", "cameras", "formats")
+KINDS = ("names", "modules", "commands", "parameters", "presets", "captures", "cameras", "formats", "plugins")
 
 
 def _records() -> Iterator[tuple[str, Extension]]:
@@ -50,11 +51,13 @@ def text() -> str:
             module, annotation = _annotation(name, place)
             imports.append(f"    from .extensions.{name}.{module} import {annotation}")
             fields.append(f"        {parameter}: {annotation}")
-        for kind in KINDS[1:]:
+        for kind in KINDS[1:-1]:
             tables[kind] |= dict.fromkeys(getattr(record, kind), name)
+        plugins = [importlib.import_module(f"mitsuba_plenoptic.extensions.{name}.{each}") for each in record.plugins]
+        tables["plugins"] |= dict.fromkeys((plugin.NAME for plugin in plugins), name)
     body = "\n".join(fields) or "        pass"
     return (
-        '"""What the shipped extensions add, by their names; written by ``tools/make_shipped.py``."""\n\n'
+        '"""Names of everything that the shipped extensions add; written by ``tools/make_shipped.py``."""\n\n'
         "from __future__ import annotations\n\n"
         "from typing import TYPE_CHECKING\n\n"
         f"SHIPPED: dict[str, dict[str, str]] = {json.dumps(tables, indent=4)}\n\n"
@@ -62,7 +65,7 @@ def text() -> str:
         "if TYPE_CHECKING:\n" + "\n".join(imports) + "\n\n"
         f"    __all__ = {json.dumps(sorted(public), indent=8)}\n\n"
         "    class ShippedParameters:\n"
-        '        """Parameters of the camera that extensions add."""\n\n' + body + "\n"
+        '        """Camera parameters that shipped extensions add."""\n\n' + body + "\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""Cameras by what a command's ``--camera`` names: presets, files of parameters, and parameters as text."""
+"""Cameras named by ``--camera`` of a command: presets, files of parameters, and parameters as text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LIBPLENO = {"mla", "main_lens", "sensor"}
 
 
 def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
-    """Return a camera, and the object ``calibration`` of its file, None without one.
+    """Return a camera, and the object ``calibration`` of its file (None if there is none).
 
     Raises
     ------
@@ -49,12 +49,12 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
 
 
 def states_camera(source: str | Path) -> bool:
-    """Return whether a text states parameters of a camera; a file of this name takes precedence."""
+    """Return whether a text states camera parameters, such as ``mla_pitch=0.1``, and is not the name of a file."""
     return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
 
 
 def _stated(text: str) -> dict[str, Any]:
-    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; several values are a list, or have commas between."""
+    """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``; lists, or values with commas between, are allowed."""
     values: dict[str, Any] = {}
     for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
         refuse_if(name in values, f"{name} is given twice")

@@ -13,7 +13,7 @@ _Record = TypeVar("_Record", bound=type)
 
 
 class Form(Enum):
-    """Form of a value: its type in Python and in scene files, where resolution and crop belong to the film."""
+    """Type of a parameter's value in Python and in scene files; resolution and crop belong to the film there."""
 
     NUMBER = "float", "|float|"
     SEVERAL = "float or floats", "|float| or |string|"
@@ -101,7 +101,7 @@ class Parameter(Generic[Given, Kept]):
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(Parameter,))
 def record(cls: _Record) -> _Record:
-    """Make a class a record of parameters that cannot be changed."""
+    """Return a class turned into a frozen record of parameters."""
     return cast(_Record, dataclass(frozen=True, init=False, repr=False)(cls))
 
 
@@ -111,10 +111,10 @@ def one_if_equal(pitches: tuple[float, float]) -> float | tuple[float, float]:
 
 
 def one_if_single(values: tuple[float, ...]) -> float | tuple[float, ...]:
-    """Return the value itself if there is only one, or else all values."""
+    """Return the only value of a sequence of one value, otherwise all values."""
     return values[0] if len(values) == 1 else values
 
 
 def one(camera: Any) -> float:
-    """Return the step of a fit for parameters that have a natural unit."""
+    """Return 1, the step of a fit for a parameter that has a natural unit."""
     return 1.0

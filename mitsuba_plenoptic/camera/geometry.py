@@ -17,28 +17,28 @@ from .parameters import CameraParameters
 
 @record
 class CameraGeometry(CameraParameters):
-    """Parameters of a camera, with the quantities that follow from them."""
+    """A camera's parameters, with the quantities that follow from them; lengths in millimetres."""
 
     # -- main lens -----------------------------------------------------------------------------------
 
     @property
     def objective(self) -> Objective | None:
-        """Main lens if it is a microscope's objective, otherwise None."""
+        """The main lens if it is a microscope's objective, otherwise None."""
         return self.main_lens if isinstance(self.main_lens, Objective) else None
 
     @property
     def prescription(self) -> Prescription | None:
-        """Main lens if it has surfaces, otherwise None."""
+        """The main lens if it is given by its surfaces, otherwise None."""
         return self.main_lens if isinstance(self.main_lens, Prescription) else None
 
     @property
     def lens_data(self) -> LensData:
-        """The data of the main lens, with one interface for all kinds, thin lenses included."""
+        """The main lens, with one interface for all kinds of lenses, thin ones included."""
         return self.main_lens or THIN
 
     @property
     def pupil_distance(self) -> float:
-        """Distance from the exit pupil to the MLA: :math:`b` for a thin lens, which is its own pupil.
+        """Distance from the exit pupil to the MLA in millimetres: :math:`b` for a thin lens, which is its exit pupil.
 
         Behind an objective, the image of the stop through the lens before the array is at infinity. The value is then
         the focal length of that lens: positions on the stop divided by it are directions at the array.
@@ -47,17 +47,17 @@ class CameraGeometry(CameraParameters):
 
     @property
     def pupil_radius(self) -> float:
-        """Radius of the exit pupil near the axis: :math:`D_1/2` for a thin lens."""
+        """Radius of the exit pupil near the axis, in millimetres: :math:`D_1/2` for a thin lens."""
         return self.aperture_radius * self.lens_data.exit_pupil(self.focal_length)[1]
 
     @property
     def aperture_diameter(self) -> float:
-        """Diameter :math:`D_1` of the main lens."""
+        """Diameter :math:`D_1` of the main lens in millimetres."""
         return 2 * self.aperture_radius
 
     @property
     def f_number(self) -> float:
-        """Focal length of the main lens over its diameter."""
+        """Focal length of the main lens divided by its diameter."""
         return self.focal_length / self.aperture_diameter
 
     def defocus(self, distance: float) -> float:
@@ -80,14 +80,14 @@ class CameraGeometry(CameraParameters):
         return defocus_factor(distance, self.mla_distance, self.focal_length)
 
     def blur_diameter(self, distance: float) -> float:
-        """Return the geometric blur diameter on the MLA for a point at `distance`: :math:`D_1 |s|`."""
+        """Return the diameter in mm of the geometric blur of a point at `distance` on the MLA: :math:`D_1 |s|`."""
         return self.lens_data.image_blur(self, distance)
 
     # -- detector and lattice ------------------------------------------------------------------------
 
     @cached_property
     def lattice(self) -> Lattice:
-        """The microlens lattice."""
+        """The microlens lattice: positions of the lenses' centres and shape of their apertures."""
         return make_lattice(
             self.mla_lattice,
             self.mla_pitches,
@@ -99,7 +99,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def lenses_like_bins(self) -> bool:
-        """Whether each lens is an upright square as large as a bin, without gaps; it may lie between bins."""
+        """Whether each lens is an upright square as large as a bin, without gaps; bins and lenses may be shifted."""
         lattice = self.lattice
         return lattice.separable and lattice.fills and lattice.aspect == 1
 
@@ -110,17 +110,17 @@ class CameraGeometry(CameraParameters):
 
     @property
     def mla_pitch(self) -> float:
-        """Pitch :math:`D_2` of the microlenses along their rows, and width of a bin of reconstructions."""
+        """Pitch :math:`D_2` of the microlenses along their rows in mm, and width of a bin of reconstructions."""
         return self.mla_pitches[0]
 
     @property
     def mla_focal_length(self) -> float:
-        """Focal length :math:`f_2` of a microlens; the first one if there are three."""
+        """Focal length :math:`f_2` of a microlens in millimetres; the first one if there are three."""
         return self.mla_focal_lengths[0]
 
     @property
     def reduced_distance(self) -> float:
-        """Distance :math:`z / n` from the MLA to the detector, reduced by the index of the medium between them.
+        """Distance :math:`z / n` in mm from the MLA to the detector, reduced by the index of the medium between them.
 
         Light near the axis passes the medium as it passes this distance of air.
         """
@@ -128,7 +128,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def reduced_focal_lengths(self) -> tuple[float, ...]:
-        """Focal lengths :math:`f_2 / n` of the microlenses in air, the reciprocals of their powers."""
+        """Focal lengths :math:`f_2 / n` in mm of the microlenses in air, the reciprocals of their powers."""
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
 
     def medium_wavelength(self, wavelength: float) -> float:
@@ -137,21 +137,21 @@ class CameraGeometry(CameraParameters):
 
     @property
     def pixel_size(self) -> float:
-        """Width of a pixel."""
+        """Width of a pixel in millimetres."""
         return self.detector_width / self.resolution[0]
 
     @property
     def pupil_step(self) -> float:
-        """Width of a pixel projected through its lens's centre onto the pupil: its width times :math:`n b / z`."""
+        """Width in mm of a pixel projected onto the pupil through its lens's centre: :math:`n b / z` times a pixel."""
         return self.pixel_size * self.pupil_distance / self.reduced_distance
 
     @property
     def lit_radius(self) -> float:
-        """Radius of the pupil plus half a projected pixel: pixels centred within it see part of the pupil."""
+        """Radius in the pupil within which the projected centres of lit pixels lie: pupil plus half a pixel, in mm."""
         return self.pupil_radius + self.pupil_step / 2
 
     def pupil_shift(self, mla_focal_length: float) -> float:
-        r"""Return the displacement of the pupil point that a detector point sees, per displacement on the microlens.
+        r"""Return the shift of the pupil point seen by a detector point, per shift of the point on the microlens.
 
         :math:`\kappa = 1 + n b/z - n b/f_2`, which is 1 for :math:`z = f_2`. Behind an objective, whose stop all lenses
         see in the same directions, it is smaller by 1.
@@ -164,7 +164,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def detector_height(self) -> float:
-        """Height of the full detector."""
+        """Height of the full detector in millimetres."""
         return self.pixel_size * self.resolution[1]
 
     @property
@@ -173,7 +173,7 @@ class CameraGeometry(CameraParameters):
         return self.crop_size[1], self.crop_size[0]
 
     def pixel_coordinates(self, axis: int) -> np.ndarray:
-        """Return the coordinates of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
+        """Return the coordinates in millimetres of the recorded pixels' centres along x (axis 0) or y (axis 1)."""
         pixel = np.arange(self.crop_size[axis]) + self.crop_offset[axis] + 0.5
         return (pixel - self.resolution[axis] / 2) * self.pixel_size
 
@@ -188,13 +188,7 @@ class CameraGeometry(CameraParameters):
         return min(self.mla_pitches) / self.pixel_size
 
     def require_resolved(self) -> None:
-        """Refuse a camera whose lenses are narrower than a pixel, for computations that proceed lens by lens.
-
-        Raises
-        ------
-        InputError
-            If the lenses are narrower than a pixel.
-        """
+        """Refuse a camera whose lenses are narrower than a pixel, for computations that proceed lens by lens."""
         if self.pixels_per_lens < 1:
             raise InputError(
                 f"mla_pitch = {min(self.mla_pitches):g}: it is less than a pixel of {self.pixel_size:g}, so that no "
@@ -202,18 +196,7 @@ class CameraGeometry(CameraParameters):
             )
 
     def require_lens(self, what: str) -> None:
-        """Refuse a camera with an objective, for quantities that only lenses at a finite distance have.
-
-        Parameters
-        ----------
-        what : str
-            The quantity, as the beginning of the message.
-
-        Raises
-        ------
-        InputError
-            If the main lens is an objective.
-        """
+        """Refuse a camera with an objective, for a quantity, `what`, that only lenses at a finite distance have."""
         refuse_if(
             not self.lens_data.converges,
             f"main_lens = {self.lens_data.label}: {what} is not defined behind an objective; "
@@ -221,20 +204,7 @@ class CameraGeometry(CameraParameters):
         )
 
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:
-        """Refuse a camera with a real main lens, for computations that support only thin lenses.
-
-        Parameters
-        ----------
-        what : str
-            The computation, as the beginning of the message.
-        instead : str
-            The alternative that the message offers to leaving the lens out.
-
-        Raises
-        ------
-        InputError
-            If the camera has a real main lens.
-        """
+        """Refuse a camera with a real main lens, which `what` does not support; the message offers `instead`."""
         if not self.lens_data.converges:
             instead = "reconstruct a wave capture with method deconvolved"
         refuse_if(
@@ -243,18 +213,7 @@ class CameraGeometry(CameraParameters):
         )
 
     def require_no_objective(self, what: str) -> None:
-        """Refuse a camera with an objective, for computations that support thin main lenses and prescriptions.
-
-        Parameters
-        ----------
-        what : str
-            The computation, as the beginning of the message.
-
-        Raises
-        ------
-        InputError
-            If the main lens is an objective.
-        """
+        """Refuse a camera with an objective, which `what`, for thin main lenses and prescriptions, does not support."""
         refuse_if(
             not self.lens_data.converges,
             f"main_lens = {self.lens_data.label}: {what} for thin main lenses and prescriptions only",
@@ -262,7 +221,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def bin_count(self) -> tuple[int, int]:
-        """Columns and rows of bins of a reconstruction: the count of squares of one pitch that fit the detector.
+        """Columns and rows of bins of a reconstruction: squares of one lens pitch that fit the detector.
 
         The counts are rounded to even integers, so that the corner of four bins lies on the axis, as does that of four
         lenses of the default lattice. The bins do not depend on the lattice. In the Fourier arrangement each lens sees
@@ -283,12 +242,12 @@ class CameraGeometry(CameraParameters):
 
     @property
     def micro_image_diameter(self) -> float:
-        """Diameter of the main lens's image under one microlens, :math:`D_1 z / n b`."""
+        """Diameter in millimetres of the main lens's image under one microlens, :math:`D_1 z / n b`."""
         return 2 * self.pupil_radius * self.reduced_distance / self.pupil_distance
 
     @property
     def micro_image_pitch(self) -> float:
-        """Distance of neighbouring micro-images of a row, :math:`D_2 (b + z/n) / b`; the pitch behind an objective."""
+        """Distance in mm of neighbouring micro-images of a row: :math:`D_2 (b + z/n) / b`; behind an objective D2."""
         if not self.lens_data.converges:
             return self.mla_pitch
         return self.mla_pitch * (self.pupil_distance + self.reduced_distance) / self.pupil_distance
@@ -296,9 +255,9 @@ class CameraGeometry(CameraParameters):
     # -- object side ---------------------------------------------------------------------------------
 
     def bin_size(self, distance: float) -> float:
-        """Return the width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`.
+        """Return the width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`, in millimetres.
 
-        With an objective it is :math:`D_2 / M` at all depths, and in the Fourier arrangement that of a pixel in the
+        With an objective the width is :math:`D_2 / M` at all depths; in the Fourier arrangement it is one pixel in the
         object.
 
         Parameters

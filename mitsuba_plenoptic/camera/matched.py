@@ -1,4 +1,4 @@
-"""The parameters of a camera from what data sheets state: f-number, count of lenses, pixels below each, and pixel size.
+"""The parameters of a camera from the numbers of data sheets: f-number, count of lenses, pixels below each, pixel size.
 
 With n pixels of width p below each lens and a pupil of the diameter D at the distance b before the array, micro-images
 are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / b = n p`.
@@ -35,7 +35,7 @@ _FOLLOWING = {
 
 
 def require_enough(given: dict[str, Any]) -> None:
-    """Refuse too few arguments of a matched camera, or an argument that follows from the others."""
+    """Refuse missing arguments of a matched camera, and an argument that follows from the others."""
     names = [*MATCHED, *(["focal_length"] if given.get("main_lens") is None else [])]
     missing = [name for name in names if given.get(name) is None]
     if given.get("focus_distance") is None and given.get("mla_distance") is None:
@@ -60,7 +60,7 @@ def behind_pupil(
     lattice: str,
     medium: float,
 ) -> dict[str, Any]:
-    """Return the parameters of microlenses and detector behind a pupil of a radius, at a distance before the array."""
+    """Return the microlens and detector parameters behind a pupil of given radius and distance from the array."""
     pixels = require_number("pixels_per_lens", pixels_per_lens, minimum=1, maximum=MOST_PIXELS)
     size = require_length("pixel_size", pixel_size)
     pair = lenses if hasattr(lenses, "__len__") else (lenses, lenses)

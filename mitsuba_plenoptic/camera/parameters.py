@@ -60,7 +60,7 @@ def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData
 
 
 def known_glass(name: str, value: Any) -> Glass | None:
-    """Return a lens's glass from any of its forms; refuse one that does not refract light of the line d."""
+    """Return the glass of a lens from any of its forms; it must have a refractive index at the d line (587.6 nm)."""
     if value is None:
         return None
     glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
@@ -471,7 +471,7 @@ if TYPE_CHECKING:
 
     @record
     class CameraParameters(CoreParameters, ShippedParameters):
-        """Parameters of one camera, with their values."""
+        """The parameters of one camera, with their values."""
 
 else:
     _added = {name: place(package, text) for package, name, text in entries("parameters")}

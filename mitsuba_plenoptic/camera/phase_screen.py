@@ -34,7 +34,7 @@ _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
 class PhaseScreen:
-    """Path that light gains over the pupil of the main lens, given by samples, such as a turbulent layer's.
+    """The path that light gains over the pupil of the main lens, given by samples, for example of a turbulent layer.
 
     Between samples it is a bicubic spline, whose gradient deflects rays. The unit is that of the Zernike coefficients
     of `PlenopticCamera`: light of other wavelengths sees the same path. A sample represents the square around it, and
@@ -100,7 +100,7 @@ class PhaseScreen:
         return self._grid.at(x, y)
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of `path`, which is the change of direction.
+        """Return the gradient of `path` in mm per mm, which is the change of direction.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class PhaseScreen:
         return self._grid.slopes(x, y)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return lists and numbers by name, for files and headers."""
+        """Return a screen as lists and numbers by name, for files and headers."""
         return {"waves": self.waves.tolist(), "width": self.width}
 
     @cached_property
@@ -150,7 +150,7 @@ def known_screen(value: Any, resolve: Callable[[str], str] = str) -> PhaseScreen
 def frozen_flow(
     waves: Any, *, step: float, width: float, wind: tuple[float, float], interval: float, frames: int
 ) -> Iterator[PhaseScreen]:
-    """Yield the screens of frames, as the wind moves one larger screen, unchanged, across the pupil.
+    """Yield one phase screen a frame, cut from a larger screen that the wind moves, unchanged, across the pupil.
 
     This is Taylor's hypothesis (G. I. Taylor 1938, "The spectrum of turbulence"). Between samples the larger screen is
     a bicubic spline. Halfway between the first and the last frame the middle of the larger screen is on the axis.
@@ -160,7 +160,7 @@ def frozen_flow(
     waves : array (rows, columns), or path
         The larger screen, as for `PhaseScreen`, of any size.
     step : float
-        Distance of its samples in millimetres, which is also that of the frames' samples.
+        Distance in millimetres of samples, of the screen and of the frames.
     width : float
         Width of the frames' screens in millimetres, about the diameter of the pupil or more.
     wind : (float, float)
@@ -168,7 +168,7 @@ def frozen_flow(
     interval : float
         Time between frames in seconds.
     frames : int
-        Count of frames.
+        Number of frames.
 
     Yields
     ------

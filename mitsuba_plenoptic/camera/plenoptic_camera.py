@@ -40,7 +40,7 @@ from .parameters import PARAMETERS
 
 
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
-    """Return all parameters of a camera by attribute: the given ones, checked, and defaults."""
+    """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
     values: dict[str, Any] = {}
     for name, entry in PARAMETERS.items():
         value = given.get(name, entry.default)
@@ -129,7 +129,7 @@ def require_whole(camera: CameraGeometry) -> None:
 def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
-    """Refuse a camera with parameters that captures of a kind would ignore, `besides` excepted."""
+    """Refuse a camera with parameters that one kind of capture would ignore, except those named in `besides`."""
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
         if name not in besides and captures not in entry.known_to and value != entry.default:
@@ -154,7 +154,7 @@ def require_no_shape(camera: CameraGeometry, what: str) -> None:
 
 
 def require_no_glass(camera: CameraGeometry, what: str) -> None:
-    """Refuse a camera whose thin lenses are of dispersive glass, for computations without dispersion."""
+    """Refuse a camera with thin lenses of dispersive glass, for computations without dispersion."""
     for name in ("glass", "mla_glass"):
         glass = getattr(camera, name)
         if glass is not None:
@@ -308,7 +308,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
-        """Return the camera of a dictionary of `to_dict`, for example from a file's header.
+        """Return the camera that `to_dict` wrote as a dictionary, for example in a file's header.
 
         Parameters
         ----------
@@ -338,11 +338,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def from_json(cls, text: str) -> PlenopticCamera:
-        """Return the camera of a JSON file's text: an object of parameters, which have defaults if left out.
+        """Return the camera of a JSON text, an object of parameters or of arguments of `matched`.
 
-        Or of arguments of `matched`.
-
-        The results that a calibration adds under ``calibration`` are ignored.
+        Parameters that are left out have their defaults. What a calibration adds under ``calibration`` is ignored.
 
         Parameters
         ----------
@@ -352,7 +350,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Raises
         ------
         InputError
-            If it is not such an object, a name is unknown, or a value is out of range.
+            If the text is no such object, a name is unknown, or a value is out of range.
         """
         with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)
@@ -366,7 +364,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @classmethod
     def _from_names(cls, values: Any) -> PlenopticCamera:
-        """Return the camera of parameters of unknown origin."""
+        """Return the camera of parameters, or arguments of `matched`, that come from a file or a user."""
         if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
             raise InputError(f"camera = {short_repr(values)}: it must be camera parameters by name")
         of_sheet = [name for name in MATCHED if name in values]
@@ -467,7 +465,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     @property
     def is_dispersive(self) -> bool:
-        """Whether the paths of rays through the camera depend on their wavelength."""
+        """Whether paths of rays through the camera depend on the wavelength."""
         glasses = self.glass, self.mla_glass
         own = any(glass is not None and glass.form != "index" for glass in glasses)
         shaped = self.mla_shape is not None and self.mla_shape.disperses
@@ -517,5 +515,5 @@ def film_numbers(film: Any) -> dict[str, Any]:
 
 
 def are_alike(one: PlenopticCamera, other: PlenopticCamera | None) -> bool:
-    """Return whether two cameras differ at most in `lens_model`, so that pixels and views correspond."""
+    """Return whether two cameras are equal apart from `lens_model`, so that their pixels and views correspond."""
     return one == other or (other is not None and one == other.replace(lens_model=one.lens_model))

@@ -28,7 +28,7 @@ def with_gradient(kind: Captures) -> tuple[str, ...]:
 
 
 def part_units(name: str) -> dict[str, str]:
-    """Return the units of a parameter's components, by their names in calibrations."""
+    """Return the unit of each component of a parameter, by the component's name in calibrations."""
     entry = PARAMETERS[name]
     parts = entry.parts or (name,)
     return dict(zip(parts, [entry.unit] * len(parts) if isinstance(entry.unit, str) else entry.unit, strict=True))
@@ -46,7 +46,7 @@ def shortest_parts(camera: PlenopticCamera, name: str) -> Array:
 
 
 def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
-    """Return the change of all components that have derivatives; a single value applies to all of them.
+    """Return the change of all differentiable components of a parameter; a single value applies to all of them.
 
     Coefficients beyond those given do not change.
     """
@@ -58,7 +58,7 @@ def change_of(camera: PlenopticCamera, name: str, change: Any) -> Array:
 
 
 def size_of(camera: PlenopticCamera, name: str) -> int:
-    """Return the count of a parameter's components that have derivatives."""
+    """Return the number of a parameter's differentiable components."""
     return max(len(parts_of(camera, name)), PARAMETERS[name].room)
 
 
@@ -87,7 +87,7 @@ class CameraVector:
 
     @classmethod
     def by_names(cls, camera: PlenopticCamera, names: Iterable[str]) -> CameraVector:
-        """Return the vector of parameters; refuse coefficients of which the camera has none.
+        """Return the vector of the named parameters of a camera; refuse coefficients that the camera does not have.
 
         The piston of aberrations is left out.
         """
@@ -124,18 +124,18 @@ class CameraVector:
 
     @property
     def values(self) -> Array:
-        """Values of the components."""
+        """Values of the components, in the units of the parameters."""
         return np.array([parts_of(self.camera, each.name)[each.parts[0]] for each in self.components])
 
     @property
     def scales(self) -> Array:
-        """Step of a fit for each component: a hundredth of it, a degree, a pitch, or a wave."""
+        """Steps of a fit, one for each component: a hundredth of its value, a degree, a pitch, or a wave."""
         scales = (PARAMETERS[each.name].scale for each in self.components)
         pairs = zip(scales, self.values, strict=True)
         return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
 
     def limits(self, bounds: Mapping[str, tuple[float, float]] | None) -> tuple[Array, Array]:
-        """Return the lowest and highest values, from bounds by label or name, or by default near the camera.
+        """Return the lowest and highest value of each component: `bounds`, or a range around the present values.
 
         Bounds of other parameters, in the wrong order, or that exclude the camera are refused.
         """
@@ -180,5 +180,5 @@ class CameraVector:
         return changes
 
     def slopes(self, gradient: Mapping[str, Array]) -> Array:
-        """Return the derivatives by the vector's entries from derivatives by all components of the parameters."""
+        """Return the derivatives with respect to this vector, from derivatives by all components of the parameters."""
         return np.array([gradient[each.name][list(each.parts)].sum() for each in self.components])

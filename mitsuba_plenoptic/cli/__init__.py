@@ -12,7 +12,9 @@ import importlib.util
 import logging
 import os
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +24,7 @@ import typer
 
 from ..errors import InputError, at_shell, did_you_mean, relation
 from ..extension import entries, missing
+from ..runtime.progress import INTERRUPTED, plain_lines
 
 PROGRAM = "mitsuba-plenoptic"
 
@@ -100,7 +103,7 @@ def _command() -> typer.Typer:
 
 
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with the named subcommands; loading all of them would take a second."""
+    """Return the command with the named subcommands only, since loading all of them would take a second."""
     from .judging import judging
     from .run_file import recorded
 
@@ -116,23 +119,19 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 
 def _outline() -> typer.Typer:
-    """Return the command with subcommands that have only their help, without importing their modules."""
+    """Return the command with all subcommands as help texts only, without importing their modules."""
     made = _command()
-    for name in COMMANDS:
-        made.command(name, help=_docstring(name))(lambda: None)
+    for name, path in COMMANDS.items():
+        spec = importlib.util.find_spec(path)
+        module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
+        # A group of commands has no function of its name.
+        own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
+        made.command(name, help=ast.get_docstring(next(own, module)))(lambda: None)
     return made
 
 
-def _docstring(name: str) -> str | None:
-    """Return the docstring of a subcommand's function, or of the file for a group of commands, from the file."""
-    spec = importlib.util.find_spec(COMMANDS[name])
-    module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
-    own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
-    return ast.get_docstring(next(own, module))
-
-
 def _called(words: Sequence[str]) -> list[str]:
-    """Return the subcommand among the words of a command line, or of one being completed; empty without one."""
+    """Return the subcommand named in the words of a command line, or of one being completed; else an empty list."""
     if "_MITSUBA_PLENOPTIC_COMPLETE" in os.environ:
         # The last word is being typed.
         words = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split(" ")[1:-1]
@@ -177,7 +176,7 @@ def _for_all(
             "-v",
             "--verbose",
             help="Print details, too: what is read, written and set, with times.",
-            callback=lambda wanted: _be_verbose() if wanted else None,
+            callback=lambda wanted: _logger.setLevel(logging.DEBUG) if wanted else None,
             is_eager=True,
             expose_value=False,
             rich_help_panel="Every command",
@@ -191,10 +190,6 @@ def _be_quiet() -> None:
     # Progress, too, is silent at this level.
     _logger.setLevel(logging.CRITICAL)
     warnings.showwarning = lambda *_, **__: None
-
-
-def _be_verbose() -> None:
-    _logger.setLevel(logging.DEBUG)
 
 
 def step_commands() -> dict[str, Any]:
@@ -224,12 +219,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Options before the command, of which none is given: Typer would import pydantic to judge them.
         group.params.clear()
         group.add_help_option = False
-    with _remarks():
+    with _remarks(), _interrupts():
         try:
             # Progress begins before the options are read, thus before --quiet is.
             silent = not called or not words or not {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), contextlib.nullcontext() if silent else _plain_lines(words[0]):
+            with at_shell(_OPTIONS), contextlib.ExitStack() as shown:
+                if not silent:
+                    shown.enter_context(plain_lines(words[0]))
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == _STOPPED:
@@ -251,10 +248,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
-    """Return the line that describes a user's mistake, None for an exception that is a mistake of ours.
+    """Return the line that describes a user's mistake; None for other exceptions, which are faults of the program.
 
-    Arguments that the message is about are spelled as the command's options are, which `options` has by their names at
-    a shell.
+    Arguments named in the message are spelled as options of the command, by the mapping `options`.
     """
     if isinstance(error, InputError):
         return _with_options(str(error), options)
@@ -274,37 +270,52 @@ def _is_usage(error: Exception) -> bool:
     return hasattr(error, "format_message")
 
 
-def _plain_lines(command: str) -> contextlib.AbstractContextManager[Any]:
-    """Return `plain_lines` of a command that does something."""
-    from ..runtime.progress import plain_lines
+@contextlib.contextmanager
+def _interrupts() -> Iterator[None]:
+    """Note Ctrl-C for bars of progress, which end the command where a library has dropped the KeyboardInterrupt."""
+    INTERRUPTED.clear()
 
-    return plain_lines(command)
+    def stop(signal_number: int, frame: object) -> None:
+        INTERRUPTED.set()
+        raise KeyboardInterrupt
+
+    # Other handlers, and threads that receive no signals, keep what they have.
+    ours = threading.current_thread() is threading.main_thread() and (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if ours:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        INTERRUPTED.clear()
 
 
 @contextlib.contextmanager
 def _remarks() -> Iterator[None]:
     """Print the library's warnings and remarks, such as the time of a long rendering, on standard error."""
-    handler = logging.Handler()
-    handler.emit = _print_record  # type: ignore[method-assign]
-    level = _logger.level
+
+    def emit(record: logging.LogRecord) -> None:
+        detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
+        _complain(f"{detail}{record.getMessage()}")
+
+    handler, level = logging.Handler(), _logger.level
+    handler.emit = emit  # type: ignore[method-assign]
     _logger.addHandler(handler)
     _logger.setLevel(logging.INFO)
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _print_warning
+            warnings.showwarning = lambda message, *_, **__: _complain(f"warning: {message}")
             yield
     finally:
         _logger.setLevel(level)
         _logger.removeHandler(handler)
 
 
-def _print_record(record: logging.LogRecord) -> None:
-    detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
-    _complain(f"{detail}{record.getMessage()}")
-
-
 def _with_options(message: str, options: Mapping[str, str]) -> str:
-    """Return a message with the arguments it is about, ``name = value: ...``, spelt as options of the command."""
+    """Return a message in which arguments, ``name = value: ...``, are spelt as options of the command."""
 
     def spelled(found: re.Match[str]) -> str:
         option = options.get(_OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}"))
@@ -324,7 +335,3 @@ def _fail(message: str) -> int:
 
 def _complain(message: str) -> None:
     print(f"{PROGRAM}: {' '.join(message.split())}", file=sys.stderr)
-
-
-def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    _complain(f"warning: {message}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -22,9 +22,6 @@ from .judging import COUNTED, WAVELENGTH
 from .stages import stage_lines
 from .stopping import Resume
 
-if TYPE_CHECKING:
-    pass
-
 
 def compare(
     scene: Scene,
@@ -42,9 +39,8 @@ def compare(
 ) -> None:
     """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
-    Writes figures, captures and reconstructions, all results and report.html,
-    which shows them in a browser. Both captures have the same main lens, which
-    the scene's lens_model states. A run that was stopped resumes where it was.
+    Writes figures, captures, reconstructions and all results, with a report.html that shows them in a browser. Both
+    captures have the same main lens, which the scene's lens_model states. A run that was stopped resumes where it was.
 
     [bold]Examples:[/bold]
 

@@ -68,10 +68,10 @@ def info(
     as_json: Json = False,
     define: Definitions = None,
 ) -> None:
-    """Print what follows from a camera's parameters, and what is poor about the design.
+    """Print the quantities that follow from a camera's parameters, and warnings about its design.
 
-    Nothing is rendered. For a capture, how it was made is printed too. Warnings name
-    what would mend them, which --fix does.
+    Nothing is rendered. For a capture, the way it was made is printed too. Warnings name their remedies, which --fix
+    applies.
 
     [bold]Examples:[/bold]
 
@@ -150,13 +150,13 @@ def info(
 
 
 def _changes(camera: PlenopticCamera, better: PlenopticCamera) -> dict[str, Any]:
-    """Return the parameters of a camera that differ from another one's."""
+    """Return the parameters in which a better camera differs from a camera."""
     old = camera.to_dict()
     return {name: value for name, value in better.to_dict().items() if old.get(name) != value}
 
 
 def _origin(capture: Capture) -> dict[str, Any]:
-    """Return how a capture was made, as far as its header states it."""
+    """Return the facts of how a capture was made, as far as its header states them."""
     noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
     facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
     return {name: value for name, value in facts.items() if value not in (None, "")}

@@ -1,4 +1,4 @@
-"""Common parts of commands: options, and the loading of what they name."""
+"""Options that several commands have, and functions that load the cameras, scenes and captures they name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..errors import InputError, naming, refuse_if, require_count, require_numbe
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
-from .judging import CAMERA, COUNTED, FILE, SCENE, Judged, one_of, require_camera_name
+from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -37,12 +37,12 @@ WAVES, EXPERT = "Options of waves", "Options for experts"
 
 
 def numeric(text: str, default: str | None = None, *, unit: str = "N", panel: str | None = None) -> Any:
-    """Return an option that takes a number; `default` is what the help shows for a default of None."""
+    """Return an option that takes a number; help shows `default` where the parameter's default is None."""
     return typer.Option(metavar=unit, show_default=default or True, help=text, rich_help_panel=panel)
 
 
 Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene."), SCENE]
-CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), FILE]
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), RECORDING]
 OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
 
 Definitions = Annotated[
@@ -131,7 +131,7 @@ LightFieldSource = Annotated[
         "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or "
         ".tiff, with --white or --camera).",
     ),
-    FILE,
+    RECORDING,
 ]
 
 White = Annotated[
@@ -205,9 +205,9 @@ _log = logging.getLogger(__name__)
 
 
 def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tuple[PlenopticCamera, Any]:
-    """Return the camera of a preset, a file, parameters or a scene, and the record of its calibration, if any.
+    """Return the camera of a preset, file, parameters or scene, and the record of its calibration (None without one).
 
-    A file takes precedence over what else the source names.
+    A file takes precedence over a preset or scene of the same name.
     """
     from ..camera import PlenopticCamera
     from ..light.scene import load_scene
@@ -235,7 +235,7 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
 
 
 def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
-    """Read a capture, or a raw picture of a known camera; the camera that is given replaces a capture's.
+    """Read a capture, or a raw picture of a known camera; a given camera replaces the one in a capture's header.
 
     A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
     """
@@ -258,7 +258,7 @@ def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, blac
 
 
 def require_linear(linear: bool, *paths: Path | None) -> None:
-    """Refuse --linear where no picture is read."""
+    """Refuse ``--linear`` unless an input is a picture."""
     from ..io.captures import RAW_SUFFIXES
 
     given = [path for path in paths if path is not None]
@@ -271,7 +271,7 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
 def drawing_of(
     exposure: float | None, percentile: float | None, scale: int | None, figure: bool, *paths: Path | None
 ) -> Drawing:
-    """Return the settings for pictures; refuse these options where the output is no picture."""
+    """Return the settings for drawn pictures; refuse these options where the output is not a picture."""
     from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
 
     named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
@@ -293,12 +293,12 @@ def drawing_of(
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:
-    """Return the camera that an option names, None where the option is not given."""
+    """Return the camera that an option names, or None without the option."""
     return None if source is None else load_camera(source, {})[0]
 
 
 def require_in_sight(source: Path, camera: PlenopticCamera | None, *distances: float) -> PlenopticCamera | None:
-    """Refuse distances that a camera, or else the one in the source's header, cannot focus on; return the first."""
+    """Return the given camera, or else the camera of the source; refuse distances on which it cannot focus."""
     seen_by = camera
     if camera is None and source.suffix.lower() == ".exr":
         from ..camera import PlenopticCamera
@@ -388,7 +388,7 @@ def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
 
 
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
-    """Return the colours that a scene's film records, None if it records none.
+    """Return the colour channels that a scene's film records, None if it records none.
 
     Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
     """
@@ -420,7 +420,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
-    """Return a context of the requested workers, or of None."""
+    """Return the Dask cluster of the requested workers; without workers a context that yields None."""
     from ..runtime.batches import Cluster
 
     given = workers is not None or scheduler is not None

@@ -1,4 +1,4 @@
-"""Values of options that are refused before the library is imported, which takes ten times as long as to judge them."""
+"""Checks of options that refuse wrong values before the library is imported, which takes ten times as long."""
 
 from __future__ import annotations
 
@@ -27,40 +27,41 @@ from ..scene_files import scene_names, scene_path
 
 @dataclass(frozen=True)
 class Judged:
-    """Metadata of an annotation: a function that refuses wrong values of an option."""
+    """Metadata of a type annotation: a function that refuses wrong values of the option."""
 
     judge: Callable[[str, Any], object]
 
 
 def judging(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose option values are judged when it is called, not when a run file is parsed."""
+    """Return a command that checks its option values when it is called, not when a run file is parsed."""
     parameters = inspect.signature(function, eval_str=True).parameters
-    judges = {
-        name: one.judge
-        for name, parameter in parameters.items()
-        for one in getattr(parameter.annotation, "__metadata__", ())
-        if isinstance(one, Judged)
-    }
+    judges = []
+    for name, parameter in parameters.items():
+        notes = getattr(parameter.annotation, "__metadata__", ())
+        # Some options have another name than the argument, such as --format: what Typer holds for the default first.
+        spelt = [word for one in notes if (word := str(getattr(one, "default", ""))).startswith("--")]
+        shown = spelt[0].strip("-").replace("-", "_") if spelt else name
+        judges += [(name, shown, one.judge) for one in notes if isinstance(one, Judged)]
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
-        for name, judge in judges.items():
+        for name, shown, judge in judges:
             value = options[name]
             for one in value if isinstance(value, list) else [value]:
                 if one is not None:
-                    judge(name, one)
+                    judge(shown, one)
         function(**options)
 
     return command
 
 
 def one_of(choices: Collection[str]) -> Judged:
-    """Return the metadata of a word that is one of the choices."""
+    """Return the metadata of an option whose value is one of some words."""
     return Judged(lambda name, value: require_choice(name, value, choices))
 
 
 def ends_in(*suffixes: str) -> Judged:
-    """Return the metadata of the name of a file to be written."""
+    """Return the metadata of an option that names a file to be written, which must end in one of the suffixes."""
     return Judged(lambda _, path: None if path.is_dir() else require_suffix(path, suffixes))
 
 
@@ -72,17 +73,18 @@ def _require_wavelengths(name: str, text: str) -> None:
         require_wavelength(part, name)
 
 
-def _require_scene(name: str, value: str) -> None:
-    if not Path(value).is_file():
-        scene_path(value)
-
-
 def _require_file(name: str, path: Path) -> None:
     refuse_if(not path.exists(), f"{path}: there is no such file")
 
 
+def _require_recording(name: str, path: Path) -> None:
+    scene = path.suffix == ".xml" if path.exists() else str(path) in scene_names()
+    refuse_if(scene, f"{path}: it is a scene: give what 'render' made of it")
+    _require_file(name, path)
+
+
 def require_camera_name(name: str, source: str) -> None:
-    """Refuse a text that names no camera: neither a preset, parameters, a file nor a scene."""
+    """Refuse a text that names no camera, that is, no preset, parameters, file or scene."""
     names = scene_names()
     if "=" not in source and not Path(source).exists() and source not in (*PRESETS, *names):
         absent = missing("presets", source)
@@ -95,4 +97,6 @@ def require_camera_name(name: str, source: str) -> None:
 
 COUNTED, WAVELENGTH = Judged(require_count), Judged(lambda name, value: require_wavelength(value, name))
 WAVELENGTHS = Judged(_require_wavelengths)
-SCENE, CAMERA, FILE = Judged(_require_scene), Judged(require_camera_name), Judged(_require_file)
+SCENE = Judged(lambda _, scene: Path(scene).is_file() or scene_path(scene))
+CAMERA = Judged(require_camera_name)
+FILE, RECORDING = Judged(_require_file), Judged(_require_recording)

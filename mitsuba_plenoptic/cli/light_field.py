@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ..errors import naming, refuse_if, require_choice, warn
+from ..errors import naming, refuse_if, require_suffix, warn
 from ..runtime.progress import progress_bar
-from .choices import ANIMATED, AXES, PICTURES, VIEW_METHODS
+from .choices import ANIMATED, AXES, LIGHT_FIELDS, PICTURES, VIEW_METHODS
 from .inputs import (
     CameraFile,
     Distances,
@@ -28,7 +28,7 @@ from .inputs import (
     output_option,
     require_in_sight,
 )
-from .judging import ends_in
+from .judging import ends_in, one_of
 
 
 def views(
@@ -55,9 +55,8 @@ def views(
 ) -> None:
     """Show the scene from many positions on the main lens.
 
-    Each view is an image with one pixel a lens, as a camera with a small
-    aperture at that position would take it. The mosaic shows the views as they
-    lie on the pupil, the upper left first, seen from behind the camera.
+    Each view is an image with one pixel per microlens, as a camera with a small aperture at that position would take
+    it. The mosaic arranges the views as they lie on the pupil, seen from behind the camera, the upper left first.
 
     [bold]Examples:[/bold]
 
@@ -238,10 +237,9 @@ def depth(
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how well the views agree.
 
-    Depth is measured from the main lens along the axis. The confidence is an
-    estimate of the probability that it is within 1 %; below half the depth is
-    unknown. It is 0 where the views agree best at an end of the search. Where
-    ground truth is known, the depth's error is printed.
+    Depth is measured from the main lens along the axis. The confidence estimates the probability that a depth is within
+    1 %; below 0.5 the depth is unknown. It is 0 where the views agree best at an end of the search range. With a known
+    ground truth, the error of the depth is printed.
 
     [bold]Example:[/bold]
 
@@ -306,6 +304,7 @@ def convert(
             help="Write a folder as those of the 4D Light Field Benchmark (HCI): a picture for each view, the "
             "geometry, and depth where ground truth is known.",
         ),
+        one_of(("hci",)),
     ] = None,
     white: White = None,
     view_count: ViewCount = None,
@@ -315,8 +314,7 @@ def convert(
 ) -> None:
     """Decode a capture into a light field, or translate between formats of light fields.
 
-    NetCDF and Zarr keep all about it, axes, weights and camera, for xarray and
-    for the other commands.
+    NetCDF and Zarr keep the whole light field, with axes, weights and camera, for xarray and for the other commands.
 
     [bold]Examples:[/bold]
 
@@ -332,6 +330,8 @@ def convert(
 
       mitsuba-plenoptic convert folder -o lf.nc
     """
+    if layout is None:
+        require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
     from ..runtime.files import require_apart
     from ..views.light_field_files import HCI, open_light_field, require_light_field_path, save_light_field
@@ -340,7 +340,6 @@ def convert(
     if layout is None:
         require_light_field_path(output)
     else:
-        require_choice("format", layout, ("hci",))
         writer = format_of(HCI, "light field", f"format = {layout}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
     require_apart(output, source, white, truth)

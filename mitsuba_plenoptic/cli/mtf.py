@@ -11,7 +11,7 @@ import typer
 from ..errors import naming, refuse_if
 from ..refocus_options import METHODS
 from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
-from .judging import FILE, one_of
+from .judging import RECORDING, one_of
 
 if TYPE_CHECKING:
     from ..refocus import Reconstruction
@@ -23,7 +23,7 @@ def mtf(
         typer.Argument(
             metavar="CAPTURE", help="A capture, which is refocused to --distance, or a file that 'reconstruct' wrote."
         ),
-        FILE,
+        RECORDING,
     ],
     distance: Annotated[float | None, numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
     method: Annotated[
@@ -43,9 +43,8 @@ def mtf(
 ) -> None:
     """Measure the modulation transfer function from one slanted edge in a refocused image.
 
-    The edge may lie anywhere, turned by 1 to 20 degrees against the bins. The
-    transfer function is that across the edge, of camera and reconstruction
-    together, in cycles per bin and in line pairs per millimetre of the object.
+    The edge may lie anywhere, turned by 1 to 20 degrees against the bins. The transfer function is measured across the
+    edge, for camera and reconstruction together, in cycles per bin and in line pairs per millimetre of the object.
 
     [bold]Examples:[/bold]
 
@@ -85,7 +84,7 @@ def mtf(
 
 
 def _parsed(region: str | None, seen: Reconstruction) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of a region in bins."""
+    """Return left, top, width and height, in bins, of the region that an option states."""
     rows, columns = seen.image.shape[:2]
     if region is None:
         return 0, 0, columns, rows

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic reconstruct`` and ``sheet``: from a capture to refocused images, and these side by side."""
+"""``mitsuba-plenoptic reconstruct`` and ``sheet``: refocused images from a capture, and figures that compare them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def _with_method_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give the command an option for each that single methods use."""
+    """Give the command an option for each argument that only some methods take."""
     made: dict[str, Any] = {}
     for name, option in OPTIONS.items():
         flag = bool in option.types
@@ -143,10 +143,11 @@ def reconstruct(
     """Refocus a capture to one or several distances.
 
     A reconstruction has one bin per microlens by default, and the
-    orientation of an ordinary photograph. The distance may be inf. Pictures of one run share one scale,
-    so that their brightness compares. Bins that no light can reach, at the
-    borders of a crop, are NaN in OpenEXR and black in a picture. A raw picture
-    (.png or .tiff) of a real camera needs its [bold]--camera[/bold].
+    orientation of an ordinary photograph. The distance may be inf. Pictures of
+    one run share one scale, so that their brightness compares. Bins that no
+    light can reach, at the borders of a crop, are NaN in OpenEXR and black in a
+    picture. A raw picture (.png or .tiff) of a real camera needs its
+    [bold]--camera[/bold].
 
     [bold]Examples:[/bold]
 
@@ -178,7 +179,7 @@ def reconstruct(
 
     chosen = reconstruction.METHODS[method]
     if estimate:
-        refused = {"output": output, "overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
+        refused = {"overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
     elif output is None:
@@ -196,7 +197,7 @@ def reconstruct(
     white, resume, workers, scheduler = (used.pop(name) for name in ("white", "resume", "workers", "scheduler"))
     used |= {"method": method, "oversample": oversample}
     require_linear(linear, capture, white)
-    if output is None:
+    if estimate or output is None:
         with progress_bar("Estimating") as progress:
             recorded, reference = _recorded(capture, white, known, linear, variant)
             progress(1, 3)
@@ -282,7 +283,7 @@ def sheet(
 def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
-    """Return a capture and its white reference, and set the variant."""
+    """Return a capture and its white reference, after setting the variant."""
     from ..runtime.backend import set_variant
 
     recorded = read_recorded(capture, known, linear)
@@ -292,7 +293,7 @@ def _recorded(
 
 
 def _value_of(option: Option, value: Any) -> Any:
-    """Return the value that a command was given for an option, None where none is; the library checks words."""
+    """Return the value of a command's option as the library takes it, None if not given; the library checks words."""
     if bool in option.types:
         # A flag that is off by default cannot be given as off.
         return value if option.default else value or None
@@ -320,7 +321,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Return a deconvolution's facts as words."""
+    """Return the facts of a deconvolution in words: iterations, how it ended, residual."""
     if not facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"

@@ -6,7 +6,7 @@ import logging
 import time
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -85,7 +85,9 @@ def render(
     sensor: Annotated[int, numeric("Which of the scene's sensors, counted from 0.")] = 0,
     white: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.exr", help="Write the camera's white image, too, computed from its parameters."),
+        typer.Option(
+            metavar="FILE.exr", help="Write the camera's white image, too: by rays, without noise, for any model."
+        ),
         ends_in(".exr"),
     ] = None,
     aov: Annotated[
@@ -111,7 +113,8 @@ def render(
     The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
     written as float32 OpenEXR, which any EXR viewer shows; its header holds
     the camera and how it was made. A long wave capture keeps a checkpoint
-    next to the output, from which the same command continues after Ctrl-C or a crash.
+    next to the output, from which the same command continues after Ctrl-C or a
+    crash.
 
     [bold]Examples:[/bold]
 
@@ -133,7 +136,13 @@ def render(
     """
     from ..io.captures import Capture, write_capture
     from ..io.truth_files import NAME, require_quantities, truth_path, write_ground_truth
-    from ..light.render_capture import estimate_capture, is_wave_capture, refuse_by_rays, render_capture
+    from ..light.render_capture import (
+        estimate_capture,
+        is_wave_capture,
+        plenoptic_sensor,
+        refuse_by_rays,
+        render_capture,
+    )
     from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
@@ -173,8 +182,14 @@ def render(
     with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
 
         def tell(seconds: float) -> None:
-            if seconds > MINUTE:
-                _log.info("%s", _forecast(seconds, loaded, sensor, spp, method))
+            if seconds <= MINUTE:
+                return
+            if (method or getattr(loaded.integrator(), "method", "")) == "points":
+                cause = "each point is propagated; --method signed_rays takes one to some ray captures"
+            else:
+                count = spp or plenoptic_sensor(loaded, sensor).sampler().sample_count()
+                cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
+            _log.info("the capture takes about %s: %s", in_words(seconds), cause)
 
         with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
             start = time.perf_counter()
@@ -204,7 +219,7 @@ def render(
         from ..views import white_image
 
         write_capture(white, Capture(white_image(capture.camera), capture.camera, metadata={"scene": "white image"}))
-        typer.echo(f"{white}: white image")
+        typer.echo(f"{white}: white image, by rays")
     rows, columns = capture.camera.shape
     deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")
@@ -278,15 +293,3 @@ def expose(
         f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
         f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
     )
-
-
-def _forecast(seconds: float, scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
-    """Return a sentence about the time of a capture, and the change that shortens it at least cost."""
-    from ..light.render_capture import plenoptic_sensor
-
-    if (method or getattr(scene.integrator(), "method", "")) == "points":
-        cause = "each point is propagated; --method signed_rays takes one to some ray captures"
-    else:
-        count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
-        cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
-    return f"the capture takes about {in_words(seconds)}: {cause}"

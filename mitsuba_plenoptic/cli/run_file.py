@@ -1,4 +1,4 @@
-"""Run files: the steps of a run, each a command with its options by name, in YAML."""
+"""Run files in YAML: the steps of a run, each a command with its options by name."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _PLAIN = re.compile(r"[\w./+-]([\w ./=+-]*[\w./+-])?")
 
 @dataclass(frozen=True)
 class RunStep:
-    """A command with its options, by their names without dashes; arguments have names, too."""
+    """A command with its options and arguments by name, as one step of a run file."""
 
     command: str
     options: Mapping[str, Any]
 
     def words(self, parameters: Mapping[str, Any]) -> dict[str, list[str]]:
-        """Return the words of the command line for each option, given the command's parameters by name."""
+        """Return the command-line words of each option, given the command's parameters by name."""
         require_known("", self.options, tuple(parameters))
         return {name: _words_of(name, value, parameters[name]) for name, value in self.options.items()}
 
     def command_line(self, parameters: Mapping[str, Any]) -> list[str]:
-        """Return the words of the command line, arguments after options; no command has two arguments."""
+        """Return the words of the command line, options first; no command has two arguments."""
         by_name = self.words(parameters)
         arguments = [word for name in by_name if _is_argument(parameters[name]) for word in by_name[name]]
         options = [word for name in by_name if not _is_argument(parameters[name]) for word in by_name[name]]
@@ -47,7 +47,8 @@ def parameters_of(commands: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _by_name(command: Any) -> dict[str, Any]:
-    shown = (one for one in command.params if not {"--help", "--save-run"} & set(one.opts))
+    # Commands are not given those that every command has, such as --quiet.
+    shown = (one for one in command.params if one.expose_value and "--save-run" not in one.opts)
     return {max(one.opts, key=len).lstrip("-"): one for one in shown}
 
 
@@ -66,7 +67,7 @@ def _words_of(name: str, value: Any, parameter: Any) -> list[str]:
 
 
 def _words(name: str, value: Any, *, many: bool) -> list[str]:
-    """Return the words of an option's value: several of a list or of values by name, where several are allowed."""
+    """Return the command-line words of an option's value; several values only where the option allows them."""
     if isinstance(value, list):
         words = [_word(name, one) for one in value]
         return words if many else [",".join(words)]
@@ -92,7 +93,7 @@ def read_run_file(path: Path, commands: Mapping[str, Any]) -> list[RunStep]:
 
 
 def parse_run(content: Any, commands: Mapping[str, Any]) -> list[RunStep]:
-    """Return the steps of a run file; each has the shared options that its command takes."""
+    """Return the steps of a run file; the file's shared options are added to each command that has them."""
     from ..io.versions import KEY
 
     refuse_if(
@@ -168,14 +169,14 @@ _FILES_OR_NAMES = {"scene", "camera", "source"}
 
 
 def _seen_from(folder: Path, name: str, value: Any) -> str:
-    """Return an option's value as a word; relative paths of files are made relative to the folder."""
+    """Return an option's value as a word; relative paths are rewritten relative to the run file's folder."""
     word = _word("", value)
     named = isinstance(value, Path) or (name in _FILES_OR_NAMES and Path(word).is_file())
     return os.path.relpath(word, folder) if named and not Path(word).is_absolute() else word
 
 
 def add_step(path: Path, step: RunStep, commands: Mapping[str, Any]) -> None:
-    """Write a run file of one step, or add the step at the end of one that is there and does not have it."""
+    """Write a run file of one step, or append the step to an existing file that lacks it."""
     from ..io.versions import KEY, VERSION
     from ..runtime.files import parse_yaml, write_text
 
@@ -204,7 +205,7 @@ def _commands_of(steps: list[RunStep], commands: Mapping[str, Any]) -> list[tupl
 
 
 def _yaml(value: Any) -> str:
-    """Write a word, a list of words or a flag as YAML, as plain text where it is read back as the same word."""
+    """Write a word, a list of words or a flag as YAML, quoted only where plain text would be read back differently."""
     from ..runtime.files import parse_yaml
 
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Progress of experiments, which have several stages."""
+"""Progress lines of experiments with several stages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
-    """Print a line for each stage that is done, and show the progress of the current one."""
+    """Print a line for each finished stage, and show the progress of the current one, while the context is open."""
     from ..report.stage_store import StageOptions
 
     with moving_bar() as bar, plain_lines("starting") as line, resumable():

@@ -1,4 +1,4 @@
-"""Commands that are stopped: the option ``--resume``, the handling of Ctrl-C, and the line on how to go on."""
+"""Stopping of commands: the option ``--resume``, the handling of Ctrl-C, and the line on how to go on."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Resume = Annotated[
 
 
 def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Checkpoint:
-    """Return the checkpoint of what a command writes, next to it or at another path, with what `Resume` says of it."""
+    """Return the checkpoint of a command's output, next to it or at `path`, that continues as ``--resume`` says."""
     from ..io.checkpoints import SUFFIX, Checkpoint
     from ..runtime.files import require_writable
 
@@ -43,7 +43,7 @@ def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Check
 
 @contextlib.contextmanager
 def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
-    """On Ctrl-C, print that the same command continues the run, and the finished part where it is known."""
+    """On Ctrl-C, print how much of the run is finished and that the same command continues it."""
     try:
         yield
     except KeyboardInterrupt:

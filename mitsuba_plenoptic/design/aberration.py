@@ -1,4 +1,4 @@
-"""The aberration of a thin main lens whose `lens_model` is ``parabolic``, over the field."""
+"""Wavefront aberration, over the field, of a thin main lens whose `lens_model` is ``parabolic``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FAR = 1e4
 
 
 def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Return the aberration of a parabolic main lens for light of the plane in focus, in waves.
+    r"""Return the wavefront aberration of a parabolic main lens, in waves, for object points in the plane in focus.
 
     Light of a point gains the path :math:`W = (p - i) / \lambda`, with the paths p and i through a thin parabolic phase
     and through a stigmatic lens. Piston and tilt, which move an image and do not blur it, are taken away at each image
@@ -50,7 +50,7 @@ def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
 
 
 def _peak_to_valley(camera: PlenopticCamera, distance: float, wavelength: float) -> float:
-    """Return the largest difference of path over the pupil, for points at a distance."""
+    """Return the difference between greatest and smallest path over the pupil, for points at a distance."""
     square, angle = np.linspace(0, 1, _RINGS)[:, None], 2 * math.pi * np.arange(_SPOKES) / _SPOKES
     x, y = (camera.aperture_radius * (np.sqrt(square) * turn(angle)).ravel() for turn in (np.cos, np.sin))
     # By the trapezoidal rule over the area.

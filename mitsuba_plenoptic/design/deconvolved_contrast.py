@@ -47,12 +47,12 @@ class ResolutionLimit:
     Attributes
     ----------
     waves : float
-        By the diffraction of a microlens; infinite in focus, and where there is no wavelength.
+        Limit by the diffraction of a microlens; infinite in focus, and where there is no wavelength.
     pixels : float
-        By the pixels; infinite in focus.
+        Limit by the pixels; infinite in focus.
     lenses : float
-        By one sample a lens, which is what reconstructions without deconvolution give; in the Fourier arrangement,
-        where each lens makes a picture, by one sample a pixel.
+        Limit by one sample per lens, as in reconstructions without deconvolution; in the Fourier arrangement, where
+        each lens makes a picture, by one sample per pixel.
     in_focus : bool
         Whether the plane is so near focus that lenses see the same: the pitch of the lenses decides.
     frequency : float
@@ -67,7 +67,7 @@ class ResolutionLimit:
 
     @property
     def frequency(self) -> float:
-        """Lower one of the two limiting frequencies."""
+        """Lower of the two limiting frequencies, in line pairs per scene unit; near focus that of the lens pitch."""
         return self.lenses if self.in_focus else min(self.waves, self.pixels)
 
 
@@ -121,7 +121,7 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
 def _behind_objective(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
-    r"""Return the limit of a microscope: :math:`n w / 0.94 \lambda M d` and :math:`n z / 2 M p d`; 2 NA bounds them."""
+    r"""Return the limit of a microscope, :math:`n w / 0.94 \lambda M d` or :math:`n z / 2 M p d`, at most 2 NA."""
     M, n, d = lens.magnification, lens.immersion, abs(depth)
     width = camera.lattice.aperture_width
     pixels = n * camera.reduced_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
@@ -136,7 +136,7 @@ def _behind_objective(
 def _in_the_stops_image(
     camera: PlenopticCamera, lens: Objective, depth: float, wavelength: float | None
 ) -> ResolutionLimit:
-    """Return the limit of the Fourier arrangement, which has no range around a plane in focus to avoid."""
+    """Return the resolution limit of the Fourier arrangement, which excludes no range around the plane in focus."""
     pixels, waves = 1 / (2 * camera.bin_size(depth)), math.inf
     aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
     blur = aperture * abs(depth) / lens.immersion

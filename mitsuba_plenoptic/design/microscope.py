@@ -1,8 +1,8 @@
 r"""Quantities of a light-field microscope, a camera whose main lens is an `Objective`.
 
-Lengths in the object are those in the native image plane over the magnification M. In the Fourier arrangement each lens
-of the width w sees the object through its part of the stop, :math:`NA_l = M w / 2 f_F`, from a direction of its own
-(Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
+Lengths in the object are lengths in the native image plane divided by the magnification M. In the Fourier arrangement
+each lens of the width w sees the object through its part of the stop, with :math:`NA_l = M w / 2 f_F`, from a direction
+of its own (Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from .remedies import Finding, detector_at, finer_pixels
 
 
 def objective_of(camera: PlenopticCamera) -> Objective:
-    """Return the objective of a microscope."""
+    """Return the objective of a microscope; refuse cameras without one."""
     if camera.objective is None:
         raise InputError(f"main_lens = {camera.lens_data.label}: it must be an Objective; this camera is no microscope")
     return camera.objective
 
 
 def native_field(camera: PlenopticCamera) -> float:
-    r"""Return the width of the object that is seen, in millimetres.
+    r"""Return the width, in millimetres, of the part of the object that the camera sees.
 
-    That of the detector, :math:`W / M`; in the Fourier arrangement that of the picture which one lens has room for,
-    :math:`D_2 f_F / z M`.
+    The width is that of the detector, :math:`W / M`; in the Fourier arrangement, of the picture for which one lens has
+    room, :math:`D_2 f_F / z M`.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def native_field(camera: PlenopticCamera) -> float:
 
 
 def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
-    r"""Return the least and the greatest depth beyond the native object plane at which some microlenses are sharp.
+    r"""Return the least and greatest depth beyond the native object plane, in mm, at which some microlenses are sharp.
 
     Unfocused microlenses in the native image plane: the depths that refocusing brings back to one sample per lens. The
     blur :math:`2 M |d| \tan\alpha` on the array may span as many lenses as directions are resolved under each; for
@@ -64,7 +64,7 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
     Returns
     -------
     (float, float)
-        In millimetres; NaN if no type of microlens is sharp at any depth.
+        Limits in millimetres; NaN if no type of microlens is sharp at any depth.
     """
     lens = objective_of(camera)
     ranges: list[tuple[float, float]] = []
@@ -124,7 +124,7 @@ def lenses_across_stop(camera: PlenopticCamera) -> float:
 
 
 def parallax(camera: PlenopticCamera, position: float) -> float:
-    r"""Return the displacement on the detector of a lens's picture of a point per millimetre of depth.
+    r"""Return the displacement on the detector of a point's picture under one lens, per millimetre of depth.
 
     :math:`-(z M / f_F) \tan\theta` along the line to the lens, with :math:`n \sin\theta = M c / f_F` for the lens whose
     centre is the distance c from the axis.

@@ -53,8 +53,8 @@ _BETWEEN = 1.03
 def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
     r"""Return the name of the plane on which each type of microlens is focused.
 
-    - ``unfocused``: on the main lens, as good as infinitely far (Ng 2006; the "plenoptic camera 1.0"). It makes a
-      spot of at most a pixel of parallel light: :math:`D_2 |z / f_2 - 1| \le` pixel.
+    - ``unfocused``: on the main lens, practically at infinity (Ng 2006; the "plenoptic camera 1.0"). The spot of
+      parallel light is at most a pixel wide: :math:`D_2 |z / f_2 - 1| \le` pixel.
     - ``keplerian``: on the main lens's image, a real one before the MLA; :math:`z > f_2`.
     - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
       :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
@@ -72,13 +72,13 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
 
 
 def focus_type(camera: PlenopticCamera) -> str:
-    """Return the name of the plane on which all microlenses are focused, as in `focus_types`, or ``mixed``."""
+    """Return the focus type of all microlenses, as in `focus_types`, or ``mixed`` if they differ."""
     types = set(focus_types(camera))
     return types.pop() if len(types) == 1 else "mixed"
 
 
 def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance a in front of the MLA, towards the main lens, of the plane that each type of microlens images sharply.
+    """Distance a before the MLA, in mm, of the plane that each type of microlens images sharply on the detector.
 
     :math:`1/a + n/z = n/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
 
@@ -91,10 +91,10 @@ def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
 
 def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance of the object plane that each type of microlens sees sharply through the main lens.
+    """Distance in mm from the main lens of the object plane that each type of microlens sees sharply.
 
-    For an unfocused one, `PlenopticCamera.focus_distance`. Where there is no such plane it is
-    infinite or negative.
+    For an unfocused type the distance is `PlenopticCamera.focus_distance`. It is infinite or negative where no such
+    plane exists.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
 
 def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
-    """Distance behind the main lens of the image that each type of microlens sees: the MLA's for unfocused cameras."""
+    """Distance in mm behind the main lens of the image that each type of microlens is focused on, or of the MLA."""
     camera.require_lens("the plane that microlenses see")
     return tuple(
         camera.mla_distance - (0 if focus == "unfocused" else a)
@@ -116,8 +116,8 @@ def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
 def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
     """Distance before the MLA of the main lens's image of an object, in units of z/n: :math:`v = n a / z`.
 
-    A point is then seen by about as many microlenses along an axis, each of which shrinks the image by that factor
-    (Perwass and Wietzke 2012, section 2). Negative for an image behind the MLA.
+    A point is then seen by about v microlenses along an axis, each of which shrinks the image by the factor v (Perwass
+    and Wietzke 2012, section 2). Negative for an image behind the MLA.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def field_of_view(camera: PlenopticCamera) -> float:
 
 
 def field_width(camera: PlenopticCamera, distance: float) -> float:
-    """Width of the field in the object plane."""
+    """Width of the field in the object plane, in millimetres."""
     camera.require_lens("the width of the field")
     return camera.detector_width * distance / camera.mla_distance
 
@@ -186,7 +186,7 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
 
 
 def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
-    """Width of a pixel in the object plane, seen through its lens's centre: :math:`p |s| b / z`.
+    """Width of a pixel in the object plane, seen through its lens's centre, in mm: :math:`p |s| b / z`.
 
     Projected onto the MLA through the main lens's centre; see the head of this module.
 
@@ -201,11 +201,11 @@ def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
 
 
 def lenses_across(camera: PlenopticCamera, distance: float) -> float:
-    """Lens pitches across the cone of light of a point where it meets the MLA, :math:`D_1 |s| / D_2`.
+    """Diameter of a point's light cone on the MLA in lens pitches, :math:`D_1 |s| / D_2`.
 
-    Of two pitches the greater counts. From 1 on every point is seen by at least two lenses, in part; from 2 on by two
-    lenses' centres, which for micro-images that touch is Perwass and Wietzke's virtual depth of 2 (2012, section 2.2,
-    total covering).
+    If there are two pitches, the greater counts. From 1 on every point is seen by at least two lenses, in part; from 2
+    on by the centres of two lenses, which is Perwass and Wietzke's virtual depth of 2 if micro-images touch (2012,
+    section 2.2, total covering).
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def effective_resolution(
 
 
 def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
-    r"""Radius of a microlens's focal spot, from its centre to the first zero.
+    r"""Radius of a microlens's focal spot in mm, from the centre to the first zero.
 
     :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
     of diameter d; for a hexagon that of the disc of its area.
@@ -266,7 +266,7 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
 
 
 def direction_count(camera: PlenopticCamera, wavelength: float | None = None) -> float:
-    """Return the directions resolved across a micro-image: its diameter over a pixel or the spot, if that is larger."""
+    """Return the number of directions resolved across a micro-image: its diameter over the larger of pixel and spot."""
     return camera.micro_image_diameter / finest_detail(camera, wavelength)
 
 
@@ -279,12 +279,11 @@ def finest_detail(camera: PlenopticCamera, wavelength: float | None) -> float:
 
 
 def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
-    """Nearest and farthest distance that refocusing brings back to one sample per lens.
+    """Nearest and farthest distance, in mm, at which refocusing gives one sample per lens.
 
-    The blur on the MLA may then span as many lenses as directions are resolved under each (Ng 2006,
-    "Digital Light Field Photography", section 3.4). A microlens that is in focus at the distance a, not on the main
-    lens, must besides blur the main lens's image by less than its own width, which it does as far as 2a. The far
-    end may be infinite.
+    The blur on the MLA may then span as many lenses as directions are resolved under each (Ng 2006, "Digital Light
+    Field Photography", section 3.4). A microlens in focus at the distance a, not on the main lens, must also blur the
+    main lens's image by less than the lens's width; this holds up to 2a. The far end may be infinite.
 
     Parameters
     ----------
@@ -317,7 +316,7 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
 
 
 def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> list[tuple[float, float] | None]:
-    r"""Nearest and farthest distance at which each type of microlens is sharp.
+    r"""Nearest and farthest distance, in mm, at which each type of microlens is sharp.
 
     For an unfocused type that is `refocus_range`. For another, its blur on the detector,
     :math:`w |1/v - 1/v_0|`, is at most a pixel, or the spot of diffraction if that is wider, and every point is seen by
@@ -358,9 +357,9 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:
-    """Return the nearest and farthest distance from the MLA of sharp images, on the side where a lens is in focus at a.
+    """Return the nearest and farthest distance from the MLA of images that are sharp for a lens focused at a.
 
-    From the distance `covering` on, the light of a point spans a lens pitch.
+    Images lie on the same side of the array as a. From the distance `covering` on, a point's light spans a pitch.
     """
     slack = vergence_slack(camera, wavelength)
     far = math.inf if abs(1 / a) <= slack else 1 / (abs(1 / a) - slack)
@@ -368,12 +367,12 @@ def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength:
 
 
 def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
-    """Return by how much 1/a may differ from a microlens's focus for a blur of a pixel, or of the spot if wider."""
+    """Return the largest deviation of 1/a from a microlens's focus that blurs by no more than a pixel or the spot."""
     return finest_detail(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 
 def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: float | None = None) -> int:
-    """Bins per lens that show the finest detail at a distance and no more: an `oversample` for `reconstruct`.
+    """Return the least bins per lens that show the finest detail at a distance: an `oversample` for `reconstruct`.
 
     Parameters
     ----------
@@ -401,7 +400,7 @@ def mla_f_number(camera: PlenopticCamera) -> float:
 
 
 def micro_image_distance(camera: PlenopticCamera) -> float:
-    """Distance of the closest micro-images: those of a diameter below it do not touch."""
+    """Distance in mm between the closest micro-images; micro-images of a smaller diameter do not touch."""
     return camera.lattice.nearest_distance * camera.micro_image_pitch / camera.mla_pitch
 
 
@@ -443,7 +442,7 @@ def white_mean(camera: PlenopticCamera) -> float:
 
 
 def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:
-    """Find the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
+    """Return the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
 
     The ray from a detector point p through the point c + d of a lens meets the pupil plane in
     :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
@@ -478,13 +477,13 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
 
 
 def crosstalk_reach(camera: PlenopticCamera) -> float:
-    """Return the greatest distance of the centres of lenses that can light a pixel from the point of its chief ray."""
+    """Return the greatest distance in mm from the chief ray's point to the centres of lenses that can light a pixel."""
     _, reach, smear = _crosstalk(camera)
     return float(reach + smear * camera.lattice.aperture_reach)
 
 
 def crosstalk_defocus(camera: PlenopticCamera) -> float:
-    """Return how much this distance changes per relative change of a lens's power."""
+    """Return the change of `crosstalk_reach` per relative change of a lens's power."""
     growth = camera.lens_data.converges + camera.pupil_distance / camera.reduced_distance
     across = camera.lattice.aperture_reach * camera.pupil_distance
     return float(across / min(camera.reduced_focal_lengths) / growth)
@@ -496,7 +495,7 @@ def turns_cosines(camera: PlenopticCamera) -> bool:
 
 
 def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
-    """Return how far lenses that turn direction cosines can be from the chief ray's point and still light a pixel.
+    """Return the greatest distance, by sectors, from the chief ray's point to cosine-turning lenses that light a pixel.
 
     `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
     rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens
@@ -545,13 +544,13 @@ def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
 
 
 def crosstalk_lenses(camera: PlenopticCamera) -> int:
-    """Count the lenses that can light one pixel; counts above 100,000 are estimated from the area."""
+    """Return the number of lenses that can light one pixel; numbers above 100,000 are estimated from areas."""
     lenses = _crosstalk(camera)[0]
     return len(crosstalk_neighbours(camera)) if lenses <= MOST_OVERLAP else round(lenses)
 
 
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
-    """About how many lenses light a pixel, within which distance, and the part of their apertures that adds."""
+    """Return roughly how many lenses light a pixel, within which distance, and the share of the apertures in it."""
     b, z, lattice = camera.pupil_distance, camera.reduced_distance, camera.lattice
     # Behind an objective all lenses see the stop in the same directions.
     growth = camera.lens_data.converges + b / z

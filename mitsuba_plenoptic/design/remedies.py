@@ -1,7 +1,7 @@
-"""Changes of a camera's parameters that mend what is poor about a design.
+"""Changes of a camera's parameters that mend faults of its design.
 
-Those of the microlenses keep the image that they see, at the distance a before the array: with every z,
-:math:`1/f_2 = 1/z + 1/a`.
+Changes of the microlenses keep the image that they see, at the distance a before the array: for every z, :math:`1/f_2 =
+1/z + 1/a`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Finding:
     besides: str = ""
 
     def mended(self, camera: PlenopticCamera) -> Iterator[tuple[str, PlenopticCamera]]:
-        """Yield the remedies of which a camera comes, in words with the values, and these cameras."""
+        """Yield the possible remedies, in words with their values, and the cameras that they lead to."""
         for words, changes in self.remedies:
             changed = changed_camera(camera, changes)
             if changes is not None and changed is not None and changed.f_number >= min(_FASTEST, camera.f_number):
@@ -48,9 +48,9 @@ class Finding:
 
 
 def changed_camera(camera: PlenopticCamera, changes: Changes) -> PlenopticCamera | None:
-    """Return the camera with the changes, None where it is none.
+    """Return the camera with the changes, None if such a camera is refused.
 
-    The lens may not open so far, a shape set the focal length, or the detector be too large.
+    For example, the lens may not open so far, a shape may set the focal length, or the detector may be too large.
     """
     try:
         return None if changes is None else camera.replace(**changes)
@@ -66,7 +66,7 @@ def _written(value: Any) -> str:
 
 
 def detector_at(camera: PlenopticCamera, reduced_distance: float) -> Changes:
-    """Return the microlenses and their distance from the detector, in air, with which they see the same image."""
+    """Return the microlens focal length for a detector at a distance (in air) that leaves the same image in focus."""
     powers = [1 / reduced_distance + 1 / a for a in mla_object_distances(camera)]
     if min(powers) <= 0:
         return None
@@ -75,14 +75,14 @@ def detector_at(camera: PlenopticCamera, reduced_distance: float) -> Changes:
 
 
 def larger_lenses(camera: PlenopticCamera, factor: float) -> Changes:
-    """Return microlenses that are larger, and as much farther from the detector."""
+    """Return the parameters of microlenses larger by a factor, and as much farther from the detector."""
     pitch = one_if_equal((factor * camera.mla_pitches[0], factor * camera.mla_pitches[1]))
     behind = detector_at(camera, factor * camera.reduced_distance)
     return behind and {"mla_pitch": pitch, **behind}
 
 
 def finer_pixels(camera: PlenopticCamera, factor: float) -> Changes:
-    """Return changes that make pixels narrower by a factor, rounded up to a whole number, on the same detector."""
+    """Return the changes that divide the width of pixels by a factor, rounded up to whole numbers of pixels."""
     count = math.ceil(factor * (1 - 1e-9))
 
     def several(pair: tuple[int, int]) -> tuple[int, int]:
@@ -105,7 +105,7 @@ def in_millimetres(camera: PlenopticCamera) -> Changes:
 
 
 def least_change(change: Callable[[float], Changes], camera: PlenopticCamera, good: Callable[[Any], bool]) -> Changes:
-    """Return the changes by the greatest factor below 1, to a thousandth, of which a good camera comes."""
+    """Return the changes by the greatest factor below 1, to a thousandth, that give a good camera."""
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = (low + high) / 2

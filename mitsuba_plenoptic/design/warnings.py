@@ -1,4 +1,4 @@
-"""Warnings about the design of a camera, as sentences, and the camera without them."""
+"""Warnings about the design of a camera as sentences, and the camera without these faults."""
 
 from __future__ import annotations
 
@@ -36,6 +36,9 @@ from .remedies import (
 _SMALLEST_PIXEL = 2e-4
 """Of detectors, in millimetres."""
 
+_HARDLY = 0.5
+"""Pixels by which rims of micro-images overlap unseen: no pixel gets half of its light from another lens."""
+
 _DUAL = 0.01
 """Largest relative deviation from two pixels across the lenses of dual and quad pixels."""
 
@@ -48,15 +51,15 @@ _MOST_CAMERAS = 60
 
 
 def design_warnings(camera: PlenopticCamera, wavelength: float | None = None) -> list[str]:
-    """Return warnings about a design, one sentence each, with what would mend it."""
+    """Return warnings about a camera's design, one sentence each with its remedies."""
     return [finding.sentence(camera) for finding in _findings(camera, wavelength)]
 
 
 def mended(camera: PlenopticCamera, wavelength: float | None = None) -> PlenopticCamera:
-    """Return the camera of the fewest changes, each the remedy of a warning, that has no warnings.
+    """Return the camera without warnings that takes the fewest changes, each the remedy of a warning.
 
-    Of two the one whose remedies are named first. A camera without warnings remains as it is; if no remedies help, it
-    is the one with the fewest warnings.
+    Of two such cameras, the one whose remedies are named first is taken. A camera without warnings remains as it is; if
+    no remedies help, the camera with the fewest warnings is returned.
 
     Parameters
     ----------
@@ -82,7 +85,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
-    """Yield findings about a design."""
+    """Yield the faults of a camera's design, with remedies."""
     if isinstance(camera.main_lens, Collimator):
         return
     if not camera.lens_data.converges:
@@ -111,7 +114,7 @@ def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Fin
 
 
 def _is_dual(camera: PlenopticCamera) -> bool:
-    """Return whether there are two pixels a lens, for the sides of the pupil, not for directions."""
+    """Return whether each lens has two pixels for the two sides of the pupil (a dual-pixel sensor)."""
     return abs(camera.pixels_per_lens / 2 - 1) <= _DUAL
 
 
@@ -139,11 +142,11 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
                 (f"open the main lens to a diameter of {touching:.6g} mm", stop),
             ),
         )
-    elif focus_type(camera) != "unfocused" and crosstalk_lenses(camera) > 1:
+    elif focus_type(camera) != "unfocused" and _rims_overlap(camera):
         z, radius, fill = camera.reduced_distance, camera.aperture_radius, camera.mla_fill
 
         def apart(other: PlenopticCamera) -> bool:
-            return crosstalk_lenses(other) == 1
+            return not _rims_overlap(other)
 
         yield Finding(
             "micro-images overlap at their rims, which a lens that is in focus on the object blurs: light of "
@@ -160,6 +163,12 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
                 ("narrow the lenses", least_change(lambda factor: {"mla_fill": factor * fill}, camera, apart)),
             ),
         )
+
+
+def _rims_overlap(camera: PlenopticCamera) -> bool:
+    """Return whether pixels are lit through several lenses, even if rims were narrower by a part of a pixel."""
+    narrower = camera.aperture_radius - _HARDLY * camera.pupil_step
+    return narrower > 0 and crosstalk_lenses(camera.replace(aperture_radius=narrower)) > 1
 
 
 def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
@@ -184,7 +193,7 @@ def _focus(camera: PlenopticCamera) -> Iterator[Finding]:
 
 
 def _gaps(camera: PlenopticCamera) -> dict[float, float]:
-    """Return planes where focused microlenses are sharpest but leave gaps, with the count of lenses a point lights."""
+    """Return the planes where focused microlenses leave gaps, with the number of lenses that a point lights."""
     if focus_type(camera) == "unfocused":
         return {}
     cones = {g: lenses_across(camera, g) for g in best_distances(camera) if camera.focal_length < g < math.inf}
@@ -192,7 +201,7 @@ def _gaps(camera: PlenopticCamera) -> dict[float, float]:
 
 
 def _seeing_farther(camera: PlenopticCamera) -> Changes:
-    """Return the distance of the detector, nearer to the focal length of microlenses, that leaves no gaps."""
+    """Return the detector distance in mm, nearer the microlenses' focal length, at which lenses leave no gaps."""
     (a, *others), pitch = mla_object_distances(camera), max(camera.mla_pitches)
     if others:
         # Of several types one sees the main lens where it is in focus, and farther than all where it nearly is.
@@ -212,7 +221,7 @@ def _seeing_farther(camera: PlenopticCamera) -> Changes:
 
 
 def _diffraction(camera: PlenopticCamera, wavelength: float) -> Iterator[Finding]:
-    """Yield findings about diffraction of light of one wavelength, and about aberrations."""
+    """Yield findings about diffraction at one wavelength, and about aberrations."""
     spot = spot_radius(camera, wavelength)
     # Pixels of unfocused microlenses are to gather directions; those of others sample an image.
     if focus_type(camera) != "unfocused" and camera.pixel_size > 0.5 * spot * (1 + SINGLE):

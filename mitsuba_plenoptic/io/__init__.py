@@ -1,1 +1,1 @@
-"""Files: captures, checkpoints, and how they are written whole or not at all."""
+"""Files: captures, checkpoints, and functions that write a file completely or not at all."""

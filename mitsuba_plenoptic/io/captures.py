@@ -1,8 +1,8 @@
-"""Captures, what a plenoptic camera's detector recorded, with the camera: on disk as OpenEXR or as raw pictures.
+"""Captures, a plenoptic camera's recorded images with the camera, as OpenEXR files or raw pictures.
 
-Raw pictures of 16 bits hold the digital numbers of a detector. TIFF (Adobe, "TIFF", revision 6.0) keeps all about them
-in the tag ImageDescription, PNG (W3C, "Portable Network Graphics", third edition) in a text chunk; other programs show
-the numbers and skip it.
+Raw pictures of 16 bits hold the digital numbers of a detector. Camera and detector are stored in the tag
+ImageDescription of TIFF (Adobe, "TIFF", revision 6.0), or in a text chunk of PNG (W3C, "Portable Network Graphics",
+third edition); other programs show the numbers and ignore these.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ BRIGHTEST = 1e30
 @suggest_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class Capture(Displayed):
-    """The image that the detector of a plenoptic camera recorded.
+    """The image recorded by the detector of a plenoptic camera.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class Capture(Displayed):
     wavelength : float or tuple of three floats, optional
         Wavelength in nanometres, 200 to 2500, one for all channels or one for each; None for a ray capture.
     model : {"ray", "wave"}
-        How light was propagated.
+        Model by which light was propagated.
     metadata : dict
-        How it was made: scene, seed, samples, software versions. Plain JSON values.
+        Facts on the making: scene, seed, samples, software versions. Plain JSON values.
     noise : array like the image, optional
         Standard deviation of each pixel from the samples of which it is made, as `render_capture` estimates it; stored
         as float32.
@@ -149,7 +149,7 @@ class Capture(Displayed):
 
     @property
     def relative_noise(self) -> float | None:
-        """Root mean square of the noise over the mean of the pixels; None if the noise is not known."""
+        """Root mean square of the noise over the mean of the pixels; None for unknown noise."""
         if self.noise is None:
             return None
         mean = float(self.image.mean(dtype=np.float64))
@@ -165,7 +165,7 @@ def as_array(name: str, values: Any) -> np.ndarray:
 
 
 def require_pixels(name: str, image: np.ndarray) -> None:
-    """Refuse an image with pixels that are not finite or exceed `BRIGHTEST` in magnitude: their count and the first."""
+    """Refuse an image with pixels that are not finite or above `BRIGHTEST`, and name their number and the first one."""
     # The largest and the smallest value show every NaN too, and cost far less than a test of each.
     if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
         return
@@ -201,7 +201,7 @@ ALL_MOSAICS = (*MOSAICS, *(QUAD + mosaic for mosaic in MOSAICS))
 
 
 def mosaic_of(capture: Capture) -> str | None:
-    """Return the mosaic of colour filters in a capture, None if there is none or it was demosaicked."""
+    """Return the colour-filter mosaic of a capture, None without a mosaic or after demosaicking."""
     mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
     return mosaic if mosaic in ALL_MOSAICS else None
 
@@ -225,12 +225,12 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     path : path
         File to write.
     capture : Capture
-        What to write.
+        The capture to write.
 
     Raises
     ------
     InputError
-        If it is not a capture, its metadata are not plain data, or the file cannot be written.
+        If the argument is no capture, its metadata are not plain data, or the file cannot be written.
 
     Examples
     --------
@@ -277,15 +277,15 @@ def _capture_of(
 # Some commands read a capture twice.
 @functools.cache
 def _remark(path: str | Path, lens_model: str) -> None:
-    """Log once that a wave capture is read with the `lens_model` of its waves."""
+    """Log once that a wave capture is read with the `lens_model` that its waves had."""
     _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
 def read_capture(path: str | Path) -> Capture:
     """Return the capture in a file of `write_capture`.
 
-    A wave capture of version 1.0 or earlier gets the ``lens_model`` that its waves had: ``parabolic`` behind a thin
-    main lens and lenses of at least 20 wavelengths, with a remark in the log.
+    A wave capture of version 1.0 or earlier gets the ``lens_model`` with which it was computed: ``parabolic`` for a
+    thin main lens and microlenses of at least 20 wavelengths, with a remark in the log.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     path : path
         File to write; the name ends in ``.png``, ``.tif`` or ``.tiff``.
     capture : Capture
-        What `expose` returned; a mosaic, or grey, or in TIFF files of three channels.
+        A capture from `expose`: a mosaic, grey, or, in TIFF files, of three channels.
 
     Raises
     ------
@@ -373,16 +373,18 @@ def read_raw(path: str | Path) -> Capture:
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     with naming(path):
-        return _capture_of(path, about, _values(numbers, about["metadata"]["exposure"]))
+        gain, black, dark, unit = response_of(about["metadata"]["exposure"])
+        image = (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
+        return _capture_of(path, about, image)
 
 
 def states_detector(path: str | Path) -> bool:
-    """Return whether a picture states camera and detector, so that `read_raw` reads it."""
+    """Return whether a picture states camera and detector, so that `read_raw` can read it."""
     return f'"{_KEY}"' in _read(require_file(path))[1]
 
 
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
-    """Return the digital numbers that a detector gave for an exposed capture."""
+    """Return the digital numbers that a detector recorded for an exposed capture."""
     exposure = capture.metadata.get(EXPOSED)
     if not isinstance(exposure, dict):
         raise InputError("capture: no detector has recorded it; expose it first")
@@ -397,13 +399,8 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     return numbers.astype(np.uint16)
 
 
-def _values(numbers: NDArray[Any], exposure: dict[str, Any]) -> NDArray[np.float32]:
-    gain, black, dark, unit = response_of(exposure)
-    return (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
-
-
 def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Return gain, black level, dark electrons, and electrons in a pixel of value 1, from the record of `expose`."""
+    """Return gain, black level, dark electrons, and electrons at pixel value 1, from the record of `expose`."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
         refuse_if(name not in exposure, f"exposure: {name}: it is missing")
     gain, efficiency, photons = (
@@ -429,6 +426,6 @@ def _read(path: Path) -> tuple[NDArray[Any], str]:
 
 
 def scaled_from(capture: Capture, black_level: float) -> Capture:
-    """Return a capture of values from 0 to 1, at 65535 digital numbers, scaled so that another number is black."""
+    """Return a capture with values 0 to 1 for digital numbers up to 65535, rescaled so that `black_level` becomes 0."""
     black = require_number("black_level", black_level, minimum=0, maximum=65534) / 65535
     return replace(capture, image=(capture.image - np.float32(black)) / np.float32(1 - black))

@@ -1,10 +1,10 @@
-"""What goes on after a stop: checkpoints of unfinished computations, logs of finished steps, and locks.
+"""Resuming after a stop: checkpoints of unfinished computations, logs of finished steps, and locks.
 
-A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text that holds all that the run's
-bits depend on; a run with anything else there is refused. Nothing of a checkpoint is ever unpickled.
+A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text with everything on which the run's
+bits depend; a run with a different header is refused. Checkpoints are never unpickled.
 
-A log is a JSON file beside the files of a run or an experiment. A step is finished if the hash of its settings and
-of the software is in the log, and every file that the step read or wrote has the digest noted there.
+A log is a JSON file beside the files of a run or an experiment. A step is finished if the log has the hash of its
+settings and of the software, and every file that the step read or wrote still has the logged digest.
 """
 
 from __future__ import annotations
@@ -57,30 +57,33 @@ _log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
-def locked(path: Path, refusal: str) -> Iterator[None]:
-    """Hold a lock file next to `path`; refuse if another process holds it.
+def locked(path: Path, refusal: str | None = None) -> Iterator[None]:
+    """Hold the lock file `path`; if another process holds it, refuse with a message, or wait without one.
 
-    The lock belongs to this process: the system releases it however the process ends. Windows has no such lock, and
-    some network drives have none, of which a warning tells.
+    The system releases the lock when this process ends, however it ends. Windows and some network drives have no such
+    lock; a warning tells of the latter.
     """
-    new = not path.parent.exists()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("w")
-    except OSError as error:
-        raise InputError(f"{path.parent}: {error.strerror}") from error
-    with file:
+    new, mine = not path.parent.exists(), False
+    while not mine:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("w")
+        except OSError as error:
+            raise InputError(f"{path.parent}: {error.strerror}") from error
         try:
             if sys.platform != "win32":
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if refusal else 0))
             # The process that had it may have removed the file between the two calls.
             mine = os.path.samestat(os.fstat(file.fileno()), path.stat())
         except (BlockingIOError, FileNotFoundError):
-            mine = False
+            pass
         except OSError as error:
             mine = True
             warn(f"{path.parent}: it cannot be locked: {error.strerror}")
-        refuse_if(not mine, f"{refusal}; wait until it has ended")
+        if not mine:
+            file.close()
+            refuse_if(refusal is not None, f"{refusal}; wait until it has ended")
+    with file:
         try:
             yield
         finally:
@@ -91,22 +94,22 @@ def locked(path: Path, refusal: str) -> Iterator[None]:
 
 
 def lock_of(path: Path) -> Path:
-    """Return the lock file that stands for a file."""
+    """Return the path of the lock file for a file."""
     return path.with_name(f".{path.name}.lock")
 
 
 class Checkpoint:
-    """File into which a capture or a deconvolution writes its state now and then, to resume from it.
+    """File in which a capture or a deconvolution saves its state at intervals, to resume from it.
 
-    A context in which the result is computed and written: left without an exception, the file is removed.
+    Used as a context in which the result is computed and written: an end without exception removes the file.
 
     Parameters
     ----------
     path : path
         The file.
     existing : {"refuse", "resume", "resume_if_same"}
-        What to do with a file that is there: refuse to replace it; resume from it, and refuse it if it is of another
-        run; or resume from it if it is of the same run and replace it if it is of another.
+        What to do with an existing file: refuse to replace it; resume from it, or refuse a file of another run; or
+        resume from it, or replace a file of another run.
 
     Raises
     ------
@@ -141,12 +144,12 @@ class Checkpoint:
         self._lock.close()
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Register the run; return the state that an earlier process saved, None if there is none.
+        """Register the run; return the state saved by an earlier process, None if there is none.
 
         Parameters
         ----------
         shape : (rows, columns, channels)
-            The capture's.
+            Shape of the capture.
         **facts
             Plain JSON values that the bits of the result depend on, besides those in `run` and the software.
 
@@ -188,7 +191,7 @@ class Checkpoint:
         return found
 
     def stop(self) -> bool:
-        """Make the run save its next state and end there with a KeyboardInterrupt.
+        """Make the run save its next state and end with a KeyboardInterrupt.
 
         Returns
         -------
@@ -199,14 +202,14 @@ class Checkpoint:
         return self._stopping
 
     def save(self, snapshot: Snapshot) -> None:
-        """Write the state if it is time to.
+        """Write the state if the time since the last save is long enough.
 
-        A disk that is full costs a warning, not the run: the checkpoint of before stays.
+        A full disk causes a warning and does not stop the run: the earlier checkpoint stays.
 
         Parameters
         ----------
         snapshot : Snapshot
-            What is done so far.
+            The state to save.
 
         Raises
         ------
@@ -216,7 +219,7 @@ class Checkpoint:
         self._save(lambda path: _write(path, self.run, snapshot))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
-        """Write the float32 and float64 arrays for `begin_arrays` if it is time to."""
+        """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
         self._save(lambda path: _write_archive(path, self.run, {}, dict(arrays())))
 
     def _save(self, write: Callable[[Path], None]) -> None:
@@ -256,12 +259,12 @@ def hash_of(content: Any) -> str:
 
 
 def step_key(settings: Any) -> str:
-    """Return a hash of a step's settings and of the software, without the files that the step reads."""
+    """Return a hash of a step's settings and of the software versions, but not of the files that the step reads."""
     return hash_of({"settings": settings, "software": software()})
 
 
 def finished_step(log: Path, settings: Any) -> dict[str, Any] | None:
-    """Return the log's entry on a finished step of these settings that wrote a file, None without one."""
+    """Return the log's entry on a finished step with these settings that wrote files, otherwise None."""
     entry = _steps(log).get(step_key(settings))
     if not entry or not entry["written"]:
         return None
@@ -270,7 +273,7 @@ def finished_step(log: Path, settings: Any) -> dict[str, Any] | None:
 
 
 def note_step(log: Path, settings: Any, used: FilesUsed, **facts: Any) -> None:
-    """Record a step's files in a log, and drop entries of steps that wrote one of these files before.
+    """Record a step's files in a log, and drop entries of earlier steps that wrote one of these files.
 
     Files in the folder of the log are named relative to it, so that the folder can be moved.
     """
@@ -315,7 +318,7 @@ def _digest(path: Path) -> str | None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write JSON to read and to compare: indented, names sorted, whole or not at all."""
+    """Write indented JSON with sorted names, completely or not at all."""
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
@@ -343,7 +346,7 @@ def _read(
     take: Callable[[Any, dict[str, Any]], _State],
     shapes: dict[str, tuple[int, ...]],
 ) -> _State:
-    """Return the state in the checkpoint of a run; refuse a damaged one or another run's."""
+    """Return the state in the checkpoint of a run; refuse damaged checkpoints and checkpoints of other runs."""
     try:
         _check_sizes(path, shapes)
         with np.load(path, allow_pickle=False) as archive:

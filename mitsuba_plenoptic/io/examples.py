@@ -1,4 +1,4 @@
-"""Finished captures that come with the package, so that reconstruction can be tried without rendering."""
+"""Finished captures shipped with the package, for reconstruction without rendering."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ FOLDER = Path(__file__).parents[1] / "examples"
 
 
 def example(name: str) -> Capture:
-    """Read a finished capture that comes with the package.
+    """Read a finished capture shipped with the package.
 
     All are by one camera of 48 x 48 microlenses with 16 x 16 pixels each, focused at 240 mm. ``letters-ray`` and
     ``letters-wave`` are the scene ``letters`` by both models of light, at 0.6 times its size: an 8 at 210 mm, an F at
     240 mm and a # at 280 mm. ``white`` is a luminous wall by the ray model, for the argument `white` of `reconstruct`
-    and `decode`. Their `lens_model` is ``ideal``, so that rays and waves differ by no aberrations.
+    and `decode`. All have the `lens_model` ``ideal``, so that the ray and wave captures do not differ by aberrations.
     ``tools/make_examples.py`` makes them.
 
     Parameters
     ----------
     name : {"letters-ray", "letters-wave", "white"}
-        Which capture.
+        Name of the capture.
 
     Returns
     -------
@@ -48,12 +48,12 @@ def example(name: str) -> Capture:
 
 
 def example_truth(name: str) -> GroundTruth:
-    """Read the ground truth of an `example`: the depth that each pixel and each view see.
+    """Read the ground truth of an `example`: the depth at each pixel and in each view.
 
     Parameters
     ----------
     name : {"letters-ray", "letters-wave", "white"}
-        Which capture.
+        Name of the capture.
 
     Returns
     -------

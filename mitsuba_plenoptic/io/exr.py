@@ -1,4 +1,4 @@
-"""Float32 OpenEXR images with one JSON attribute, which states the version, written whole or not at all."""
+"""Float32 OpenEXR images with one JSON attribute that states the version, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_exr(
     offset: tuple[int, int] = (0, 0),
     full_size: tuple[int, int] | None = None,
 ) -> None:
-    """Write (rows, columns) as channel Y or (rows, columns, 3) as R, G, B.
+    """Write an image (rows, columns) as channel Y, or (rows, columns, 3) as channels R, G and B, of an OpenEXR file.
 
     Shapes: `image` (rows, columns[, 3]), `offset`, `full_size` (columns, rows).
     """
@@ -74,7 +74,7 @@ def write_exr(
 def write_exr_parts(
     path: str | Path, parts: Mapping[str, Mapping[str, np.ndarray]], attributes: dict[str, Any]
 ) -> None:
-    """Write the parts of one OpenEXR file, each of channels (rows, columns) by name; the first has the attributes."""
+    """Write the parts of an OpenEXR file, each of channels (rows, columns) by name; the first has attributes."""
     # All parts of a file must share one display window.
     shapes = [plane.shape for channels in parts.values() for plane in channels.values()]
     _write(path, parts, attributes, (0, 0), (max(shape[1] for shape in shapes), max(shape[0] for shape in shapes)))
@@ -110,7 +110,7 @@ def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.nda
 
 
 def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the channels of an image: Y of (rows, columns), or R, G and B of (rows, columns, 3)."""
+    """Return an image's channels by name: Y of (rows, columns), or R, G and B of (rows, columns, 3)."""
     if image.ndim == 2:
         return {"Y": image}
     return {name: image[..., i] for i, name in enumerate("RGB")}
@@ -175,7 +175,7 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
-    """Return the attributes of a file without reading its pixels; files of other programs have none."""
+    """Return the attributes of an OpenEXR file without its pixels; files of other programs have none."""
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
@@ -183,7 +183,7 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
 
 
 def _attributes(part: ExrPart) -> dict[str, Any]:
-    """Return the content of this package's attribute."""
+    """Return the content of this package's attribute in an OpenEXR header."""
     attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
     if not isinstance(attributes, dict):
         raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
@@ -191,7 +191,7 @@ def _attributes(part: ExrPart) -> dict[str, Any]:
 
 
 def read_parts(path: Path) -> list[ExrPart]:
-    """Read the headers of an OpenEXR file, without its pixels; refuse one that is too large to be read whole."""
+    """Read the headers of an OpenEXR file, without pixels; refuse a file too large to be read whole."""
     with path.open("rb") as raw:
 
         def text() -> bytes:
@@ -229,7 +229,7 @@ def read_parts(path: Path) -> list[ExrPart]:
 
 @contextlib.contextmanager
 def _undamaged(path: Path) -> Iterator[None]:
-    """Refuse a damaged file, whichever exception OpenEXR, JSON or NumPy raises."""
+    """Refuse a damaged file with one message, whichever exception OpenEXR, JSON or NumPy raises."""
     with refusing(f"{path}: it cannot be read as an OpenEXR image, or is damaged:"):
         try:
             yield

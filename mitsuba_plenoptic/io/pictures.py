@@ -27,7 +27,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     path : path
         File to read.
     linear : bool
-        Whether its values are proportional to light, as in raw data, instead of encoded in sRGB.
+        Whether the values are proportional to light, as in raw data, instead of encoded in sRGB.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
 
 
 def linear_of(encoded: np.ndarray) -> np.ndarray:
-    """Return the light of values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
+    """Return linear values for values from 0 to 1 that are encoded in sRGB (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 

@@ -1,4 +1,4 @@
-"""Ground truth: what the rays of a capture and of its views meet, in a file next to the capture."""
+"""Ground truth: the surfaces that rays of a capture and of its views meet, in a file next to the capture."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _PIXELS, _VIEWS = "capture", "views"
 class GroundTruth:
     """The surfaces that the camera's rays meet first, named as by Mitsuba's integrator ``aov``.
 
-    ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres: infinite
-    where a ray meets nothing. ``virtual_depth`` is greater in plane mirrors, where it is the distance of the mirror
-    image, about which views agree, and the same elsewhere. ``position`` and ``normal`` (of shading) are in the world's
-    frame, ``albedo`` is the diffuse reflectance, and these are NaN where nothing is met. ``shape_index`` is an integer,
-    0 where nothing is met. Where the main lens lets no such ray through, all but the index are NaN. None is an average:
-    each is of one ray.
+    ``depth`` is the distance from the main lens along the camera's axis, in scene units, taken as millimetres; it is
+    infinite where a ray meets nothing. ``virtual_depth`` is the same except in plane mirrors, where it is the distance
+    of the mirror image, as views show it. ``position`` and ``normal`` (of shading) are in the world's frame, ``albedo``
+    is the diffuse reflectance; these are NaN where nothing is met. ``shape_index`` is an integer, 0 where nothing is
+    met. Where the main lens lets no such ray through, all but the index are NaN. All values belong to single rays and
+    are not averaged.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class GroundTruth:
 
 
 def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
-    """Return quantities by their names, each once."""
+    """Return the names of quantities without repetitions; refuse unknown names."""
     found = tuple(dict.fromkeys(names))
     for name in found:
         require_choice("aov", name, QUANTITIES)
@@ -98,17 +98,17 @@ def truth_path(capture: Path) -> Path:
 
 
 def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
-    """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, laid side by side.
+    """Write ground truth as OpenEXR: the part ``capture``, pixel for pixel, and the part ``views``, side by side.
 
-    Their channels are depth.Z, virtual_depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and
-    shape_index.I. The views lie as `views.view_mosaic` lays them.
+    The channels are depth.Z, virtual_depth.Z, position.X, .Y and .Z, normal.X, .Y and .Z, albedo.R, .G and .B, and
+    shape_index.I. The views are arranged as by `views.view_mosaic`.
 
     Parameters
     ----------
     path : path
         File to write.
     truth : GroundTruth
-        What to write.
+        The ground truth to write.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The version that wrote a file, and the lens model of wave captures of versions that stated none.
+"""The version stated in a file, and the lens model of wave captures from versions that did not state one.
 
-Up to version 1.0 files state no version, and wave captures refracted at a thin main lens as a parabolic phase does,
-whatever the camera's `lens_model`, except in front of lenses of fewer than 20 wavelengths. Captures by rays, and
-cameras by themselves, mean what they state.
+Up to version 1.0 files state no version, and wave captures treated a thin main lens as a parabolic phase, whatever the
+camera's `lens_model`, except in front of microlenses of fewer than 20 wavelengths. Ray captures, and cameras by
+themselves, mean what they state.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ KEY = "version"
 
 
 def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a file's record with the version that writes it."""
+    """Return a file's record with the version of this package added."""
     return {**record, KEY: VERSION}
 
 
 def is_of_1_0(record: Mapping[str, Any]) -> bool:
-    """Return whether version 1.0 or an earlier one wrote a record, which then states no version."""
+    """Return whether version 1.0 or an earlier one wrote a record, which is the case if it states no version."""
     return KEY not in record
 
 
@@ -36,7 +36,7 @@ def camera_of_waves(
 ) -> PlenopticCamera:
     """Return the camera of a wave capture of version 1.0 with the `lens_model` that its waves had.
 
-    The capture's longest wavelength decides whether its lenses are small; the line d, where it states none.
+    The capture's longest wavelength decides whether its lenses are small, or the d line if it states none.
     """
     if camera.main_lens is not None or camera.lens_model == "parabolic":
         return camera

@@ -1,4 +1,4 @@
-"""Arrangements of microlenses: which lens a point belongs to, where its centre is, what its aperture lets through.
+"""Arrangements of microlenses: the lens that a point belongs to, the lens's centre, and the aperture's outline.
 
 `arrangement` defines lattices and the apertures of their lenses; each lattice has its own file, which registers it
 under the name that the camera's ``mla_lattice`` takes. To add a lattice, write its file and import it here.

@@ -1,17 +1,17 @@
-r"""Microlens lattices: which lens a point belongs to, where its centre is, and what its aperture lets through.
+r"""Microlens lattices: the lens that a point belongs to, the lens's centre, and the outline of its aperture.
 
-Everything that has to do with the arrangement of microlenses is asked of a `Lattice`, which `PlenopticCamera.lattice`
-makes. It covers the whole plane and does not end with the detector. Points are given in the camera frame, in the
-plane of the microlens array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's own parameters be.
+All code asks a `Lattice`, made by `PlenopticCamera.lattice`, about the arrangement of microlenses. A lattice covers the
+whole plane and does not end with the detector. Points are given in the camera frame, in the plane of the microlens
+array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's parameters be.
 
 A lens is named by two integers (i, j), its steps along the two lattice vectors. It is found in three frames:
 
-- In the *unit frame* lengths along the rows count in pitches and lengths across them in row distances. Each lattice
-  says there which cell holds a point and where its centre is.
-- The lattice's own frame has the rows along its first axis. Two different pitches stretch it across the rows: cells are
-  then affine images of those of equal pitches, the sets of points nearer to their centre than to any other.
-- The camera frame: the lattice's, turned counter-clockwise about the axis (from +x towards +y of the camera frame) by
-  `rotation`, then moved by `offset`.
+- In the *unit frame*, lengths along the rows count in pitches and lengths across them in row distances. Each lattice
+  states there which cell holds a point and where the cell's centre is.
+- The *lattice frame* has the rows along its first axis. Two different pitches stretch it across the rows: cells are
+  then affine images of cells of equal pitches, which are the sets of points nearer to their centre than to any other.
+- The *camera frame* is the lattice frame turned counter-clockwise about the axis (from +x towards +y of the camera
+  frame) by `rotation`, then moved by `offset`.
 """
 
 from __future__ import annotations
@@ -33,142 +33,8 @@ _POINTS = 8
 AIRY_ZERO = 1.21967
 
 
-class Aperture(abc.ABC):
-    """A shape of apertures, the same for all lenses of a lattice."""
-
-    product: ClassVar[bool]
-    """Whether an aperture of upright rectangular cells is a product of one along x and one along y."""
-
-    @abc.abstractmethod
-    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the width along the rows and across them: from side to side, or the diameter."""
-
-    @abc.abstractmethod
-    def area(self, lattice: Lattice) -> Any:
-        """Return its area."""
-
-    @abc.abstractmethod
-    def reach(self, lattice: Lattice) -> Any:
-        """Return the greatest distance of one of its points from its centre."""
-
-    @abc.abstractmethod
-    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Return whether a point is within the aperture.
-
-        Parameters
-        ----------
-        lattice : Lattice
-            Lattice with apertures of this shape.
-        dx : float or array
-            Offset of the point from the centre along x of the camera frame.
-        dy : float or array
-            Offset along y.
-        """
-
-    @abc.abstractmethod
-    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map a point of the unit square evenly to the aperture; return its offset from the centre in the camera frame.
-
-        Parameters
-        ----------
-        lattice : Lattice
-            Lattice with apertures of this shape.
-        s : float or array
-            From 0 to 1.
-        t : float or array
-            From 0 to 1.
-        """
-
-    @abc.abstractmethod
-    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Describe a cell with an aperture, enlarged by `smear`, about each of its points."""
-
-    def diffraction_width(self, lattice: Lattice) -> float:
-        r"""Return the width w for which the first zero of the aperture's diffraction lies at :math:`\lambda / w`.
-
-        By default this is the width of the disc whose area the aperture has.
-
-        Parameters
-        ----------
-        lattice : Lattice
-            Lattice with apertures of this shape.
-        """
-        return math.sqrt(4 / math.pi * self.area(lattice)) / AIRY_ZERO
-
-
-class Cell(Aperture):
-    """The lattice's cell itself, shrunk by `fill`."""
-
-    product = True
-
-    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the cell's widths times `fill`."""
-        along, across = lattice.pitches
-        return lattice.fill * along, lattice.fill * across
-
-    def area(self, lattice: Lattice) -> Any:
-        """Return the cell's area times the square of `fill`."""
-        return lattice.cell_area * lattice.fill**2
-
-    def reach(self, lattice: Lattice) -> Any:
-        """Return the distance of its farthest corner."""
-        return lattice.fill * lattice.cell_reach
-
-    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Decide in the frame in which cells are regular."""
-        u, v = lattice.to_frame(dx, dy)
-        return lattice.in_cell(u, v / lattice.aspect, lattice.fill * lattice.pitches[0])
-
-    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map to a cell shrunk by `fill`."""
-        return lattice.cell_point(s, t, lattice.fill)
-
-    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Enlarge the cell: cells are convex and the same on both sides of their centre."""
-        return 0.0, 1 + smear * lattice.fill
-
-    def diffraction_width(self, lattice: Lattice) -> float:
-        """Return the narrower width of a rectangle, and of any other cell that of the disc of its area."""
-        return min(self.widths(lattice)) if lattice.rectangular else super().diffraction_width(lattice)
-
-
-class Circle(Aperture):
-    """A disc whose diameter is `fill` times the pitch, the shorter one if there are two."""
-
-    product = False
-
-    def widths(self, lattice: Lattice) -> tuple[Any, Any]:
-        """Return the diameter, twice."""
-        along, across = lattice.pitches
-        diameter = lattice.fill * (along if along is across else minimum(along, across))
-        return diameter, diameter
-
-    def area(self, lattice: Lattice) -> Any:
-        """Return the disc's area."""
-        return math.pi / 4 * self.widths(lattice)[0] ** 2
-
-    def reach(self, lattice: Lattice) -> Any:
-        """Return the radius."""
-        return self.widths(lattice)[0] / 2
-
-    def holds(self, lattice: Lattice, dx: Any, dy: Any) -> Any:
-        """Compare with the radius."""
-        radius = self.reach(lattice)
-        return dx * dx + dy * dy <= radius * radius
-
-    def point(self, lattice: Lattice, s: Any, t: Any) -> tuple[Any, Any]:
-        """Map to polar coordinates."""
-        module = module_of(s)
-        radius = module.sqrt(s) * self.reach(lattice)
-        return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
-
-    def added(self, lattice: Lattice, smear: float) -> tuple[float, float]:
-        """Reach out from the cell by the enlarged radius."""
-        return smear * self.reach(lattice), 1.0
-
-
-APERTURES: dict[str, Aperture] = {"cell": Cell(), "circle": Circle()}
-"""Shapes of apertures by the names that `mla_aperture` takes."""
+APERTURES = ("cell", "circle")
+"""Shapes of apertures, as `mla_aperture` names them."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +87,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Return the indices, integers as floats, of the cell that holds a point of the unit frame."""
+        """Return the indices, integers as floats, of the cell that holds a point given in the unit frame."""
 
     @staticmethod
     @abc.abstractmethod
@@ -238,7 +104,7 @@ class Lattice(abc.ABC):
         u : float or array
             Offset along the rows.
         v : float or array
-            Offset across them.
+            Offset across the rows.
         width : float
             Pitch of the cell.
         """
@@ -246,7 +112,7 @@ class Lattice(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Return the point of a cell of equal pitches `width` for (s, t) in the unit square, evenly.
+        """Map (s, t) in the unit square uniformly to a point of a cell of equal pitches `width`.
 
         Parameters
         ----------
@@ -262,13 +128,13 @@ class Lattice(abc.ABC):
 
     @property
     def aspect(self) -> Any:
-        """Pitch across the rows over the pitch along the rows."""
+        """Ratio of the pitch across the rows to the pitch along the rows."""
         along, across = self.pitches
         return 1.0 if along is across else across / along
 
     @property
     def row_distance(self) -> Any:
-        """Distance between rows of lenses."""
+        """Distance between rows of lenses in millimetres."""
         return self.row_ratio * self.pitches[1]
 
     @property
@@ -280,33 +146,37 @@ class Lattice(abc.ABC):
 
     @property
     def nearest_distance(self) -> float:
-        """Distance of the closest two centres."""
+        """Smallest distance between two lens centres in millimetres."""
         first, second = np.array(self.basis)
         return float(min(np.hypot(*step) for step in (first, second, second - first)))
 
     @property
     def grid_step(self) -> tuple[Any, Any]:
-        """Sides, in the lattice's frame, of the coarsest rectangular grid that all centres lie on."""
+        """Sides in mm, in the lattice frame, of the coarsest rectangular grid that contains all centres."""
         return self.pitches[0] / self.stagger, self.row_distance
 
     def period(self, lens_types: int = 1) -> tuple[Any, Any]:
-        """Return the sides, in the lattice's frame, of a rectangle after which an array of `types` types repeats."""
+        """Return the sides in mm, in the lattice frame, of the rectangle with which an array of lens types repeats."""
         return self.pitches[0] * lens_types, self.row_distance * self.stagger
 
     @property
     def cell_area(self) -> Any:
-        """Area of a cell."""
+        """Area of a cell in mm^2."""
         return self.pitches[0] * self.row_distance
 
     @property
     def cell_reach(self) -> float:
-        """Greatest distance of a point of a cell from its centre."""
+        """Greatest distance in mm of a point of a cell from the cell's centre."""
         return float(np.hypot(*self.cell_corners().T).max())
 
     @property
     def aperture_widths(self) -> tuple[Any, Any]:
-        """Diameter of a circular aperture, twice; widths of other apertures along and across the rows."""
-        return APERTURES[self.aperture].widths(self)
+        """Widths of the aperture in mm along and across the rows; the diameter twice for a circle."""
+        along, across = self.pitches
+        if self.aperture == "cell":
+            return self.fill * along, self.fill * across
+        diameter = self.fill * (along if along is across else minimum(along, across))
+        return diameter, diameter
 
     @property
     def aperture_width(self) -> Any:
@@ -316,18 +186,23 @@ class Lattice(abc.ABC):
 
     @property
     def aperture_reach(self) -> Any:
-        """Greatest distance of a point of the aperture from its centre."""
-        return APERTURES[self.aperture].reach(self)
+        """Greatest distance in mm of a point of the aperture from the aperture's centre."""
+        return self.fill * self.cell_reach if self.aperture == "cell" else self.aperture_widths[0] / 2
 
     @property
     def diffraction_width(self) -> float:
         r"""Width w for which the first zero of an aperture's diffraction lies at :math:`\lambda / w`."""
-        return APERTURES[self.aperture].diffraction_width(self)
+        if self.aperture == "cell" and self.rectangular:
+            return float(min(self.aperture_widths))
+        # Of the disc of the same area.
+        return math.sqrt(4 / math.pi * self.lens_area) / AIRY_ZERO
 
     @property
     def lens_area(self) -> Any:
         """Area of a lens's aperture."""
-        return APERTURES[self.aperture].area(self)
+        if self.aperture == "cell":
+            return self.cell_area * self.fill**2
+        return math.pi / 4 * self.aperture_widths[0] ** 2
 
     # -- what it allows ------------------------------------------------------------------------------
 
@@ -338,13 +213,13 @@ class Lattice(abc.ABC):
 
     @property
     def axis_aligned(self) -> bool:
-        """Whether cells are rectangles along x and y, with plain floats: an index along x follows from x alone."""
+        """Whether cells are rectangles along x and y, so that an index along x follows from x alone."""
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
     def separable(self) -> bool:
         """Whether cells and apertures are products of an interval along x and one along y."""
-        return self.axis_aligned and APERTURES[self.aperture].product
+        return self.axis_aligned and self.aperture == "cell"
 
     # -- cells ---------------------------------------------------------------------------------------
 
@@ -364,7 +239,7 @@ class Lattice(abc.ABC):
         return self.cell(coordinate, coordinate)[axis]
 
     def axis_centre(self, index: Any, axis: int) -> Any:
-        """Return the coordinate of a centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
+        """Return the coordinate in mm of a lens centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
         return self.centre(index, index)[axis]
 
     def lens_type(self, i: Any, j: Any) -> Any:
@@ -373,7 +248,7 @@ class Lattice(abc.ABC):
         return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
 
     def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
-        """Return the point of a cell shrunk by `scale` for (s, t) in the unit square, as an offset from its centre.
+        """Map (s, t) in the unit square to the cell shrunk by `scale`; return the offset from the cell's centre.
 
         Parameters
         ----------
@@ -391,26 +266,36 @@ class Lattice(abc.ABC):
 
     def in_aperture(self, dx: Any, dy: Any) -> Any:
         """Return whether a point at an offset from its lens's centre is within the aperture."""
-        return APERTURES[self.aperture].holds(self, dx, dy)
+        if self.aperture == "circle":
+            radius = self.aperture_reach
+            return dx * dx + dy * dy <= radius * radius
+        # In the frame in which cells are regular.
+        u, v = self.to_frame(dx, dy)
+        return self.in_cell(u, v / self.aspect, self.fill * self.pitches[0])
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """Return the point of the aperture for (s, t) in the unit square, evenly, as an offset from the centre."""
-        return APERTURES[self.aperture].point(self, s, t)
+        """Map (s, t) in the unit square uniformly to the aperture; return the offset from the aperture's centre."""
+        if self.aperture == "cell":
+            return self.cell_point(s, t, self.fill)
+        # By polar coordinates.
+        module = module_of(s)
+        radius = module.sqrt(s) * self.aperture_reach
+        return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
     def aperture_image(self, step: float, scale: float) -> np.ndarray:
-        """Return the fractions of samples of width `step` that an aperture, enlarged by `scale`, covers.
+        """Return the fraction of each sample of width `step` that an aperture, enlarged by `scale`, covers.
 
         Parameters
         ----------
         step : float
             Width of a sample in millimetres.
         scale : float
-            By how much the aperture is enlarged.
+            Factor by which the aperture is enlarged.
 
         Returns
         -------
         (size, size) float64 array
-            Of odd size, the lens's centre in the middle; the sum is 1.
+            Samples in odd numbers, with the lens's centre in the middle; the sum is 1.
         """
         if scale * min(self.aperture_widths) < 2 * step / _POINTS:
             # Too small to be drawn.
@@ -425,7 +310,7 @@ class Lattice(abc.ABC):
     # -- sets of lenses, for lattices of plain floats -----------------------------------------------
 
     def cell_corners(self) -> np.ndarray:
-        """Return the corners of a cell from its centre, in the order of their angles.
+        """Return the offsets of a cell's corners from its centre, in order of angle.
 
         Returns
         -------
@@ -435,7 +320,7 @@ class Lattice(abc.ABC):
         return np.stack(self.from_frame(u * self.pitches[0], v * self.pitches[1]), axis=-1)
 
     def neighbours(self, reach: float, smear: float = 0.0) -> np.ndarray:
-        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of a cell.
+        """Return the lenses whose aperture, enlarged by `smear`, comes within `reach` of some point of cell (0, 0).
 
         Parameters
         ----------
@@ -449,8 +334,10 @@ class Lattice(abc.ABC):
         (lenses, 2) int array
             Steps in i and j from the cell's own lens, which is the first; then by distance.
         """
-        added, scale = APERTURES[self.aperture].added(self, smear)
-        reach += added
+        # Cells are convex and point-symmetric, so that an enlarged cell is added to a cell as a larger one, a disc as a
+        # margin.
+        scale = 1 + smear * self.fill if self.aperture == "cell" else 1.0
+        reach += 0.0 if self.aperture == "cell" else smear * self.aperture_reach
         corners = scale * self.cell_corners()
         edges = np.roll(corners, -1, axis=0) - corners
         basis = np.array(self.basis)
@@ -499,11 +386,11 @@ class Lattice(abc.ABC):
     # -- frames --------------------------------------------------------------------------------------
 
     def to_frame(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Turn a vector of the camera frame into one of the lattice's frame."""
+        """Return the lattice-frame components of a vector given in the camera frame."""
         return turn(x, y, -self.rotation)
 
     def from_frame(self, u: Any, v: Any) -> tuple[Any, Any]:
-        """Turn a vector of the lattice's frame into one of the camera frame."""
+        """Return the camera-frame components of a vector given in the lattice frame."""
         return turn(u, v, self.rotation)
 
 
@@ -523,7 +410,7 @@ def make_lattice(name: str, pitches: tuple[Any, Any], **numbers: Any) -> Lattice
     Parameters
     ----------
     name : str
-        Its name in `LATTICES`.
+        Name of the lattice in `LATTICES`.
     pitches, numbers
         Parameters of `Lattice`.
     """

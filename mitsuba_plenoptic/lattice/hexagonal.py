@@ -1,4 +1,4 @@
-"""Hexagonal lattices; with two pitches their affine images."""
+"""Hexagonal lattices; with two different pitches, affine images of hexagonal lattices."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _ROW = math.sqrt(0.75)
 class HexagonalLattice(Lattice):
     r"""Rows of which every second one is offset by half a pitch: :math:`((i + j/2) D, \tfrac{\sqrt 3}{2} j D)`.
 
-    The centre of lens (0, 0) lies on the axis, the point of the lattice with the most symmetry: six-fold about the axis
-    and a mirror image of itself in both x and y. Of three interleaved types of lenses no two neighbours are alike.
+    The centre of lens (0, 0) lies on the axis, the point of the highest symmetry: six-fold about the axis and
+    mirror-symmetric in x and y. With three interleaved types of lenses, no two neighbours are alike.
     """
 
     name = "hexagonal"
@@ -29,7 +29,7 @@ class HexagonalLattice(Lattice):
 
     @staticmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Return the indices of the nearest centre, which lies in the row below or above."""
+        """Return the indices of the nearest centre, which lies in the row below or above the point."""
         low = floor(v)
         rows = (low, low + 1)
         columns = [floor(u - row / 2 + 0.5) for row in rows]
@@ -46,13 +46,13 @@ class HexagonalLattice(Lattice):
 
     @staticmethod
     def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Compare with the three pairs of sides."""
+        """Return whether a point is between the three pairs of sides of a hexagon of the width `width`."""
         half = width / 2
         return (abs(u) <= half) & (abs(0.5 * u + _ROW * v) <= half) & (abs(0.5 * u - _ROW * v) <= half)
 
     @staticmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Return a point of the hexagon in one of three rhombi about the centre, by (s, t) in the unit square."""
+        """Map (s, t) in the unit square to one of three rhombi about the centre, which together are the hexagon."""
         third = floor(s * 3)
         s = s * 3 - third
         u, v = -0.5 * t * width, (s - 0.5 * t) * (width / (2 * _ROW))

@@ -1,4 +1,4 @@
-"""Square lattices; with two pitches their cells are rectangles."""
+"""Square lattices; with two different pitches, lattices of rectangles."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .arrangement import Lattice, register, regular_corners
 class SquareLattice(Lattice):
     """Rows and columns: centres at :math:`((i + 1/2) D, (j + 1/2) D)`.
 
-    A corner of four lenses lies on the axis, so that a detector of an even number of lenses holds whole ones.
+    A corner of four lenses lies on the axis, so that a detector of an even number of lenses holds whole lenses.
     """
 
     name = "square"
@@ -24,21 +24,21 @@ class SquareLattice(Lattice):
 
     @staticmethod
     def unit_cell(u: Any, v: Any) -> tuple[Any, Any]:
-        """Return the indices of the cell of a point: the whole parts of its coordinates."""
+        """Return the indices of a point's cell, the integer parts of the point's coordinates."""
         return floor(u), floor(v)
 
     @staticmethod
     def unit_centre(i: Any, j: Any) -> tuple[Any, Any]:
-        """Return the middle between corners at integers."""
+        """Return the centre of a cell, half a pitch from its corners at integer coordinates."""
         return i + 0.5, j + 0.5
 
     @staticmethod
     def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Return whether a point is between both pairs of sides."""
+        """Return whether a point is between both pairs of sides of a square of the width `width`."""
         half = width / 2
         return (abs(u) <= half) & (abs(v) <= half)
 
     @staticmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:
-        """Return a point of the square, the unit square scaled."""
+        """Return a point of the square, scaled from the unit square."""
         return (s - 0.5) * width, (t - 0.5) * width

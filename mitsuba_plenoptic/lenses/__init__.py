@@ -1,4 +1,4 @@
-"""Main lenses: thin, telecentric, collimated, and real ones, each as rays and as waves pass it."""
+"""Main lenses: thin, telecentric, collimated and real ones, each for rays and for waves."""
 
 # Importing a lens's file registers what it builds.
 from ..extension import register

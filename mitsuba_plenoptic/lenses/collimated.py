@@ -1,6 +1,6 @@
-"""A telescope with a collimator for waves: the field on its pupil, upside down in the pupil's image on the array.
+"""A telescope with a collimator, for waves: the pupil is imaged, inverted, onto the array.
 
-Such a camera is simulated by full fields alone, which need only these of the methods of `MainLens`.
+Such a camera is simulated only by full fields, which need only the methods of `MainLens` defined here.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ class CollimatedLens(UniformLens):
 
     @property
     def stop_scale(self) -> float:
-        """Coordinate on the pupil over that of its image on the array."""
+        """Ratio of a coordinate on the pupil to the coordinate of its image on the array."""
         return -1 / self.magnification
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path from a scene point to a point of the pupil, less that to its centre, in waves."""
+        """Return the path in waves from a scene point to a point of the pupil, less the path to the pupil's centre."""
         return self.pupil.path(pupil, point, wavelength)
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
-        """Return the amplitude behind a thin lens."""
+        """Return the amplitude behind a thin lens at a pupil point."""
         return self.pupil.amplitude(pupil, point)
 
     def power_through(self, point: NDArray[np.float64]) -> float:
-        """Return the integral of the squared amplitude over the pupil, by Gauss's and the trapezoidal rule."""
+        """Return the integral of the squared amplitude over the pupil, by Gauss's rule in radius, evenly in angle."""
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         radius = self.pupil_radius * np.sqrt((nodes + 1) / 2)[:, None]
         angle = math.pi * np.arange(2 * _NODES) / _NODES
@@ -56,7 +56,7 @@ class CollimatedLens(UniformLens):
         return float(math.pi * self.pupil_radius**2 * (weights / 2) @ squares.mean(1))
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the pupil, positive inside."""
+        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
         return self.pupil.inside(pupil)
 
     def is_open(self, pupil: Pair) -> Any:
@@ -64,17 +64,17 @@ class CollimatedLens(UniformLens):
         return self.pupil.is_open(pupil)
 
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        """Return the direction cosines at the array of light that has passed a point of the pupil."""
+        """Return the direction cosines, at the array, of light that passed a point of the pupil."""
         x, y = self.pupil.cosines(pupil, point)
         return x * self.stop_scale, y * self.stop_scale
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        """Return the position of a pupil point's image on the array."""
+        """Return the position in mm of a pupil point's image on the array."""
         # Adding 0 broadcasts the result to the shape of the points.
         return pupil[0] / self.stop_scale + 0 * point[0], pupil[1] / self.stop_scale + 0 * point[0]
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the positions where light from scene points meets the array."""
+        """Return the positions in mm where light from scene points meets the array."""
         return np.stack(np.broadcast_arrays(*self.land((pupil[0], pupil[1]), point)))
 
 

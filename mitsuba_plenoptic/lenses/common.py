@@ -1,6 +1,6 @@
 """Base classes of main lenses, and the function that makes a lens from plain parameters or Dr.Jit arrays.
 
-The base classes are for a pupil at a finite distance and for one that is the same for all points.
+There is one base class for a pupil at a finite distance, and one for a pupil that is the same for all points.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .main_lens import Entrance, MainLens, Pair
 
 
 class UniformLens:
-    """A main lens that serves as the light of every scene point, and whose whole pupil is open to all of them."""
+    """A main lens whose light is the same for every scene point, with the whole pupil open to all points."""
 
     pupil_radius: Any
 
@@ -32,7 +32,7 @@ class UniformLens:
 
     @property
     def reach(self) -> Any:
-        """Radius of the pupil."""
+        """Radius of the pupil in millimetres."""
         return self.pupil_radius
 
     @property
@@ -82,7 +82,7 @@ class UniformLens:
 
 
 def chief_points(lens: MainLens, position: Pair, detector_distance: Any, index: Any) -> Pair:
-    """Return the places on the MLA of the rays from detector positions to the pupil's centre, by Snell's law.
+    """Return where rays from detector positions to the pupil's centre cross the MLA, by Snell's law.
 
     Parameters
     ----------
@@ -110,11 +110,11 @@ class FiniteDistance:
     pupil_distance: Any
 
     def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return a coordinate on the MLA of the line from a detector position to the centre of the exit pupil."""
+        """Return a coordinate, on the MLA, of the line from a detector position to the centre of the exit pupil."""
         return rays.chief_point(position, self.pupil_distance, detector_distance)
 
     def pupil_distance_from(self, behind: Any) -> Any:
-        """Return the distance to the pupil from a plane at a distance `behind` the MLA."""
+        """Return the distance in mm to the pupil from a plane `behind` mm behind the MLA."""
         return self.pupil_distance + behind
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
@@ -140,12 +140,12 @@ class FinitePupil(FiniteDistance, ABC):
         return pupil + self.pupil_distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
 
     def cone(self, distances: Any) -> float:
-        """Return the largest cosine to the rim of the pupil, for light focused on the MLA or on any of the images."""
+        """Return the largest cosine to the pupil's rim, for light focused on the MLA or on an image at a distance."""
         powers = np.abs(self.convergence(distances))
         return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        r"""Return :math:`M - R s`, :math:`R = b / \sqrt{1 - s^2}`, and R less that of the chief ray."""
+        r"""Return pupil points :math:`M - R s`, radii :math:`R = b / \sqrt{1 - s^2}`, and R less the chief ray's."""
         (sx, sy), (x, y), b = cosine, image, self.pupil_distance
         R = b / sqrt(1 - sx * sx - sy * sy)
         return (x - R * sx, y - R * sy), R, R - sqrt(x * x + y * y + b * b)
@@ -160,13 +160,13 @@ class FinitePupil(FiniteDistance, ABC):
         return np.asarray(image / self.pupil_distance)
 
     def curvature(self, square: Any) -> Any:
-        """Return the reciprocal of the distance."""
+        """Return the wavefront curvature: the reciprocal of the distance whose square is given."""
         return 1 / sqrt(square)
 
 
 @dataclass(frozen=True)
 class LensNumbers:
-    """Parameters from which a main lens is built.
+    """Camera, wavelength and parameters from which a main lens is built.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ BUILDERS: dict[type, Callable[[LensNumbers], MainLens]] = {}
 
 
 def builds(description: type) -> Callable[[Builder], Builder]:
-    """Mark the function that builds main lenses from a `main_lens` of some type; `type(None)` selects the thin lens."""
+    """Return a decorator for functions that build main lenses from a type of `main_lens`; `type(None)` means thin."""
 
     def mark(function: Builder) -> Builder:
         BUILDERS[description] = function

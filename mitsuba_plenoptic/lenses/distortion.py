@@ -14,7 +14,7 @@ import numpy as np
 
 
 def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
-    r"""Return U(m), of floats, NumPy arrays or Dr.Jit arrays.
+    r"""Return the undistorted position U(m), as floats, NumPy arrays or Dr.Jit arrays.
 
     :math:`U = m (1 + k_1 r^2 + k_2 r^4 + k_3 r^6) + (p_1 (r^2 + 2 x^2) + 2 p_2 x y,\ p_2 (r^2 + 2 y^2) + 2 p_1 x y)`.
 
@@ -36,7 +36,7 @@ def undistort(x: Any, y: Any, distortion: Any) -> tuple[Any, Any]:
 
 
 def undistorted(m: np.ndarray, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return U(m) for positions (n, 2), with its derivatives.
+    """Return the undistorted positions U(m) for positions (n, 2), with their derivatives.
 
     Parameters
     ----------

@@ -6,11 +6,11 @@ of the path from that of a sphere around the paraxial image (the wave aberration
 "Aberrations of Optical Systems", chapters 7 and 8); others are the amplitude and the edge of each vignetting surface.
 Rays of other points within the same range check the fit.
 
-Derivatives by focal length, aperture radius and wavelength are fitted to the same rays, traced through two slightly
-different lenses. Along a ray a fitted function F changes by :math:`F' + \nabla F \cdot P'`, where P' is the change of
-the ray's position P on the exit pupil and F' the change at a fixed position; polynomials of the same degrees are fitted
-to F'. The scene point is fixed in the camera frame, whereas the entrance pupil moves with the focal length. All
-quantities refer to the pupils of the unchanged lens.
+Derivatives with respect to focal length, aperture radius and wavelength are fitted to the same rays, traced through two
+slightly different lenses. Along a ray a fitted function F changes by :math:`F' + \nabla F \cdot P'`, where P' is the
+change of the ray's position P on the exit pupil and F' the change at a fixed position; polynomials of the same degrees
+are fitted to F'. The scene point is fixed in the camera frame, whereas the entrance pupil moves with the focal length.
+All quantities refer to the pupils of the unchanged lens.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _STRETCHED = 257
 
 @dataclass(frozen=True)
 class ImageStretch:
-    """Positions on the array of chief rays from object points, over the positions that reconstruction bins assume."""
+    """Ratio of the array positions of object points' chief rays to the positions that reconstruction bins assume."""
 
     # Distances of object points from the axis on the scale of the bins, :math:`X b / g`, in the lit field, (n,).
     places: NDArray[np.float64]
@@ -108,7 +108,7 @@ class FittedLens(FinitePupil):
         return self.fitted.pupils.convergence(1 / (distance - self.fitted.pupils.entrance))
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene, as `MainLens.trace` does."""
+        """Return the ray from a position on the MLA to the scene, as `MainLens.trace` does."""
         return self.system.trace(position, slope)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
@@ -162,17 +162,17 @@ class FittedLens(FinitePupil):
         return VaryingLens(self, numbers["mla_distance"], own, turned)
 
     def opaque(self, number: Callable[[Any], Any]) -> FittedLens:
-        """Return this lens, whose parameters are stored in arrays."""
+        """Return this lens, whose parameters are stored in arrays and are opaque already."""
         return self
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
-        """Return the positions of chief rays from object points, as `MainLens.stretch` does."""
+        """Return the positions of chief rays from object points on the array, as `MainLens.stretch` does."""
         found = self.image_stretch(camera, distance)
         ratio = np.interp(np.hypot(x, y), found.places, found.ratio)
         return x * ratio, y * ratio
 
     def image_stretch(self, camera: PlenopticCamera, distance: float) -> ImageStretch:
-        """Return the stretch of the image of an object plane, up to the corners of the bins."""
+        """Return the stretch of an object plane's image, up to the corners of the bins."""
         g = min(distance, FAR)
         near = float(self.inverse_distance(np.array([[0.0, 0.0, g]]))[0])
         corner = math.hypot(*camera.bin_count) / 2 * camera.mla_pitch
@@ -189,7 +189,7 @@ class FittedLens(FinitePupil):
         return ImageStretch(positions, ratio, ratio * growth)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the positions (n, 2) on the MLA of the rays through the centre of the exit pupil."""
+        """Return the positions (n, 2) on the MLA of the rays from scene points through the exit pupil's centre."""
         zero = np.zeros((len(points), 1))
         return np.concatenate(self.bind(points).land((zero, zero), None), axis=1)
 
@@ -199,7 +199,7 @@ class FittedLens(FinitePupil):
 
     @property
     def reach(self) -> float:
-        """Radius of the exit pupil, as `pupil_radius`."""
+        """Radius of the exit pupil in mm, equal to `pupil_radius`."""
         return self.pupil_radius
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -222,7 +222,7 @@ class FittedLens(FinitePupil):
 
     @functools.cached_property
     def _covered(self) -> float:
-        """Distance from the axis up to which light reaches the array from points at every distance."""
+        """Distance in mm from the axis up to which light from points at every distance reaches the array."""
         scales, entrance = self.fitted.aberration.scales, self.fitted.pupils.entrance
         distances = [
             min(1 / max(near, 1e-300), FAR) for near in (scales.middle - scales.half, scales.middle + scales.half)
@@ -231,7 +231,7 @@ class FittedLens(FinitePupil):
         return WITHIN * float(np.hypot(*self.images(np.array(ends)).T).min())
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        """Return the difference in waves of wavefronts whose images lie a step apart, as `MainLens.path_change` does.
+        """Return the difference, in waves, of wavefronts whose images lie a step apart, as `MainLens.path_change` does.
 
         The motion of vignetting edges contributes, too.
         """
@@ -242,10 +242,10 @@ class FittedLens(FinitePupil):
 
     @functools.cached_property
     def _changes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Distances of images from the axis, with the largest changes of path and edge there as an image moves.
+        """Largest changes of path and edge per motion of an image, by the distance of the image from the axis.
 
-        The maximum is taken over distances and over radial and tangential motion. Changes are per millimetre: of the
-        path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
+        The maximum is taken over object distances and over radial and tangential motion. Changes are per millimetre of
+        motion: of the path in millimetres, without the tilt at the centre, and of the position of an edge on the pupil.
         """
         scales = self.fitted.aberration.scales
         angle = 2 * math.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES
@@ -309,7 +309,7 @@ def edges(light: LensLight, pupil: Pair) -> tuple[NDArray[np.int64], NDArray[np.
 def at_all(
     lens: FittedLens, points: NDArray[np.float64], measured: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return a measure of points, interpolated over field and inverse distance if there are many points."""
+    """Return a measured quantity of each point, interpolated over field and inverse distance if points are many."""
     from scipy.interpolate import RegularGridInterpolator
 
     if len(points) <= _FIELDS * _DEPTHS:
@@ -337,7 +337,7 @@ _CHANGE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class LensChange:
-    """Derivatives of a `FittedLens` by one parameter."""
+    """Derivatives of a `FittedLens` with respect to one parameter."""
 
     # Derivative of the distance from the exit pupil to the MLA, in millimetres.
     pupil_distance: float
@@ -347,7 +347,7 @@ class LensChange:
 
 
 def lens_change(lens: FittedLens, name: str) -> LensChange:
-    """Return the derivatives of a fitted lens by one of `LENS_NUMBERS`, which the lens caches."""
+    """Return the derivatives of a fitted lens with respect to one of `LENS_NUMBERS`, cached by the lens."""
     if name not in lens.changes:
         lens.changes[name] = _found_change(lens, name)
     return lens.changes[name]
@@ -393,15 +393,15 @@ def _found_change(lens: FittedLens, name: str) -> LensChange:
 def _seen_from(
     lens: LensSystem, other: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> PupilRays:
-    """Trace rays through another lens, from points with the given fields and inverse distances for the first lens."""
+    """Return rays traced through another lens, from points of given fields and inverse distances for the first."""
     nearer = 1 / (1 - inverse_distance * (entrance_place(other) - entrance_place(lens)))
     return trace_all(other, field * nearer, inverse_distance * nearer, entrance)[0]
 
 
 def open_area_slopes(lens: FittedLens, name: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivatives (n,) of the logarithms of the open areas by a parameter of the camera.
+    """Return the derivatives (n,) of the logarithm of the open area of each point with respect to a camera parameter.
 
-    The points and the lens are fixed; the derivative by parameters that are not in `LENS_NUMBERS` is 0.
+    Points and lens are fixed; derivatives with respect to parameters outside `LENS_NUMBERS` are 0.
     """
     if name not in LENS_NUMBERS:
         return np.zeros(len(points))
@@ -455,7 +455,7 @@ class VaryingLens(FinitePupil):
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of a circle about the axis that contains the exit pupil and scales with vignetting edges."""
+        """Radius in mm of a circle about the axis that contains the exit pupil and scales with vignetting edges."""
         if "aperture_radius" not in self.numbers:
             return self.base.pupil_radius
         return grown(self.numbers["aperture_radius"]) * float(self.base.pupil_radius)
@@ -501,7 +501,7 @@ def grown(number: Any) -> Any:
 
 @dataclass(frozen=True)
 class Shown:
-    """The changes over the pupil by one parameter: `amount` is zero and carries the gradient."""
+    """The changes over the pupil with one parameter; `amount` is zero and carries the gradient."""
 
     amount: Any
     aberration: PupilPolynomial

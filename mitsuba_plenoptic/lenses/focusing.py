@@ -1,4 +1,4 @@
-"""Focusing a real main lens by moving a group of its elements, with the array where it is."""
+"""Focusing a real main lens by moving a group of its elements, while the array stays."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
         return replace(lens, surfaces=tuple(surfaces))
 
     def behind(shift: float) -> tuple[float, float]:
-        """Return focal length and distance from the rear principal plane to the array."""
+        """Return focal length and distance from rear principal plane to array, both in mm, for a shift of the group."""
         figures = paraxial(moved(shift))
         end = before.length + (shift if last == len(lens.surfaces) - 1 else 0.0)
         return figures.focal_length, array - end - figures.rear_principal
@@ -77,7 +77,10 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
         focal_length, b = behind(shift)
         return b * vergence(focal_length, distance / scale) - 1
 
-    shifts = np.linspace(*_range(lens, first, last, array - before.length), _STEPS)
+    # The group can move towards the array and towards the scene, up to the next surfaces.
+    room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else array - before.length
+    ahead = lens.surfaces[first - 1].thickness if first > 0 else room
+    shifts = np.linspace(-(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room, _STEPS)
     values = np.array([missed(shift) for shift in shifts])
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     refuse_if(
@@ -116,10 +119,3 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
             f"group = {short_repr(group)}: glass follows surface {number + 1}: a group moves in air",
         )
     return first, last
-
-
-def _range(lens: Prescription, first: int, last: int, behind: float) -> tuple[float, float]:
-    """Return the distances that a group can move towards the scene and towards the array, leaving the gap `behind`."""
-    room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else behind
-    ahead = lens.surfaces[first - 1].thickness if first > 0 else room
-    return -(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room

@@ -1,11 +1,11 @@
 r"""Rays through a real lens, traced surface by surface.
 
-The camera frame's origin is the front principal plane, z increases towards the scene, and the microlens array (MLA) is
-at the distance b behind the rear principal plane, both planes at the prescription's own wavelength. A camera's focal
-length scales the prescription as a whole, and its aperture radius is that of the entrance pupil.
+The camera frame's origin is the front principal plane, and z increases towards the scene. The microlens array (MLA) is
+at the distance b behind the rear principal plane. Both planes are those at the prescription's wavelength. A camera's
+focal length scales the whole prescription, and its aperture radius is the radius of the entrance pupil.
 
-There is no :math:`\cos^4` factor: as with the thin lens, a pixel is the mean radiance over its lens, and light that
-surfaces or the stop block is dark. Vignetting and pupil aberrations affect only which part of a micro-image is lit.
+There is no :math:`\cos^4` factor: as with the thin lens, a pixel is the mean radiance over its lens; light blocked by
+surfaces or the stop counts as dark. Vignetting and pupil aberrations affect only which part of a micro-image is lit.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ _SECANTS = 8
 
 @dataclass(frozen=True, eq=False)
 class LensSystem(FiniteDistance):
-    """A lens of several surfaces, stopped down and scaled, before an array.
+    """A lens of several surfaces in front of an array, stopped down and scaled.
 
     Parameters
     ----------
     prescription : Prescription
         The lens.
     focal_length : float or Dr.Jit array
-        Focal length to which it is scaled.
+        Focal length to which the lens is scaled.
     aperture_radius : float or Dr.Jit array
-        Radius of its entrance pupil.
+        Radius of the lens's entrance pupil.
     mla_distance : float or Dr.Jit array
         Distance from the rear principal plane to the array.
     wavelength : float, optional
@@ -76,7 +76,6 @@ class LensSystem(FiniteDistance):
         Raises
         ------
         InputError
-            If it has none.
             If the camera has no prescription.
         """
         if camera.prescription is None:
@@ -95,38 +94,38 @@ class LensSystem(FiniteDistance):
 
     @functools.cached_property
     def stop_radius(self) -> Any:
-        """Radius of the stop before scaling."""
+        """Radius of the stop in the prescription's lengths, before scaling."""
         full = self.prescription.surfaces[self.prescription.stop].semi_aperture
         return self.aperture_radius / self.scale * (full / self.numbers.entrance_radius)
 
     @property
     def is_round(self) -> bool:
-        """False: off the axis a vignetted pupil is not round."""
+        """False, since off the axis a vignetted pupil is not round."""
         return False
 
     @property
     def pupil_distance(self) -> Any:
-        """Distance from the paraxial exit pupil to the MLA."""
+        """Distance in mm from the paraxial exit pupil to the MLA."""
         return self.mla_distance + self.scale * (self.numbers.rear_principal - self.numbers.exit_pupil)
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of the paraxial exit pupil."""
+        """Radius of the paraxial exit pupil in millimetres."""
         return self.aperture_radius * (self.numbers.exit_radius / self.numbers.entrance_radius)
 
     @property
     def front(self) -> Any:
-        """Coordinate z of the first surface's vertex in the camera frame."""
+        """Coordinate z of the first surface's vertex in the camera frame, in mm."""
         return self.scale * self.numbers.front_principal
 
     @property
     def back_distance(self) -> Any:
-        """Distance from the last surface's vertex to the MLA."""
+        """Distance in mm from the last surface's vertex to the MLA."""
         return self.mla_distance + self.scale * self.numbers.rear_principal
 
     @property
     def front_bounds(self) -> tuple[float, tuple[float, float]]:
-        """Semi-aperture of the first surface, and the range of z that it occupies."""
+        """Semi-aperture of the first surface, and the range of z that the surface occupies, in mm."""
         surface = self.prescription.surfaces[0]
         radius = surface.semi_aperture
         sag = height(surface, radius * radius)
@@ -134,7 +133,7 @@ class LensSystem(FiniteDistance):
         return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
 
     def pupil_reach(self, field: float) -> float:
-        """Return the largest distance from the axis at which rays to the MLA cross the plane of the exit pupil.
+        """Return the largest distance in mm from the axis at which rays to the MLA cross the exit pupil's plane.
 
         Parameters
         ----------
@@ -156,7 +155,7 @@ class LensSystem(FiniteDistance):
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane.
 
-        At wavelengths other than the prescription's own the principal planes move, too.
+        At other wavelengths than the prescription's, the principal planes move, too.
 
         Parameters
         ----------
@@ -174,23 +173,23 @@ class LensSystem(FiniteDistance):
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Follow a ray from a position on the MLA to the scene, as described in `MainLens.trace`."""
-        point, direction, is_open, _ = self._follow(position, slope)
-        return *self._in_camera(point, direction), is_open
-
-    def _in_camera(self, point: Any, direction: Any) -> tuple[tuple[Any, Any, Any], Pair]:
+        tx, ty = slope
+        N = rsqrt(1 + tx * tx + ty * ty)
+        x, y = (m / self.scale for m in position)
+        start = (x, y, -self.back_distance / self.scale)
+        point, (L, M, N), is_open, _ = sequential.follow(self._backwards, start, (tx * N, ty * N, N))
         x, y, z = (self.scale * value for value in point)
-        L, M, N = direction
-        return (x, y, self.front + z), (L / N, M / N)
+        return (x, y, self.front + z), (L / N, M / N), is_open
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
-        """Follow the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
+        """Return the ray from a position on the MLA through a point of the exit pupil, as `trace` does."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return self.trace(position, (tx, ty))
 
     def beside(self, point: tuple[Any, Any, Any], slope: Pair, change: Pair) -> tuple[tuple[Any, Any, Any], Pair]:
-        """Return the ray that leaves the MLA from the same position with slightly different slopes.
+        """Return the ray that leaves the MLA from the same position with slightly changed slopes.
 
-        The optics are paraxial: the height is the same on both principal planes. Ray differentials need no more.
+        The change is paraxial: the height is the same on both principal planes. Ray differentials need no more.
 
         Parameters
         ----------
@@ -208,7 +207,7 @@ class LensSystem(FiniteDistance):
         return (moved[0], moved[1], point[2]), (turned[0], turned[1])
 
     def chief_slope(self, height: Any) -> Any:
-        """Return the slope at the MLA of the ray from heights on its y axis through the centre of the stop.
+        """Return the slope, at the MLA, of the ray from heights on the MLA's y axis through the stop's centre.
 
         Parameters
         ----------
@@ -231,18 +230,9 @@ class LensSystem(FiniteDistance):
             slope, other = slope - step, slope
         return slope
 
-    def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> Any:
-        """Return the result of `sequential.follow` for rays from the MLA, in lengths of the prescription."""
-        tx, ty = slope
-        N = rsqrt(1 + tx * tx + ty * ty)
-        x, y = (m / self.scale for m in position)
-        return sequential.follow(
-            self._backwards, (x, y, -self.back_distance / self.scale), (tx * N, ty * N, N), squares
-        )
-
     @property
     def light(self) -> float:
-        """Wavelength of the light in nanometres, by default that of the prescription."""
+        """Wavelength of the light in nanometres, by default the prescription's."""
         return self.prescription.wavelength if self.wavelength is None else self.wavelength
 
     @functools.cached_property
@@ -257,7 +247,7 @@ class LensSystem(FiniteDistance):
         return sequential.elements(self.prescription, self.light, stop_radius=self.stop_radius)
 
     def through(self, point: tuple[Any, Any, Any], slope: Pair) -> tuple[Pair, Pair, Any, Any]:
-        """Follow a ray from a scene point, which may lie anywhere along it, to the MLA.
+        """Return the ray from a scene point, which may lie anywhere along it, to the MLA.
 
         Parameters
         ----------
@@ -269,7 +259,7 @@ class LensSystem(FiniteDistance):
         Returns
         -------
         place : (array, array)
-            Where the ray meets the MLA.
+            Position where the ray meets the MLA.
         slope : (array, array)
             Slopes of the ray there.
         open : array

@@ -1,4 +1,4 @@
-r"""The interface of main lenses: `MainLens` for rays and for waves; other modules do not depend on the kind of lens.
+r"""The interface of main lenses, `MainLens`, for rays and waves; other modules do not depend on the kind of lens.
 
 A main lens stands in the camera frame, whose origin is its front principal plane. The microlens array (MLA) is at the
 distance b behind its rear principal plane; for a thin lens both planes are z = 0. Rays are followed from the MLA to the
@@ -29,22 +29,22 @@ Traced = tuple[tuple[Any, Any, Any], Pair, Any]
 
 
 class MainLens(Protocol):
-    """The methods of a main lens that the camera uses. Lengths are in millimetres, wavelengths in nanometres.
+    """The methods of a main lens that the camera uses; lengths in millimetres, wavelengths in nanometres.
 
     Methods for waves are called on the lens that `waves_of` returns, with the points that `waves_of` received.
     """
 
     @property
     def pupil_radius(self) -> Any:
-        """Radius of the smallest circle about the axis that contains the exit pupil."""
+        """Radius in mm of the smallest circle about the axis that contains the exit pupil."""
 
     @property
     def pupil_distance(self) -> Any:
-        """Distance from the exit pupil to the MLA."""
+        """Distance in mm from the exit pupil to the MLA."""
 
     @property
     def reach(self) -> float:
-        """Radius of a circle about the axis that contains the exit pupil as seen from anywhere on the detector."""
+        """Radius in mm of a circle that contains the exit pupil as seen from anywhere on the detector."""
 
     @property
     def is_round(self) -> bool:
@@ -52,7 +52,7 @@ class MainLens(Protocol):
 
     @property
     def refraction(self) -> float:
-        """Number that characterises how a lens refracts rays; lenses with equal numbers refract all rays alike."""
+        """Number that characterises the refraction of rays; lenses with equal numbers refract all rays alike."""
 
     @property
     def is_open_evenly(self) -> bool:
@@ -60,7 +60,7 @@ class MainLens(Protocol):
 
     @property
     def changes_evenly(self) -> bool:
-        """Whether the light of points at neighbouring microlenses changes equally with the camera's parameters."""
+        """Whether light imaged on neighbouring microlenses changes equally with the camera's parameters."""
 
     @property
     def entrance(self) -> Entrance:
@@ -71,7 +71,7 @@ class MainLens(Protocol):
         """Map from the pupil seen off the axis to the round pupil near the axis; None if both are the same."""
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return the radius and the z values that bound the start points of rays to the MLA within `field`."""
+        """Return the radius, and the values of z, that bound the start points of rays to the MLA within `field`."""
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the lens for wave propagation from scene points (n, 3).
@@ -93,16 +93,16 @@ class MainLens(Protocol):
         """Return the light of a single scene point (3,), as exactly as the lens can represent it."""
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
-        """Return points (n, 3) that `waves_of` needs to cover all light at finite distances that a detector sees."""
+        """Return points (n, 3) with which `waves_of` covers all light from finite distances that a detector sees."""
 
     def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return a coordinate on the MLA of the line from a detector position to the centre of the exit pupil."""
+        """Return a coordinate, on the MLA, of the line from a detector position to the centre of the exit pupil."""
 
     def pupil_distance_from(self, behind: Any) -> Any:
-        """Return the separation on the exit pupil, per difference in slope, of rays from a point `behind` the MLA."""
+        """Return the separation on the exit pupil, per difference in slope, of rays from a point behind the MLA."""
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return a coordinate on the exit pupil of the ray from a position at a height before the MLA.
+        """Return a coordinate, on the exit pupil, of the ray from a position at a given height before the MLA.
 
         Parameters
         ----------
@@ -132,7 +132,7 @@ class MainLens(Protocol):
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene.
+        """Return the ray from a position on the MLA to the scene: its start point, direction, and whether it passes.
 
         Parameters
         ----------
@@ -205,7 +205,7 @@ class MainLens(Protocol):
         """
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
-        """Return the lens with the gradients of its parameters.
+        """Return the lens with Dr.Jit parameters that carry gradients.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class MainLens(Protocol):
         """Return the lens with plain parameters made opaque by a function, if compiled kernels depend on them."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
-        """Return the positions on the MLA of chief rays from object points that reconstruction bins assign to x, y.
+        """Return where chief rays from the object points that bins assign to x, y meet the MLA.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class MainLens(Protocol):
         """Return positions (..., 2) on the MLA, moved to the edge of the illuminated field if they lie outside."""
 
     def cone(self, distances: Any) -> float:
-        """Return half the range of direction cosines of one point's light at the MLA, the largest over `distances`."""
+        """Return half the range of direction cosines of a point's light at the MLA, the largest over `distances`."""
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
         """Return the pupil points of plane waves that reach a position on the MLA, as in the Debye integral.
@@ -266,7 +266,7 @@ class MainLens(Protocol):
         """Return the slopes of the chief rays at positions on the MLA."""
 
     def curvature(self, square: Any) -> Any:
-        """Return the curvature at the MLA of waves from the pupil, at a squared distance from its centre."""
+        """Return the wavefront curvature, at the MLA, of waves from the pupil at a squared distance from its centre."""
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
         """Return the difference in waves, at the pupil's edge, between wavefronts whose images lie a small step apart.
@@ -285,13 +285,13 @@ class MainLens(Protocol):
 
 
 class LightOnPupil(Protocol):
-    """Path, amplitude and edge of scene points' light on the exit pupil. Lengths are in mm, wavelengths in nm.
+    """Path, amplitude and edge of scene points' light on the exit pupil; lengths in mm, wavelengths in nm.
 
-    The points passed to its methods must be those to which it is bound.
+    Points passed to its methods must be the points to which the object is bound.
     """
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path from a scene point to an exit pupil point, less that to the pupil's centre, in waves.
+        """Return the path in waves from a scene point to an exit pupil point, less the path to the pupil's centre.
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class LightOnPupil(Protocol):
         """Return the modulus of a scene point's field on the exit pupil, in units common to the whole field."""
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the exit pupil, positive inside and negative outside."""
+        """Return the distance in mm of a point from the edge of the exit pupil, positive inside."""
 
 
 class Light(LightOnPupil, Protocol):
@@ -320,7 +320,7 @@ class Light(LightOnPupil, Protocol):
         """Return the direction cosines of a scene point's light at the exit pupil: the gradient of `path`."""
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        """Return the position on the MLA of the ray from a scene point through a pupil point; `ray` traces it back."""
+        """Return the position in mm, on the MLA, of the ray from a scene point through a pupil point."""
 
 
 class PointLight(LightOnPupil, Protocol):
@@ -332,7 +332,7 @@ class PointLight(LightOnPupil, Protocol):
 
 @dataclass(frozen=True)
 class Entrance:
-    """The scene side of a main lens in the camera frame; the pupils of a thin lens coincide with the lens.
+    """The scene side of a main lens, in the camera frame: its entrance pupil; a thin lens is its own pupil.
 
     Attributes
     ----------
@@ -351,7 +351,7 @@ class Entrance:
 
 @dataclass(frozen=True, eq=False)
 class RoundMap:
-    """Points of the round pupil that correspond to points of the exit pupil, as seen from fields along x.
+    """Map from exit pupil points, seen from fields along x, to the corresponding points of the round pupil.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 r"""Rays from scene points through a real main lens to the plane of its exit pupil, to which polynomials are fitted.
 
-A scene point is described by its field, X and Y over its distance from the entrance pupil, and by its inverse
-distance, the reciprocal of that distance. Both are smooth through infinity, up to light that converges to a point
-behind the lens. Path, amplitude and the heights on each surface are smooth functions of the position there. For the
-path the polynomial is its difference from that of a sphere around the paraxial image (the wave aberration, distortion
-included: Welford, "Aberrations of Optical Systems", chapters 7 and 8).
+A scene point is described by its field, X and Y divided by its distance from the entrance pupil, and by its inverse
+distance from there. Both are continuous through infinity, up to light that converges to a point behind the lens. Path,
+amplitude and the heights on each surface are smooth functions of the exit pupil position. The polynomial for the path
+is the difference from the path of a sphere around the paraxial image (the wave aberration, distortion included:
+Welford, "Aberrations of Optical Systems", chapters 7 and 8).
 
 `fit_pupil` fits the rays of points over a whole field and range of distances together, so that the number of rays does
 not depend on the number of points; `ExitPupil` those of one point alone, as exactly as polynomials can.
@@ -65,7 +65,7 @@ class PupilRays:
 
 
 def entrance_place(lens: LensSystem) -> float:
-    """Return the z coordinate of the entrance pupil in the camera frame."""
+    """Return the z coordinate of the entrance pupil in the camera frame, in mm."""
     return float(lens.scale * (lens.numbers.front_principal - lens.numbers.entrance_pupil))
 
 
@@ -184,11 +184,11 @@ class Pupils:
         return points[:, :2] * inverse_distance[:, None], inverse_distance
 
     def slope(self, field: Any) -> Any:
-        """Return the slope from the centre of the exit pupil to the image."""
+        """Return the slope from the exit pupil's centre to the paraxial image of a field."""
         return -field / self.magnification
 
     def convergence(self, inverse_distance: Any) -> Any:
-        """Return the reciprocal of the distance from the exit pupil to the image."""
+        """Return the reciprocal of the distance from the exit pupil to the paraxial image, in 1/mm."""
         return self.at_infinity - inverse_distance / self.magnification**2
 
     def sphere_path(self, rays: PupilRays) -> NDArray[np.float64]:
@@ -200,7 +200,7 @@ class Pupils:
 
 @dataclass(frozen=True)
 class PupilFit:
-    """Polynomials fitted to the light on the exit pupil."""
+    """Polynomials fitted to the light on the exit pupil, with the error of the fit."""
 
     # Paraxial pupils and images, which are the reference of the polynomials.
     pupils: Pupils
@@ -277,7 +277,7 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
 
 
 def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[NDArray, NDArray, NDArray]:
-    """Return fields, inverse distances and positions of random rays that check a fit, sorted by their points."""
+    """Return fields, inverse distances and positions of random rays that check a fit, sorted by point."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(_JUDGES)), _JUDGING)
     D = np.repeat(inverse_distance[0] + (inverse_distance[1] - inverse_distance[0]) * random.random(_JUDGES), _JUDGING)
@@ -286,7 +286,7 @@ def _random(radius: float, field: float, inverse_distance: tuple[float, float]) 
 
 
 def _error(aberration: Polynomial, rays: PupilRays, path: NDArray[np.float64]) -> float:
-    """Return the path's root mean square error, apart from a constant, of the worst point, in millimetres."""
+    """Return the path's root mean square error in mm for the worst point, apart from a constant."""
     worst = 0.0
     for field in np.unique(rays.field):
         some = rays.field == field

@@ -46,7 +46,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Degrees:
-    """Largest powers of the pupil coordinates, of the field coordinates, and of the inverse distance."""
+    """Degrees of a polynomial: the largest powers of pupil, of field, and of inverse distance."""
 
     pupil: int
     field: int
@@ -54,7 +54,7 @@ class Degrees:
 
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
-        """Powers of the pupil's invariant and of the mixed invariant that occur."""
+        """Pairs of powers, of the pupil's invariant and of the mixed invariant, that occur in the polynomial."""
         each = range(min(self.pupil, self.field) + 1)
         return [(b, c) for c in each for b in range((self.pupil - c) // 2, -1, -1)]
 
@@ -69,14 +69,14 @@ class Polynomial:
     coefficients: NDArray[np.float64]
 
     def at(self, field: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the coefficients (n, pairs) over the pupil for fields (n, 2) and inverse distances (n,) of points."""
+        """Return the coefficients (n, pairs) of the pupil polynomial at fields (n, 2) and inverse distances (n,)."""
         f, d = self.scales.of_points((field**2).sum(1), inverse_distance)
         depth, fields, pairs = self.coefficients.shape
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
         return np.asarray(powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs))
 
     def over_pupil(self, coefficients: list[Any], field: Pair) -> PupilPolynomial:
-        """Return the polynomial over the pupil from coefficients as `at` returns them and the fields of the points."""
+        """Return the pupil polynomial of points with given fields, from the coefficients that `at` returns."""
         return PupilPolynomial(self.scales, self.degrees, coefficients, field)
 
 
@@ -154,19 +154,8 @@ class PupilPolynomial:
         return total
 
     def gradient(self, pupil: Pair) -> tuple[Any, Any, Any]:
-        """Return the values and their derivatives along x and y."""
+        """Return the values at pupil positions, and their derivatives along x and y, by Horner's rule as in `value`."""
         s, t = self._invariants(pupil)
-        value, along_s, along_t = self._sum(s, t)
-        along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
-        x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
-        return value, x, y
-
-    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
-        (x, y), (u, v) = pupil, self.field
-        return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
-
-    def _sum(self, s: Any, t: Any) -> tuple[Any, Any, Any]:
-        """Return value and derivatives by both invariants, with Horner's rule for each power of the mixed invariant."""
         rows: list[tuple[Any, Any]] = []
         value, slope = 0.0 * s, 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
@@ -178,12 +167,18 @@ class PupilPolynomial:
         for row, slope in reversed(rows):
             along_t = along_t * t + value
             value, along_s = value * t + row, along_s * t + slope
-        return value, along_s, along_t
+        along_s, along_t = along_s * (4 / self.scales.radius**2), along_t * self.scales.mixed
+        x, y = (P * along_s + u * along_t for P, u in zip(pupil, self.field, strict=True))
+        return value, x, y
+
+    def _invariants(self, pupil: Pair) -> tuple[Any, Any]:
+        (x, y), (u, v) = pupil, self.field
+        return self.scales.of_pupil(x * x + y * y), (x * u + y * v) * self.scales.mixed
 
 
 @dataclass(frozen=True)
 class LensLight:
-    """The light of one scene point for each row of NumPy arrays, or for each lane of Dr.Jit arrays."""
+    """The light of one scene point for each row of NumPy arrays or each lane of Dr.Jit arrays."""
 
     # Distance from the exit pupil to the MLA in millimetres.
     pupil_distance: float
@@ -198,7 +193,7 @@ class LensLight:
     stops: list[PupilPolynomial]
 
     def length(self, pupil: Pair) -> Any:
-        """Return the path to a position on the exit pupil, less a constant of the point, in millimetres."""
+        """Return the path in mm to a position on the exit pupil, less a constant of the point."""
         (x, y), (sx, sy), w = pupil, self.slope, self.convergence
         sphere = 2 * (x * sx + y * sy) - (x * x + y * y) * w
         return sphere / (self._secant(pupil) + safe_sqrt(sx * sx + sy * sy + 1)) + self.aberration.value(pupil)
@@ -212,7 +207,7 @@ class LensLight:
         return self.brightness.value(pupil)
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a position from the nearest edge, positive inside; accurate near the edges."""
+        """Return the distance in mm of a position from the nearest edge, positive inside; accurate near edges."""
         least: Any = None
         for stop in self.stops:
             square, along_x, along_y = stop.gradient(pupil)

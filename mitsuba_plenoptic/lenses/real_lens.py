@@ -1,8 +1,8 @@
-"""A real main lens before a detector, for rays and for waves; the wave model uses fits to the rays of points.
+"""A real main lens in front of a detector, for rays and waves; the wave model uses fits to the rays of points.
 
-The spread of a ray by the pupil depends on the distance and the direction of the nearest edge. A pupil that is
-vignetted or displaced off the axis is therefore described by a map to the round pupil near the axis, to points at the
-same distance from its edge in the same direction.
+How the pupil spreads a ray depends on the distance and direction of the nearest edge. A pupil that is vignetted or
+displaced off the axis is therefore mapped to the round pupil near the axis, to points at the same distance and
+direction from its edge.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
 
 
 def _edge(lens: LensSystem, height: float, reach: float) -> NDArray[np.float64] | None:
-    """Return points of the pupil's edge, seen from a position on the array's x axis; None if nothing is open."""
+    """Return points of the pupil's edge, as seen from a position on the array's x axis; None for a closed pupil."""
 
     def is_open(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
         return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
@@ -117,17 +117,17 @@ class RealLens(LensSystem):
 
     @property
     def refraction(self) -> float:
-        """Wavelength if the glasses are dispersive, otherwise focal length."""
+        """Wavelength if the glasses are dispersive, otherwise focal length: equal numbers mean equal refraction."""
         return self.light if self.prescription.disperses else float(self.focal_length)
 
     @functools.cached_property
     def reach(self) -> float:
-        """Radius of a circle about the axis that contains the exit pupil as seen from anywhere on the detector."""
+        """Radius in mm of a circle that contains the exit pupil as seen from anywhere on the detector."""
         return self._own.pupil_reach(self.corner)
 
     @property
     def _own(self) -> LensSystem:
-        """Lens at the wavelength of its prescription, for properties assumed equal at all wavelengths."""
+        """The lens at the prescription's wavelength, for properties assumed equal at all wavelengths."""
         return self if self.wavelength is None else replace(self, wavelength=None)
 
     @functools.cached_property
@@ -137,7 +137,7 @@ class RealLens(LensSystem):
         return Entrance(pupils.entrance, max(self.front_bounds[1]), pupils.magnification)
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return the bounds of the first surface, on which all rays start."""
+        """Return semi-aperture and range of z, in mm, of the first surface, on which all rays start."""
         return self.front_bounds
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -189,7 +189,7 @@ class RealLens(LensSystem):
         return self._lights[x, y, g]
 
     def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
-        """Return the lens for waves, fitted for inverse distances (low, high) up to a field, by default its largest."""
+        """Return the lens for waves, fitted for inverse distances (low, high) up to a field, or to the largest."""
         return _checked(self._over_field(field, inverse_distance))
 
     def farthest(self, distances: Sequence[float]) -> NDArray[np.float64]:
@@ -202,7 +202,7 @@ class RealLens(LensSystem):
         return np.column_stack([0 * depths, field / near, depths])
 
     def _over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
-        """Return a lens fitted for a field and inverse distances; ranges grow in steps, so that fits can be reused."""
+        """Return a lens fitted for a field and inverse distances; ranges grow in steps, so that fits are reused."""
         least = _NARROWEST * self.corner / self.mla_distance
         steps = math.ceil(math.log(max(1, field / least)) / math.log(_FIELD_STEP))
         power = _INVERSE_DISTANCE_STEP / self.focal_length
@@ -223,7 +223,7 @@ class RealLens(LensSystem):
 
 
 def _checked(lens: FittedLens) -> FittedLens:
-    """Return a lens whose fitted path has passed the check of its error."""
+    """Return a fitted lens after the guard of main lenses has recorded the error of its path."""
     guards.check(guards.MAIN_LENS, -math.expm1(-((2 * math.pi * lens.fitted.error) ** 2)))
     return lens
 

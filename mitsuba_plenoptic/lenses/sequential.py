@@ -21,7 +21,7 @@ NEWTON_STEPS = 5
 
 @dataclass(frozen=True)
 class Element:
-    """A surface, for light that travels towards increasing z.
+    """A surface of a lens, for light that travels towards increasing z.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Element:
 
     @property
     def refracts(self) -> bool:
-        """Whether the surface refracts: its indices differ, or are given per ray."""
+        """Whether the surface refracts: its indices differ, or are given for each ray."""
         plain = isinstance(self.before, float) and isinstance(self.after, float)
         return not plain or self.before != self.after
 
@@ -62,7 +62,7 @@ def elements(
     backwards: bool = False,
     indices: Sequence[Any] | None = None,
 ) -> list[Element]:
-    """Return the surfaces of a lens in the order in which light meets them; the gap before the first is 0.
+    """Return a lens's surfaces in the order in which light meets them; the gap before the first is 0.
 
     Parameters
     ----------
@@ -161,8 +161,11 @@ def follow(
             root = B * B - A * C
             is_open = is_open & (root > 0)
             t = C / (B + safe_sqrt(root, LEAST))
-            if surface.asphere:
-                t = _meet(surface, (x, y), (L, M, N), t)
+            for _ in range(NEWTON_STEPS if surface.asphere else 0):
+                X, Y = x + t * L, y + t * M
+                square = X * X + Y * Y
+                rise = _slope(surface, square) * (X * L + Y * M)
+                t = t - (t * N - height(surface, square)) / (N - rise)
             x, y, z = x + t * L, y + t * M, t * N
             s = s + t
         else:
@@ -186,7 +189,7 @@ def follow(
 
 
 def _slope(surface: Element, square: Any) -> Any:
-    """Return the derivative of a surface's height by the distance from the axis, over that distance."""
+    """Return the derivative of a surface's height by the distance from the axis, divided by that distance."""
     c = surface.curvature
     slope = c / safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST) if c else 0.0 * square
     power = square
@@ -194,14 +197,3 @@ def _slope(surface: Element, square: Any) -> Any:
         slope = slope + 2 * order * coefficient * power
         power = power * square
     return slope
-
-
-def _meet(surface: Element, position: tuple[Any, Any], direction: tuple[Any, Any, Any], t: Any) -> Any:
-    """Return the parameter along a ray, measured from the vertex's plane, at which it meets an asphere."""
-    (x, y), (L, M, N) = position, direction
-    for _ in range(NEWTON_STEPS):
-        X, Y = x + t * L, y + t * M
-        square = X * X + Y * Y
-        rise = _slope(surface, square) * (X * L + Y * M)
-        t = t - (t * N - height(surface, square)) / (N - rise)
-    return t

@@ -1,18 +1,18 @@
 r"""A microscope's objective and tube lens for rays and waves: telecentric, with Abbe's sine condition.
 
-The camera frame's origin is the native object plane, and a point (X, Y, d) with d > 0 lies beyond it, farther from the
-objective. Its light that passes the stop at P, in the back focal plane, has left it at the angle :math:`\theta` to the
-axis with :math:`n \sin\theta = |P| / f`: the sine condition. Compared with the light of the origin, its path to the
-stop is longer by
+The camera frame's origin is the native object plane; a point (X, Y, d) with d > 0 lies beyond it, farther from the
+objective. Light of the point that passes the stop at P, in the back focal plane, left the point at the angle
+:math:`\theta` to the axis with :math:`n \sin\theta = |P| / f`: the sine condition. Its path to the stop exceeds that of
+light from the origin by
 
 .. math:: \Phi(P) = n d (\cos\theta - 1) - \frac{X P_x + Y P_y}{f}, \qquad
           n \cos\theta = n \sqrt{1 - (|P| / n f)^2}
 
-without :math:`n d`, which is the same for all P. A source that radiates evenly in all directions sends the power
+without :math:`n d`, which is the same for all P. A source that radiates uniformly in all directions sends the power
 :math:`d\Omega = d^2P / (f^2 n^2 \cos\theta)` through the stop, hence the amplitude :math:`\cos^{-1/2}\theta` there;
 over angles, whose measure is :math:`\sin\theta \cos\theta d\theta`, this is the apodisation :math:`\cos^{1/2}\theta` of
-an aplanatic lens (Gu, "Advanced Optical Imaging Theory", section 6.1; Broxton et al. 2013, "Wave optics theory and
-3-D deconvolution for the light field microscope", equation 2).
+an aplanatic lens (Gu, "Advanced Optical Imaging Theory", section 6.1; Broxton et al. 2013, "Wave optics theory and 3-D
+deconvolution for the light field microscope", equation 2).
 
 Behind the tube lens, light from P arrives at the native image plane with the direction cosines :math:`s = -P / f_T`,
 whatever the object point. A further lens turns these directions into positions :math:`f_F s` on the image of the stop.
@@ -51,38 +51,38 @@ class TelecentricLens(UniformLens):
 
     @property
     def is_round(self) -> bool:
-        """True: the pupil is round everywhere."""
+        """True, since the pupil is round from everywhere."""
         return True
 
     @property
     def refraction(self) -> float:
-        """Focal length of the lens, equal at all wavelengths."""
+        """Focal length of the objective in mm, equal at all wavelengths."""
         return self.objective.focal_length
 
     @property
     def pupil_radius(self) -> float:
-        """Radius of the stop."""
+        """Radius of the stop in millimetres."""
         return self.objective.stop_radius
 
     @property
     def pupil_distance(self) -> float:
-        """Focal length of the tube lens, over which a position on the stop is a direction in the native image."""
+        """Focal length of the tube lens in mm; a stop position divided by it is a direction in the native image."""
         return self.objective.tube_focal_length
 
     def _sines(self, pupil: Pair) -> Pair:
-        """Return the index n times the sines of the angles at which light to a point of the stop leaves the object."""
+        """Return n sin(theta), by components, of the light that leaves the object for a point of the stop."""
         return pupil[0] * (1 / self.objective.focal_length), pupil[1] * (1 / self.objective.focal_length)
 
     def _cosine(self, pupil: Pair) -> Any:
-        """Return the cosine of that angle, continued by a small constant where the sine would exceed 1."""
+        """Return cos(theta) of the light to a point of the stop, a small constant where the sine would exceed 1."""
         x, y = self._sines(pupil)
         square = 1 - (x * x + y * y) * (1 / self.objective.immersion**2)
         return safe_sqrt(square, 1e-6)
 
     def vergence(self, distance: Any) -> Any:
-        r"""Return the reciprocal of the distance behind the tube lens at which light of this depth converges.
+        r"""Return the reciprocal of the distance behind the tube lens at which light from a depth converges.
 
-        It is that of the parabolic wave with the same difference from the wave in focus at the edge of the stop.
+        The distance is that of the parabolic wave with the same path difference from focus at the stop's edge.
         """
         lens = self.objective
         drop = 2 * math.sin(lens.half_angle / 2) ** 2
@@ -93,28 +93,28 @@ class TelecentricLens(UniformLens):
         return self.vergence(distance)
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return the bounds of the rays on the objective's front principal plane."""
+        """Return the radius and z, in mm, that bound rays on the objective's front principal plane."""
         steepest = math.tan(self.objective.half_angle)
         return field / self.objective.magnification - self.front * steepest, (self.front,)
 
     def chief_point(self, position: Any, detector_distance: Any) -> Any:
-        """Return the position: chief rays are parallel to the axis."""
+        """Return the position unchanged, as chief rays are parallel to the axis."""
         return position
 
     def pupil_distance_from(self, behind: Any) -> float:
-        """Return the focal length of the tube lens for every plane: the stop is imaged to infinity."""
+        """Return the tube lens's focal length for every plane, as the stop is imaged to infinity."""
         return self.pupil_distance
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the stop, which does not depend on the position."""
+        """Return one coordinate on the stop, which depends only on the slope."""
         return self.pupil_distance * slope
 
     def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
-        """Return the slope of light from a point of the stop, which is the same at all positions."""
+        """Return the slope of light from a point of the stop, the same at all positions."""
         return pupil / self.pupil_distance
 
     def meet_array(self, pupil: Any, cosine: Any, point: tuple[Any, Any, Any]) -> Any:
-        """Return the positions where light from scene points meets the array: the pupil is at infinity."""
+        """Return the positions where light from scene points meets the array, with the pupil at infinity."""
         return np.stack(np.broadcast_arrays(*self.land((pupil[0], pupil[1]), point)))
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,7 +122,7 @@ class TelecentricLens(UniformLens):
         return -self.objective.magnification * points[:, :2]
 
     def inverse_distance(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the depths (n,) of scene points, in which wavefronts change uniformly."""
+        """Return the depths (n,) of scene points, in mm, with which wavefronts change linearly."""
         return points[:, 2]
 
     def points(self, images: NDArray[np.float64], inverse_distance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -134,14 +134,14 @@ class TelecentricLens(UniformLens):
         return 0 * radius
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path from a scene point to a point of the stop, less that to its centre, in waves."""
+        """Return the path in waves from a scene point to a point of the stop, less the path to the stop's centre."""
         (x, y), (X, Y, d), n = self._sines(pupil), point, self.objective.immersion
         # cos - 1 without cancellation
         drop = -(x * x + y * y) / (n * (1 + self._cosine(pupil)))
         return (d * drop - (X * x + Y * y)) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
-        r"""Return :math:`\cos^{-1/2}\theta`, the same for all points of the object."""
+        r"""Return the amplitude :math:`\cos^{-1/2}\theta` on the stop, the same for all object points."""
         return rsqrt(self._cosine(pupil))
 
     @property
@@ -150,7 +150,7 @@ class TelecentricLens(UniformLens):
         return -self.objective.immersion * self.objective.focal_length
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the array to the scene; the image side is paraxial."""
+        """Return the ray from a position on the array to the scene; the image side is paraxial."""
         if self.objective.images_stop:
             f = self.objective.last_focal_length
             position, slope = (f * slope[0], f * slope[1]), (-position[0] / f, -position[1] / f)
@@ -171,7 +171,7 @@ class TelecentricLens(UniformLens):
 
     @property
     def stop_scale(self) -> float:
-        """Coordinate on the stop over that of its image on the array, in the Fourier arrangement."""
+        """Ratio of a coordinate on the stop to the coordinate of its image on the array, in the Fourier arrangement."""
         return -self.pupil_distance / self.objective.last_focal_length
 
     def power_through(self, point: NDArray[np.float64]) -> float:
@@ -185,7 +185,7 @@ class TelecentricLens(UniformLens):
         return 4 * math.pi * (lens.focal_length * lens.immersion * math.sin(lens.half_angle / 2)) ** 2
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the stop, positive inside."""
+        """Return the distance in mm of a point from the edge of the stop, positive inside."""
         return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
@@ -193,11 +193,11 @@ class TelecentricLens(UniformLens):
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cone(self, distances: Any) -> float:
-        """Return NA / M, whatever the depth."""
+        """Return the image-side aperture NA / M, the same for all depths."""
         return self.objective.image_aperture
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        """Return points of the stop (the same for all positions), the tube lens's focal length, and the tilt."""
+        """Return points of the stop (the same for all positions), the tube lens's focal length, and the tilt's path."""
         (sx, sy), (x, y), f = cosine, image, self.pupil_distance
         return (-f * sx, -f * sy), f + 0 * sx, sx * x + sy * y
 
@@ -206,15 +206,15 @@ class TelecentricLens(UniformLens):
         return np.asarray(-pupil / self.pupil_distance + 0 * image)
 
     def chief_slope(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 0: chief rays are parallel to the axis."""
+        """Return the slope 0, as chief rays are parallel to the axis."""
         return np.zeros_like(image)
 
     def curvature(self, square: Any) -> Any:
-        """Return 0: light of one point of the stop is a plane wave at the array."""
+        """Return the curvature 0, as light of one stop point is a plane wave at the array."""
         return 0 * square
 
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        """Return the direction cosines at the array of light that has passed a point of the stop."""
+        """Return the direction cosines, at the array, of light that passed a point of the stop."""
         if self.objective.images_stop:
             x, y = self._image(pupil, point)
             return -x / self.objective.last_focal_length, -y / self.objective.last_focal_length

@@ -29,7 +29,7 @@ from .main_lens import Pair, Traced
 
 
 def noll(j: int) -> tuple[int, int]:
-    """Return radial order n and azimuthal order m, negative for sines, of the Zernike polynomial with Noll index j."""
+    """Return the radial order n and the azimuthal order m (negative for sines) of Noll index j."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     position = j - n * (n + 1) // 2 - 1
     m = (-1) ** j * (n % 2 + 2 * ((position + (n + 1) % 2) // 2))
@@ -75,13 +75,13 @@ class Wavefront:
                     self._terms[a][b] = self._terms[a][b] + coefficient * float(factor)
 
     def path(self, x: Any, y: Any) -> Any:
-        """Return the path difference at a point of the pupil, in millimetres."""
+        """Return the path difference in mm at a point of the pupil."""
         u, v = x / self._radius, y / self._radius
         path = _sum([_sum(row, v) for row in self._terms], u) * in_millimetres(WAVEFRONT_UNIT)
         return path if self._screen is None else path + self._screen.path(x, y)
 
     def slope(self, x: Any, y: Any) -> Pair:
-        """Return the derivatives of `path` along x and y, which are the changes of direction."""
+        """Return the derivatives of `path` along x and y, which are changes of direction."""
         u, v = x / self._radius, y / self._radius
         scale = in_millimetres(WAVEFRONT_UNIT) / self._radius
         along_x = _sum([_sum([a * term for term in row], v) for a, row in enumerate(self._terms)][1:], u)
@@ -94,7 +94,7 @@ class Wavefront:
 
 
 def _sum(terms: list[Any], x: Any) -> Any:
-    """Return the value of a polynomial, by Horner's rule."""
+    """Return the value of a polynomial in x, by Horner's rule."""
     total: Any = 0.0
     for term in reversed(terms):
         total = total * x + term
@@ -107,7 +107,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class ThinLens(UniformLens, FinitePupil):
-    r"""A thin lens with a round pupil.
+    r"""A thin lens with a round pupil, optional aberrations and an optional phase screen.
 
     Parameters
     ----------
@@ -145,15 +145,15 @@ class ThinLens(UniformLens, FinitePupil):
 
     @property
     def refraction(self) -> Any:
-        """Focal length, which determines how the lens refracts rays."""
+        """Focal length in mm, which determines how the lens refracts rays."""
         return self.focal_length
 
     def vergence(self, distance: Any) -> Any:
-        r"""Return :math:`1/g' = 1/f_1 - 1/g`; zero or negative where there is no real image."""
+        r"""Return :math:`1/g' = 1/f_1 - 1/g` in 1/mm, the image vergence; at most 0 where there is no real image."""
         return vergence(self.focal_length, distance)
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
-        """Follow a ray from a position on the MLA to the scene."""
+        """Return the ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
         if self.model == "ideal":
             behind = self.refract(slope, (Px, Py))
@@ -162,7 +162,7 @@ class ThinLens(UniformLens, FinitePupil):
         return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
 
     def refract(self, direction: Pair, pupil: Pair) -> Pair:
-        """Return the direction before the lens, as slopes or cosines, from that between lens and MLA."""
+        """Return a ray's direction before the lens, as slopes or cosines, from its direction between lens and MLA."""
         tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
@@ -170,16 +170,16 @@ class ThinLens(UniformLens, FinitePupil):
         return tx, ty
 
     def convergence(self, distance: Any) -> Any:
-        """Return `vergence`, as the lens is its own pupil."""
+        """Return `vergence`, as a thin lens is its own pupil."""
         return self.vergence(distance)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
-        """Return the ray from a position on the MLA through a pupil point; the pupil's edge is not applied."""
+        """Return the ray from a position on the MLA through a pupil point, without a test of the pupil's edge."""
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return (*pupil, 0.0), self.refract((tx, ty), pupil), True
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
-        """Return the lens with Dr.Jit parameters."""
+        """Return the lens with Dr.Jit parameters that carry gradients."""
         f1, radius, b = numbers["focal_length"], numbers["aperture_radius"], numbers["mla_distance"]
         return replace(self, focal_length=f1, pupil_radius=radius, pupil_distance=b, aberrations=numbers["wavefront"])
 
@@ -190,7 +190,7 @@ class ThinLens(UniformLens, FinitePupil):
         return replace(self, **{name: number(getattr(self, name)) for name in names}, aberrations=aberrations)
 
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
-        """Return the bounds of the pupil, where all rays start."""
+        """Return radius and z of the pupil, where all rays start, in mm."""
         return self.pupil_radius, (0.0,)
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -216,11 +216,11 @@ class ThinLens(UniformLens, FinitePupil):
         return x, y
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        r"""Return the path from a scene point X to a pupil point P, less that to the pupil's centre, in waves.
+        r"""Return the path in waves from a scene point X to a pupil point P, less the path to the pupil's centre.
 
-        With aberrations W, that of a thin parabolic phase is :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
+        With aberrations W, a thin parabolic phase has the path :math:`(|P - X| - |X| - P^2 / 2 f_1 + W(P)) / \lambda`
         (Goodman, "Introduction to Fourier Optics", section 5.1). Behind an ideal lens all paths to the image X' are
-        equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are free of cancellation.
+        equal, which leaves :math:`(|X'| - |P - X'| + W(P)) / \lambda`. Both are computed without cancellation.
 
         Parameters
         ----------
@@ -246,27 +246,27 @@ class ThinLens(UniformLens, FinitePupil):
         return waves if self.is_round else waves + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def paraxial_path(self, pupil: Pair, distance: Any, wavelength: float) -> Any:
-        r"""Return :math:`(-P^2 / 2 g' + W(P)) / \lambda`, the path for all points at one distance g together.
+        r"""Return :math:`(-P^2 / 2 g' + W(P)) / \lambda`, the paraxial path in waves of all points at one distance g.
 
-        Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), spheres about the points are
-        parabolas, which differ by tilts only. Tilts are left out.
+        Where light moves by slopes (see `mitsuba_plenoptic.optics.waves.transfer`), parabolas replace the spheres
+        around points, and differ by tilts only. Tilts are left out.
         """
         (Px, Py), scale = pupil, 1 / in_millimetres(wavelength)
         waves = (Px * Px + Py * Py) * (self.vergence(distance) * (-0.5 * scale))
         return waves if self.is_round else waves + self.aberration(pupil, wavelength)
 
     def aberration(self, pupil: Pair, wavelength: float) -> Any:
-        """Return the path W(P) that light gains by aberrations and a screen at a pupil point, in waves."""
+        """Return the path W(P), in waves, that light gains at a pupil point by aberrations and a phase screen."""
         Px, Py = pupil
         return 0 * Px + self._wavefront.path(Px, Py) * (1 / in_millimetres(wavelength))
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
-        r"""Return :math:`|g| / |P - X|^2`: the first Rayleigh-Sommerfeld solution (Goodman, section 3.5)."""
+        r"""Return the amplitude :math:`|g| / |P - X|^2`, the first Rayleigh-Sommerfeld solution (Goodman, 3.5)."""
         length = _distance(pupil, point)
         return abs(point[2]) / (length * length)
 
     def inside(self, pupil: Pair) -> Any:
-        """Return the distance of a point from the edge of the pupil, positive inside."""
+        """Return the distance in mm of a point from the edge of the pupil, positive inside."""
         return self.pupil_radius - sqrt(pupil[0] * pupil[0] + pupil[1] * pupil[1])
 
     def is_open(self, pupil: Pair) -> Any:
@@ -274,7 +274,7 @@ class ThinLens(UniformLens, FinitePupil):
         return self.inside(pupil) >= -_ROUNDING * self.pupil_radius
 
     def cosines(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
-        r"""Return :math:`(P - X) / |P - X| - P / f_1` along x and y, plus the slope of the aberrations.
+        r"""Return a point's direction cosines, :math:`(P - X) / |P - X| - P / f_1`, plus the slope of the aberrations.
 
         Behind an ideal lens the direction is that towards the image.
         """
@@ -293,16 +293,16 @@ class ThinLens(UniformLens, FinitePupil):
         return sx, sy
 
     def path_change(self, radius: Any, step: Any, wavelength: float) -> Any:
-        r"""Return :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda`, of third order, with a the pupil's radius and d the step.
+        r"""Return the change of path :math:`a (a^2 + 3 r^2) d / 2 b^3 \lambda` for the pupil's radius a and the step d.
 
-        For an ideal lens this is an upper bound: its light changes with the field only as defocus does in tilted cones.
+        For an ideal lens this is an upper bound: its light changes with the field only as defocus in tilted cones.
         """
         a, b = self.pupil_radius, self.pupil_distance
         return a * (a * a + 3 * radius * radius) * step / (2 * b**3 * in_millimetres(wavelength))
 
 
 def _distance(pupil: Pair, point: tuple[Any, Any, Any]) -> Any:
-    """Return the distance |P - X|, negative for light that converges to a point behind the lens."""
+    """Return the distance |P - X| in mm, negative for light that converges to a point behind the lens."""
     dx, dy, g = pupil[0] - point[0], pupil[1] - point[1], point[2]
     return _signed(sqrt(dx * dx + dy * dy + g * g), g)
 
@@ -313,7 +313,7 @@ def _signed(length: Any, g: Any) -> Any:
 
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
-    """Thin lens whose rays continue as if from another point of the MLA's plane, for the ray model only.
+    """A thin lens with distortion, whose rays continue as if from another MLA point; for the ray model only.
 
     Parameters
     ----------

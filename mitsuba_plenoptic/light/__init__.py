@@ -1,1 +1,1 @@
-"""From a scene to what the detector records."""
+"""From a scene to the pixels that the detector records, by rays and by waves."""

@@ -1,15 +1,14 @@
-r"""Diffraction by the microlens array: kernels of a capture's images, and the functions over a lens.
+r"""Diffraction by the microlens array: the kernels of a capture's images, and the functions over a lens.
 
-Behind the array, of transmission T in units of the lens that the ray meets, a ray that meets it at m lands on the
-detector at an offset p from the position of the ray model, with the signed density
+Let T be the transmission of the array, relative to the lens that a ray meets. Behind the array, a ray that meets it at
+m lands on the detector at an offset p from the ray model's position with the signed density
 
 .. math:: K_a(m, p) = \frac{1}{(\lambda z)^2}
           \int T(m + \xi/2)\, T^*(m - \xi/2)\, e^{-2 \pi i \xi \cdot p / \lambda z}\, d^2\xi.
 
-Pairs of points in two neighbouring lenses are included: they describe the interference of the neighbours' fields.
-With functions :math:`a_n` of m that are chosen for the camera (`lens_functions`),
-:math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`. Coordinates of microlens points are relative to the centre of
-the lens.
+Pairs of points in two neighbouring lenses are included; they describe the interference of the neighbours' fields. With
+functions :math:`a_n` of m chosen for the camera (`lens_functions`), :math:`K_a(m, p) \approx \sum_n a_n(m)
+\varphi_n(p)`. Coordinates of microlens points are relative to the centre of the lens.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ MOST_PHASE = 8.0
 
 @dataclass(frozen=True)
 class LensWaves:
-    """The phases of one camera's microlenses at one wavelength, without the path by which rays land."""
+    """Phases of a camera's microlenses at one wavelength, relative to the phases by which rays are deflected."""
 
     # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
     camera: PlenopticCamera
@@ -97,16 +96,16 @@ class LensWaves:
 
     @property
     def defocus(self) -> float:
-        """Largest defocus of the microlenses' waves on the detector, in radians at the edge of a lens."""
+        """Largest defocus of the waves behind microlenses on the detector, in radians at the edge of a lens."""
         square = float(self.lattice.aperture_reach) ** 2
         most = max(abs(self.convergence(kind)) for kind in self.kinds)
         return math.pi * most * square / in_millimetres(self.wavelength)
 
     @property
     def aberration(self) -> float:
-        """Difference of the shape of lenses from the parabola by which rays land, in radians at the edge of a lens.
+        """Deviation of the lenses' phase from the parabola by which rays land, in radians at the edge of a lens.
 
-        It is that of the slopes, since a phase may have jumps.
+        It is computed from slopes, since a phase may have jumps.
         """
         shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
         assert shape is not None
@@ -117,13 +116,13 @@ class LensWaves:
         return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
 
     def convergence(self, kind: Kind) -> float:
-        """Return the wavefront curvature behind a lens for a pupil point, less that for focus on the detector."""
+        """Return the wavefront curvature (1/mm) behind a lens for a pupil point, relative to focus on the detector."""
         # Waves from a point of an objective's stop are plane.
         own = self.camera.lens_data.converges / self.camera.pupil_distance
         return 1 / kind.distance + own - 1 / kind.focal_length
 
     def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves, less the phase of the parabola by which rays land."""
+        """Return the phase of a lens in waves, relative to the parabola by which rays land."""
         shape = self.camera.mla_shape
         assert shape is not None
         ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
@@ -133,7 +132,7 @@ class LensWaves:
     def _beyond_paraxial(
         self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind, cosines: tuple[float, float]
     ) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves for light of some direction cosines without the paraxial one."""
+        """Return the phase of a lens in waves, for light of given direction cosines, relative to the paraxial phase."""
         camera = self.camera
         power = 1 / kind.focal_length - camera.lens_data.converges / camera.pupil_distance
         enlargement = self._lens_kinds.enlargement(kind.focal_length)
@@ -143,10 +142,10 @@ class LensWaves:
     def transmission(
         self, x: NDArray[np.float64], y: NDArray[np.float64], kind: Kind, cosines: tuple[float, float], steep: bool
     ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
-        """Return the transmission of a lens of a kind and its neighbours at positions from its centre.
+        """Return the transmission of a lens and its neighbours at positions from its centre, for given directions.
 
-        Light has some direction cosines. Unless `steep`, each ray lands by its own point of the lens, and phases that
-        displace light within the lens are left out. The mask of the lens's aperture is returned as well.
+        Directions are cosines. Unless `steep`, each ray lands by its own point of the lens, and phases that displace
+        light within the lens are left out. The mask of the lens's aperture is returned as well.
         """
         lattice, camera = self.lattice, self.camera
         wavelength = in_millimetres(self.wavelength)
@@ -185,17 +184,17 @@ class ArrayKernels(LensWaves):
 
     @property
     def by_points(self) -> bool:
-        """Whether a ray lands by its point of the lens instead of the lens's centre.
+        """Whether a ray lands where its point on the lens sends it, instead of where the lens's centre does.
 
-        Far from the microlenses' focus a few functions do not suffice for the difference. The spread by the pupil is
-        then taken as that of the whole pupil for all of its points.
+        Far from the microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then
+        taken as that of the whole pupil for all of its points.
         """
         return self.defocus * self.wavelength / (self.shortest or self.wavelength) > MOST_PHASE
 
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
-        """Functions of a ray's point on a lens; polynomials of degree 0 or more where each ray lands by its point."""
+        """Functions of a ray's point on a lens; polynomials of some degree if landing points depend on these points."""
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         higher = 0 if self.by_points or self.degree == 0 else _HIGHER
         scale = float(self.lattice.aperture_reach)
@@ -214,13 +213,13 @@ class ArrayKernels(LensWaves):
 
     @property
     def _most_functions(self) -> int:
-        """Largest number of functions over a lens, which is the number of polynomials of the degree."""
+        """Largest number of functions over a lens: the number of polynomials up to the degree."""
         return (self.degree + 1) * (self.degree + 2) // 2
 
     @cached_property
     @single_threaded_blas()
     def oblique(self) -> Oblique:
-        """Combinations of the kernels' changes with the direction of light."""
+        """Combinations of the changes of kernels with the direction of light."""
         functions, camera = self.functions, self.camera
         if self.by_points or functions.count == 1:
             return Oblique.nothing(functions.count)
@@ -244,12 +243,12 @@ class ArrayKernels(LensWaves):
 
     @property
     def values(self) -> int:
-        """Number of kernels of one kind of lenses, which is the number of values of each ray."""
+        """Number of values of each ray, which is the number of kernels for one kind of lenses."""
         return self.functions.count + self.oblique.count
 
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
-        """Covariance of an image's values in light with random edges from all directions."""
+        """Covariance of the values of an image's rays, for light with random edges from all directions."""
         functions, oblique = self.functions, self.oblique
         u, v, inside = self.aperture_grid(_LAGS)
         light = functions.light(u[inside], v[inside])
@@ -282,7 +281,7 @@ class ArrayKernels(LensWaves):
         cosines: tuple[float, float] = (0.0, 0.0),
         samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.float64]:
-        """Return spectra (n, values) of kernels for combinations of polynomials of one kind, as pixels record them."""
+        """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
         scale = in_millimetres(self.wavelength) * kind.distance
         fine = self.lattice.pitches[0] / samples
         farthest = min(2 * samples, int(scale / (2 * self.camera.pixel_size * fine)))
@@ -311,10 +310,10 @@ class ArrayKernels(LensWaves):
         ]
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
-        """Return the kernels (n, k, k) of a kind of lenses on a grid of some step, times the area of a grid cell.
+        """Return the kernels (n, k, k) of one kind of lenses on a grid of width `step`, times the area of a grid cell.
 
-        They are those of the functions, which reach at least to `reach`, and oblique ones. Light beyond is folded back,
-        which conserves the energy.
+        First come the functions' kernels, which reach at least to `reach`, then the oblique ones. Light beyond is
+        folded back, which conserves energy.
         """
         key = step, reach, kind
         if key not in self._kept:
@@ -326,7 +325,7 @@ class ArrayKernels(LensWaves):
         return self._kept[key]
 
     def _require_memory(self, step: float, reach: float, kind: int) -> None:
-        """Refuse kernels of pixels far larger than a lens's diffraction, which would not fit into memory."""
+        """Refuse kernels that exceed the memory, as for pixels far larger than a lens's diffraction pattern."""
         if self.by_points:
             # Transforms of the aperture, their products, and the kernels themselves.
             count, each = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, self.kinds[kind]), 32.0
@@ -341,7 +340,7 @@ class ArrayKernels(LensWaves):
         )
 
     def _cell_parts(self, step: float, kind: Kind) -> int:
-        """Return the count of samples across a cell that resolve a lens's diffraction."""
+        """Return the number of samples across a cell that resolves a lens's diffraction."""
         scale = in_millimetres(self.wavelength) * kind.distance
         return math.ceil(_KEPT * step * float(self.lattice.aperture_width) / scale)
 
@@ -350,7 +349,7 @@ class ArrayKernels(LensWaves):
         return {}
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
-        """Return the sampling of `kernels`: lag step in fine steps, and numbers of lags and samples on either side."""
+        """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
         every = max(1, int(scale / (2 * fine * reach)))
@@ -360,7 +359,7 @@ class ArrayKernels(LensWaves):
 
     @single_threaded_blas()
     def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int = 0) -> NDArray[np.float64]:
-        """Return `kernels` with a given sampling, also where another sampling would suit better."""
+        """Return `kernels` with a given sampling, even where another sampling would suit better."""
         every, farthest, count = samples
         functions, oblique = self.functions, self.oblique
         transfer = self._transfer(farthest, every, self.kinds[kind], functions, functions.duals)
@@ -391,7 +390,7 @@ class ArrayKernels(LensWaves):
     def _placed(
         self, transfer: NDArray[np.complex64], every: int, step: float, count: int, kind: int
     ) -> NDArray[np.float64]:
-        """Return kernels of `count` samples on either side from transfer functions at lags `every` steps apart."""
+        """Return kernels of `count` samples on either side, from transfer functions `every` steps apart."""
         scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
         apart = self.lattice.pitches[0] / _TRANSFER_SAMPLES * every
         farthest = transfer.shape[1] // 2
@@ -418,11 +417,10 @@ class ArrayKernels(LensWaves):
         return np.stack(made)
 
     def _cell_kernels(self, step: float, reach: float, kind: Kind) -> NDArray[np.float64]:
-        r"""Return kernels between cells over which light is uniform, and which may be larger than the kernels.
+        r"""Return kernels between cells of uniform light, for cells that may be larger than the diffraction kernels.
 
-        Without neighbours and phase the integral over pairs of points is a sum of products: that of
-        :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` is a sum of products of transforms of aperture times
-        power.
+        Without neighbours and phase, the integral over pairs of points is a sum of products: :math:`m^i = 2^{-i} \sum_a
+        \binom{i}{a} x_1^a x_2^{i-a}` gives products of transforms of aperture times power.
         """
         lattice, scale = self.lattice, in_millimetres(self.wavelength) * kind.distance
         parts = self._cell_parts(step, kind)
@@ -458,11 +456,11 @@ class ArrayKernels(LensWaves):
         cosines: tuple[float, float] = (0.0, 0.0),
         samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.complex64]:
-        """Return the integrals of combinations of polynomials, times T T*, over a cell at lags along y and x.
+        """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
 
         Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `samples` apart, and
-        two points for each step. `coefficients` are those of the combinations (polynomials, n). Light has some
-        direction cosines.
+        two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given direction
+        cosines.
         """
         lattice = self.lattice
         # Points lie between the borders of lenses. A lag of whole steps moves both points of a pair to such points.
@@ -498,7 +496,7 @@ class ArrayKernels(LensWaves):
 
 
 def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the changes of kernels per cell of displacement, along x and then along y."""
+    """Return the changes of kernels per cell of displacement, along x, then along y."""
     from scipy.ndimage import convolve1d
 
     # Kernels end abruptly, and their slopes include these ends: a short filter confines them to their surroundings.

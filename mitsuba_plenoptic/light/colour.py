@@ -1,4 +1,4 @@
-r"""Conversion between colours and spectra, by Mitsuba's own tables of CIE 1931 and D65.
+r"""Conversion between colours and spectra, by Mitsuba's tables of CIE 1931 and D65.
 
 The spectrum of a colour is that of D65 times the reflectance :math:`\sum_c v_c \rho_c(\lambda)`. The reflectances of
 the sRGB primaries red, green and blue are nonnegative, have the sum 1, and are as smooth as these conditions allow
@@ -64,7 +64,7 @@ def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: NDArr
     """Refuse wavelengths at which a spectrum of the scene has no values, where Mitsuba takes 0.
 
     A scalar or a colour given as radiance means the spectrum of D65. Mitsuba defines D65 and black bodies from 360 to
-    830 nm. The table of an emitter may end anywhere: there is no light beyond it. That of a surface may end with 0.
+    830 nm. An emitter's table may end anywhere, with no light beyond; a surface's table may end only with 0.
 
     Shapes: `responses` (channels, wavelengths).
     """
@@ -100,7 +100,7 @@ def require_upsampled(spectrum: Spectrum) -> None:
 
 
 def _beyond(wavelengths: NDArray[np.float64], responses: NDArray[np.float32], low: float, high: float) -> float | None:
-    """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, None otherwise."""
+    """Return a wavelength outside the bounds if more than 1 % of the responses lie outside, otherwise None."""
     outside, weights = (wavelengths < low) | (wavelengths > high), np.abs(responses).sum(axis=0)
     return float(wavelengths[outside][0]) if weights[outside].sum() > _UNKNOWN * weights.sum() else None
 
@@ -130,7 +130,7 @@ def upsampling(wavelengths: tuple[float, ...]) -> NDArray[np.float64]:
 
 @functools.cache
 def _reflectances() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return wavelengths, and at each the reflectances (3, n) of the primaries."""
+    """Return wavelengths, and the reflectances (3, n) of the sRGB primaries at each of them."""
     # Imported here because it is slow to import and few captures upsample.
     from scipy.optimize import lsq_linear
 

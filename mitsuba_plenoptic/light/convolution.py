@@ -27,7 +27,7 @@ _SQUARE = 1024
 
 
 class Convolution:
-    """Convolutions of images with kernels, one after another."""
+    """Convolutions of images with kernels, computed one after another."""
 
     def __init__(
         self,
@@ -52,12 +52,12 @@ class Convolution:
 
     @property
     def memory(self) -> float:
-        """Bytes that a convolution takes in addition to the images."""
+        """Bytes that a convolution takes in addition to its images."""
         tiles = sum(1 for _ in self._tiles(self.box))
         return float((tiles + self.ranks) * self._spectra[0].nbytes + 8 * self.box.rows * self.box.columns)
 
     def reached(self, box: Box) -> Box:
-        """Return the recorded pixels, counted from the first, that light of the samples in a box may reach."""
+        """Return the recorded pixels, counted from the first, that light of the samples in a box can reach."""
         grown, window = _grown(box, self._margin), self._window
         low = np.maximum((grown.left - window.left, grown.top - window.top), 0)
         high = (grown.left + grown.columns - window.left, grown.top + grown.rows - window.top)
@@ -66,10 +66,7 @@ class Convolution:
     def forward(
         self, images: Iterable[NDArray[np.float32]], box: Box | None = None, pixels: Box | None = None
     ) -> NDArray[np.float32]:
-        """Return the sum of all images, each convolved with its kernel.
-
-        The result has the shape (rows, columns).
-        """
+        """Return the sum (rows, columns) of all images, each convolved with its kernel."""
         box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
         tiles = list(self._tiles(box))
@@ -92,10 +89,7 @@ class Convolution:
         return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
-        """Yield an image for each kernel, by the adjoint of `forward`.
-
-        Shapes: `pixels` (rows, columns).
-        """
+        """Yield one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
         samples = np.zeros((1, reached.rows, reached.columns), np.float32)
@@ -115,7 +109,7 @@ class Convolution:
             yield image
 
     def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
-        """Yield the rows and columns of each tile of a box."""
+        """Yield the slices of rows and columns of each tile of a box."""
         rows, columns = self.tile
         for top in range(0, box.rows, rows):
             for left in range(0, box.columns, columns):
@@ -135,13 +129,13 @@ def box_of(camera: PlenopticCamera, margin: int) -> Box:
 
 
 def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
-    """Return the distance in samples from which light still reaches the recorded pixels."""
+    """Return the distance in samples from which light can still reach the recorded pixels."""
     # Kernels of different lens types have different widths.
     return max(len(kernel) for kernel in kernels) // 2
 
 
 def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tuple[float, float]:
-    """Estimate the seconds that the convolutions of `count` samples take, and the bytes when done block by block."""
+    """Return the estimated seconds and bytes of the convolutions of `count` samples, computed block by block."""
     # One tile is timed.
     rows, columns = convolutions[0].tile
     trial = Box(block.left, block.top, min(columns, block.columns), min(rows, block.rows))
@@ -157,12 +151,12 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
 
 
 def _grown(box: Box, margin: int) -> Box:
-    """Return a box with a margin all around."""
+    """Return a box with a margin on all sides."""
     return Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
 
 
 def _even(size: int, most: int) -> int:
-    """Return the length, rounded up, of the fewest equal parts of a size with at most `most` each."""
+    """Return the length of equal parts of a size, rounded up, for as few parts as possible of at most `most`."""
     return math.ceil(size / math.ceil(size / most))
 
 

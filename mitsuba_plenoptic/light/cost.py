@@ -1,4 +1,4 @@
-"""The cost of a capture, as estimates state it."""
+"""The estimated cost of a capture."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cost:
-    """Estimated time and memory of a capture."""
+    """Estimated time in seconds and memory in bytes of a capture."""
 
     points: int  # number of points whose light reaches the recorded window; 0 if not determined
     patterns: int  # number of point spreads that are computed for them

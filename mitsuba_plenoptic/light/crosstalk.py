@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 def mix_pixels(image: NDArray[Any], fraction: float) -> NDArray[Any]:
     """Return an image with a fraction of each pixel moved to each neighbour; `image` is (rows, columns[, channels]).
 
-    What would leave across the edge stays, so that the sum is unchanged. The operation is its own adjoint.
+    Light that would leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint.
     """
     if not fraction:
         return image
@@ -26,7 +26,7 @@ def mix_pixels(image: NDArray[Any], fraction: float) -> NDArray[Any]:
 
 
 def mix_deviations(deviation: NDArray[Any], fraction: float) -> NDArray[Any]:
-    """Return the standard deviations after `mix_pixels`, from those of independent pixels before."""
+    """Return the standard deviations after `mix_pixels`, given the deviations of independent pixels before."""
     own, given = (1 - 4 * fraction) ** 2, fraction**2
     variance = deviation**2
     # Squared weights: the sum of all is less than 1, because neighbours average each other.

@@ -34,17 +34,17 @@ _CHUNK = 2**22
 class Detector:
     r"""A linear image sensor after EMVA Standard 1288, Release 4.0 Linear.
 
-    In a pixel that :math:`\mu_p` photons hit on average, a Poisson-distributed number of electrons of mean
-    :math:`\mu_e = \eta \mu_p + \mu_d` is freed, at most the full well; reading adds normal noise of standard deviation
-    :math:`\sigma_d`; the digital number is :math:`y = K e` plus the black level, rounded, between 0 and
-    :math:`2^{bits} - 1`. Below saturation its mean is :math:`K \mu_e` plus the black level,
-    within 0.003, and its variance :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`, within 0.03, where
-    :math:`K \sigma_d \geq 1/2` and the black level keeps the noise above 0. With less read noise the steps of the
-    digital numbers show: the mean is off by up to half a number, and the 1/12 does not hold.
+    A Poisson-distributed number of electrons, of mean :math:`\mu_e = \eta \mu_p + \mu_d` for a mean number
+    :math:`\mu_p` of photons, is freed in a pixel, at most the full well. Reading adds normal noise of standard
+    deviation :math:`\sigma_d`. The digital number is :math:`y = K e` plus the black level, rounded, between 0 and
+    :math:`2^{bits} - 1`. Below saturation its mean is :math:`K \mu_e` plus the black level, within 0.003, and its
+    variance :math:`\sigma_y^2 = K^2 (\sigma_d^2 + \mu_e) + 1/12`, within 0.03, if :math:`K \sigma_d \geq 1/2` and the
+    black level keeps the noise above 0. With less read noise rounding shows: the mean is off by up to half a number,
+    and the term 1/12 does not hold.
 
-    The defaults are about those of a CMOS sensor with pixels of 2 micrometres. Every channel of a colour capture is
-    exposed as a sensor of its own, or, with a `mosaic`, each pixel records one of the three. There is no non-uniformity
-    from pixel to pixel.
+    The defaults are typical of a CMOS sensor with pixels of 2 micrometres. Every channel of a colour capture is exposed
+    as a separate sensor, or, with a `mosaic`, each pixel records one of the three. There is no non-uniformity from
+    pixel to pixel.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Detector:
         return self._exposed(photons, generator)[0]
 
     def _exposed(self, photons: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Return the digital numbers, and which pixels have a full well or the largest number."""
+        """Return the digital numbers, and a mask of pixels with a full well or the largest number."""
         assert self.gain is not None and self.black_level is not None
         # Far beyond saturation the number of electrons does not matter, but would overflow.
         mean = np.minimum(self.quantum_efficiency * photons + self.dark_electrons, 100 * self.full_well + 1e4)
@@ -139,11 +139,11 @@ def _positive(name: str, value: Any, maximum: float = _LARGEST) -> float:
 def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 0) -> Capture:
     """Record a noise-free capture with a real detector.
 
-    The result is in units of the capture again: digital numbers less black level and dark signal, over gain, quantum
-    efficiency and photons. So everything that takes a capture takes it, and shows the effect of noise. Below
+    The result is in units of the capture again: digital numbers less black level and dark signal, divided by gain,
+    quantum efficiency and photons. So all functions that take a capture accept it, and show the effect of noise. Below
     saturation its mean is that of the capture, if the read noise is half a digital number or more. With less, as for
-    few bits and a large full well, rounding displaces the mean by up to half a number, which is
-    ``0.5 / (gain * quantum_efficiency * photons)`` in units of the capture.
+    few bits and a large full well, rounding displaces the mean by up to half a number, which is ``0.5 / (gain *
+    quantum_efficiency * photons)`` in units of the capture.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Entrance points of rays to points of the exit pupil: the targets of shadow rays."""
+"""Points where rays enter the main lens on their way to exit pupil points: the targets of shadow rays."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class LensWindow:
-    """Lenses whose cells are sampled: the lenses of recorded pixels, and a margin of a few lenses on each side.
+    """Lenses whose cells are sampled: those of recorded pixels, with a margin of a few lenses on each side.
 
-    Here a cell is the parallelogram that the two lattice vectors span around a lens's centre.
+    Here a cell is the parallelogram spanned by the two lattice vectors around a lens's centre.
     """
 
     lattice: Lattice
@@ -56,7 +56,7 @@ class LensWindow:
         return cls(lattice, index, recorded[0] - whole, recorded[1] + whole)
 
     def place(self, i: Any, j: Any) -> tuple[Any, Any]:
-        """Return the MLA plane's point at i and j steps along the lattice vectors from cell (0, 0)'s first corner."""
+        """Return the MLA point at i and j steps along the lattice vectors from the first corner of cell (0, 0)."""
         (ax, ay), (bx, by) = self.lattice.basis
         cx, cy = self.lattice.centre(0.0, 0.0)
         return i * ax + j * bx + (cx - (ax + bx) / 2), i * ay + j * by + (cy - (ay + by) / 2)
@@ -80,8 +80,8 @@ class LensWindow:
 class Entrances:
     """Points where the light of scene points enters the main lens on its way to points of the exit pupil.
 
-    The ray that found a scene point is known. The other rays from it follow from the magnification of the pupils, which
-    neglects the pupils' aberrations: their effect is small compared with the pupil cells that shadow rays sample.
+    The ray that found a scene point is known. Other rays from the point follow from the magnification of the pupils,
+    without the pupils' aberrations: their effect is small compared with the pupil cells that shadow rays sample.
     """
 
     # The entrance pupil and front plane of the lens.

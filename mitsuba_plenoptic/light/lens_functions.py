@@ -1,14 +1,14 @@
 r"""The functions of a ray's point on a lens that describe where the lens diffracts the ray's light.
 
 The light L(m) that a lens receives gives the image :math:`\int L(m) K(m, p)\, dm` on the detector. Functions
-:math:`a_n` and kernels :math:`\varphi_n` approximate :math:`K(m, p) \approx \sum_n a_n(m) \varphi_n(p)`. The functions
-chosen here leave, for their number, the smallest mean square error of the images of random light (reduced-rank
-regression: Izenman, J. Multivar. Anal. 5, 248 (1975)). This light has edges at random places in random directions, so
-that its covariance falls in proportion to the distance.
+:math:`a_n` and kernels :math:`\varphi_n` approximate :math:`K(m, p) \approx \sum_n a_n(m) \varphi_n(p)`. The chosen
+functions have, for their number, the smallest mean square error of the images of random light (reduced-rank regression:
+Izenman, J. Multivar. Anal. 5, 248 (1975)). Random light has edges at random places in random directions, so that its
+covariance decreases linearly with distance.
 
-The functions are combinations of polynomials that are orthonormal over the aperture of a lens. The first one is 1, and
-the others have the mean 0, so that even light is exact. The kernels are the integrals of K with the duals
-:math:`d_n` of the functions, for which :math:`\int d_n a_k\, dm = \delta_{nk}`.
+The functions are combinations of polynomials that are orthonormal over the aperture of a lens. The first is 1, and the
+others have the mean 0, so that uniform light is exact. The kernels are the integrals of K with the duals :math:`d_n` of
+the functions, for which :math:`\int d_n a_k\, dm = \delta_{nk}`.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LensFunctions:
     ) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
 
-        There are at most `count`.
+        At most `count` combinations are returned.
 
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
@@ -106,14 +106,14 @@ class LensFunctions:
         return LensFunctions(self.scale, self.exponents, self.triangle, functions, duals, parities)
 
     def light(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance of the functions' coefficients in light that has, on average, one edge on a lens.
+        """Return the covariance of the functions' coefficients for light that has, on average, one edge on a lens.
 
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
         return np.asarray(self.duals.T @ _covariance(self._expected(u, v)) @ self.duals)
 
     def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariance of the polynomials' coefficients in light with random edges, less its mean."""
+        """Return the covariance of the polynomials' coefficients for light with random edges, less the mean."""
         values = self.values(u, v)
         values -= values.mean(0)
         apart = np.hypot(u[:, None] - u, v[:, None] - v)
@@ -121,7 +121,7 @@ class LensFunctions:
 
 
 def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the covariance of the polynomials' coefficients of light that has, on average, one edge on a lens."""
+    """Return the covariance of the polynomials' coefficients for light that has, on average, one edge on a lens."""
     # An edge is between two points with a probability in proportion to their distance.
     whole = expected / (2 * np.pi)
     whole[0, 0] += _MEAN_SQUARE

@@ -34,12 +34,23 @@ MOST_DEVIATIONS = 3.0
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
     place, focal = camera.mla_jitter
-    x, y, f = (_deviate(_words(i), _words(j), camera.mla_seed, number) for number in range(3))
+    start = int(hashed(np.array([camera.mla_seed], np.uint32))[0])
+    lens, module = hashed(hashed(_words(i) ^ start) ^ _words(j)), dr if dr.is_array_v(i) else np
+    deviates = []
+    for number in range(3):
+        # Two uniform numbers make a normal one (Box and Muller 1958).
+        words = [hashed(lens ^ (0x9E3779B9 * (2 * number + part + 1) & 0xFFFFFFFF)) >> 9 for part in (0, 1)]
+        if module is dr:
+            words = [dr.float32_array_t(type(word))(word) for word in words]
+        first, second = ((word + 0.5) * 2.0**-23 for word in words)
+        deviate = module.sqrt(-2 * module.log(first)) * module.cos(2 * math.pi * second)
+        deviates.append(module.clip(deviate, -MOST_DEVIATIONS, MOST_DEVIATIONS))
+    x, y, f = deviates
     return place * x, place * y, 1 + focal * f
 
 
 def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
-    """Return the displacement towards the axis by which `mla_cra` aligns lenses, from their regular positions."""
+    """Return the displacement in mm, towards the axis, of lenses at regular positions that `mla_cra` aligns."""
     if not camera.mla_cra:
         return 0.0, 0.0
     z = camera.detector_distance if detector_distance is None else detector_distance
@@ -62,10 +73,10 @@ _PLACES = 33
 
 
 def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return a camera without `mla_cra` whose regular lenses lie nearest to the shifted lenses above recorded pixels.
+    """Return a camera without `mla_cra` whose regular lenses are nearest to the shifted ones above recorded pixels.
 
-    What knows regular arrays alone, as point spreads and reconstructions do, takes this one. Its `mla_pitch` and
-    `mla_offset` have the smallest mean square of the distance from the lenses.
+    Point spreads and reconstructions, which know regular arrays only, use this camera. Its `mla_pitch` and `mla_offset`
+    minimise the mean square distance from the lenses.
     """
     if not camera.mla_cra:
         return camera
@@ -89,31 +100,13 @@ def _words(index: Any) -> Any:
     return dr.uint32_array_t(type(index))(dr.int32_array_t(type(index))(index))
 
 
-def _deviate(i: Any, j: Any, seed: int, number: int) -> Any:
-    """Return a normal deviate by the method of Box and Muller (1958), clipped at `MOST_DEVIATIONS`."""
-    first, second = (_uniform(i, j, 2 * number + part, seed) for part in (0, 1))
-    if dr.is_array_v(first):
-        value = dr.sqrt(-2 * dr.log(first)) * dr.cos(2 * math.pi * second)
-        return dr.clip(value, -MOST_DEVIATIONS, MOST_DEVIATIONS)
-    return np.clip(np.sqrt(-2 * np.log(first)) * np.cos(2 * math.pi * second), -MOST_DEVIATIONS, MOST_DEVIATIONS)
-
-
-def _uniform(i: Any, j: Any, number: int, seed: int) -> Any:
-    """Return values uniformly distributed between 0 and 1, both excluded."""
-    start = int(hashed(np.array([seed], np.uint32))[0])
-    bits = hashed(hashed(hashed(i ^ start) ^ j) ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9
-    if dr.is_array_v(bits):
-        return (dr.float32_array_t(type(bits))(bits) + 0.5) * 2.0**-23
-    return (bits.astype(np.float64) + 0.5) * 2.0**-23
-
-
 _COSINES = 32
 """Count of cosines."""
 
 
 @dataclass(frozen=True, eq=False)
 class FigureError:
-    r"""Figure error of one array: a random optical path of a given size and correlation length all over the array.
+    r"""Figure error of one array: a random optical path of given size and correlation length over the whole array.
 
     The path is a sum of cosines of random directions, periods and phases,
 
@@ -121,7 +114,7 @@ class FigureError:
 
     whose frequencies are normally distributed with the standard deviation :math:`1 / 2 \pi l`. Over all seeds the root
     mean square is :math:`\sigma`, and the correlation of points at a distance d is :math:`\exp(-d^2 / 2 l^2)`. The path
-    has slopes everywhere, and depends on the position and the seed alone.
+    depends on position and seed only, and has slopes everywhere.
     """
 
     amplitude: float  # of each cosine, in millimetres
@@ -139,7 +132,7 @@ class FigureError:
         return self.amplitude * sum(cosine for cosine, _, _, _ in self._waves(x, y))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of the path at positions."""
+        """Return the gradient of the path at positions, in millimetres per millimetre."""
         across: Any = 0.0
         up: Any = 0.0
         for _, sine, u, v in self._waves(x, y):
@@ -164,7 +157,7 @@ class FigureError:
 
 @functools.lru_cache(maxsize=4)
 def _drawn(size: float, length: float, seed: int) -> FigureError:
-    """Return a figure error drawn at random."""
+    """Return a figure error drawn at random from its size, correlation length and seed."""
     random = np.random.default_rng([seed, _COSINES])
     frequencies = random.normal(0, 1 / (2 * math.pi * length), (2, _COSINES))
     return FigureError(size * math.sqrt(2 / _COSINES), frequencies, random.random(_COSINES))
@@ -184,7 +177,7 @@ _MOST = 32
 
 
 class Kind(NamedTuple):
-    """Microlenses that are treated as equal, with one set of kernels."""
+    """Microlenses treated as equal, with one set of kernels."""
 
     # Index of the design focal length of the lens.
     lens_type: int
@@ -221,11 +214,11 @@ class LensKinds:
         ]
 
     def enlargement(self, focal_length: Any, mla_distance: Any = None, scale: Any = 1.0) -> Any:
-        r"""Return the mean enlargement of a kind's micro-images over micro-images by rays through lens centres.
+        r"""Return the mean enlargement of a kind's micro-images, relative to micro-images by rays through lens centres.
 
         Lenses turn direction cosines, so that slopes behind a lens grow faster than in proportion. Behind the point m
-        of a lens of power n/f in the light of a pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium of
-        index n. The brightness falls by its reciprocal, of which the mean over the lens is taken. `scale` enlarges the
+        of a lens of power n/f, in the light of one pupil point, areas grow by :math:`(1 - m^2 / f^2)^{-2}` in a medium
+        of index n. The brightness falls by the reciprocal, whose mean over the lens is taken. `scale` enlarges the
         lenses; the focal length is reduced.
         """
         camera = self.camera
@@ -236,14 +229,14 @@ class LensKinds:
 
     @cached_property
     def _moments(self) -> tuple[float, float]:
-        """Means of the second and fourth power of the distance from the centre over the aperture of a lens."""
+        """Means, over a lens's aperture, of the second and fourth power of the distance from its centre."""
         along = drjit_array(mi.Float, (np.arange(_MOMENT_SAMPLES) + 0.5) / _MOMENT_SAMPLES)
         x, y = (value.numpy().astype(float) for value in self.camera.lattice.aperture_point(*dr.meshgrid(along, along)))
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())
 
     def number(self, i: Any, j: Any, height: Any) -> Any:
-        """Return the indices of the kinds of lenses."""
+        """Return the index of each lens's kind."""
         camera = self.camera
         kind = mi.UInt32(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
@@ -259,14 +252,14 @@ class LensKinds:
 
     @cached_property
     def _ratios(self) -> NDArray[np.float64]:
-        """Factors on the focal lengths, one per step."""
+        """Factors on the focal lengths, one per kind."""
         most = MOST_DEVIATIONS * self.camera.mla_jitter[1]
         # The detector's distance replaces the focal lengths, which depend on the wavelength, as the kinds must not.
         return 1 + _steps(most, _STEP / self._phase * self.camera.reduced_distance)
 
     @cached_property
     def _heights(self) -> NDArray[np.float64]:
-        """Heights of the lenses of a tilted array, one per step."""
+        """Heights in mm of the lenses of a tilted array, one per kind."""
         camera = self.camera
         across, up = (math.tan(math.radians(abs(angle))) for angle in camera.mla_tilt)
         most = across * camera.detector_width / 2 + up * camera.detector_height / 2

@@ -1,8 +1,8 @@
 r"""The microlens array as a sum of diffraction orders, up to a highest direction.
 
-The transmission of an array is a product of factors: of a function of x and one of y if it is separable, else of a
-single function of both. Each factor is periodic in the frame of the lattice, and therefore a sum of orders. Along an
-axis of pitch :math:`D_2` these are :math:`\lambda / D_2` apart in direction cosine:
+The transmission of an array is a product of factors: one function of x and one of y if it is separable, otherwise a
+single function of both. Each factor is periodic in the lattice frame, and therefore a sum of orders. Along an axis of
+pitch :math:`D_2` the orders are :math:`\lambda / D_2` apart in direction cosine:
 
 .. math:: t(x) = \sum_q c_q \, e^{2 \pi i q x / D_2}, \qquad
           c_q = \frac{1}{D_2} \int_\mathrm{lens} e^{-i \pi (x - c)^2 / \lambda f_2} \, e^{-2 \pi i q x / D_2} dx,
@@ -14,9 +14,9 @@ the two-dimensional Fourier transform of fine samples of that period.
 Sampling t itself would alias its steep orders, which come from the edges of the lenses, into the band of a grid; the
 sum over the orders that the grid can represent does not.
 
-In units of its lattice a factor is a function of the position, of :math:`\kappa = D_2^2 / \lambda f_2` along each axis
-and for each type of lens, and of the widths of the apertures over the pitches, :math:`\beta`. The derivatives by all
-parameters of the array follow by the chain rule from those by these three, which are sums of orders, too:
+In units of its lattice, a factor is a function of the position, of :math:`\kappa = D_2^2 / \lambda f_2` along each axis
+and for each type of lens, and of the apertures' widths over the pitches, :math:`\beta`. Derivatives by these three are
+sums of orders; those by all parameters of the array follow by the chain rule:
 
 - the position u: :math:`2 \pi i q \, c_q`;
 - :math:`\kappa`: the orders of :math:`-i \pi v^2 t`, v the offset from the lens's centre;
@@ -73,7 +73,7 @@ different sizes use different directions, and those of one size are computed in 
 
 
 class ArrayParameter(NamedTuple):
-    """A parameter by which a factor is differentiated: position in periods, Fresnel number or relative width."""
+    """A parameter with respect to which a factor is differentiated: position, Fresnel number or relative width."""
 
     name: Literal["position", "fresnel", "width"]
     axis: int
@@ -81,7 +81,7 @@ class ArrayParameter(NamedTuple):
 
 
 class ArrayFactor(ABC):
-    """Factor of the transmission in one coordinate of the array, or in both, as a sum of orders.
+    """Factor of the array's transmission in one coordinate, or in both, as a sum of diffraction orders.
 
     `axes` lists its coordinates (0: x, 1: y), and `periods` the periods along them.
     """
@@ -96,7 +96,7 @@ class ArrayFactor(ABC):
 
     @abstractmethod
     def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
-        """Return the amplitudes of the orders, or their derivatives; y along rows, from the most negative order on."""
+        """Return the amplitudes of the orders, or their derivatives, from the most negative order; y along rows."""
 
     def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
         """Return the factor, or its derivative, at Dr.Jit float64 coordinates along its axes, as Complex2f."""
@@ -126,7 +126,7 @@ class ArrayFactor(ABC):
     def _table(self, amplitudes: NDArray[Any]) -> Any:
         """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end.
 
-        Linear interpolation between the samples multiplies order q of n by sinc^2(q / n), by which each is divided.
+        Linear interpolation between samples multiplies order q of n by sinc^2(q / n); orders are first divided by it.
         """
         orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
         kept = [np.sinc(order / size) ** 2 for order, size in zip(orders, self._shape, strict=True)]
@@ -141,7 +141,7 @@ class ArrayFactor(ABC):
         return drjit_array(array_module().UInt64, as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
-        """Return the orders of the derivative by the position along an axis, in periods."""
+        """Return the orders of the derivative with respect to the position along an axis, in periods."""
         rows_first = self.axes[::-1].index(axis)
         order = np.indices(orders.shape, sparse=True)[rows_first] - orders.shape[rows_first] // 2
         return np.asarray(2j * math.pi * order * orders)
@@ -173,7 +173,7 @@ def axis_orders(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
     """Return the orders -count ... count of a separable array along an axis (0: x, 1: y), from an edge of a cell.
 
-    The second and third results are their derivatives by the Fresnel number and by the aperture's width over the pitch.
+    The other results are the orders' derivatives by the Fresnel number and by aperture width over pitch.
     """
     pitch = camera.mla_pitches[axis]
     width = camera.lattice.aperture_widths[axis] / pitch
@@ -196,7 +196,7 @@ def axis_orders(
 
 
 class PlaneFactor(ArrayFactor):
-    """The only factor of an array that is not separable, with the orders up to a direction cosine.
+    """The single factor of an array that is not separable, with the orders up to a direction cosine.
 
     The orders are computed from at least `fine` samples across the smaller pitch.
     """
@@ -226,7 +226,7 @@ class PlaneFactor(ArrayFactor):
         return result / (camera.lattice.aperture_widths[axis] / pitch)
 
     def _moment(self, axis: int, power: int, lens_type: int | None) -> NDArray[np.complex64]:
-        """Return the orders of the transmission times a power of the offset in pitches, for one type of lens or all."""
+        """Return the orders of the transmission times a power of the offset in pitches, for one or all lens types."""
         key = axis, power, lens_type
         if key not in self._moments:
             self._moments[key] = self._transformed(*key)
@@ -252,7 +252,7 @@ class PlaneFactor(ArrayFactor):
         return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
 
     def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
-        """Return samples of one period, at the centres of equal rectangles."""
+        """Return samples of one period, at the centres of equal rectangles, as an array on the host."""
         types = array_module()
         _, row, column = split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
         x, y = (
@@ -272,8 +272,8 @@ class PlaneFactor(ArrayFactor):
 class MicrolensArray:
     """The transmission of a camera's microlenses at one wavelength, limited to largest directions.
 
-    `axes` are those of each factor. The most recent factors are cached, because those of an array that is not separable
-    take long to compute.
+    `axes` are the axes of each factor. The most recent factors are cached, because they take long to compute for an
+    array that is not separable.
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
@@ -297,9 +297,9 @@ class MicrolensArray:
         return self._factors[key]
 
     def open_fraction(self, cosine: float, x: Any, y: Any) -> Any:
-        """Return 1 inside apertures and 0 between them at positions in mm, without steeper directions.
+        """Return the aperture function, 1 in apertures and 0 between, at positions in mm, without steeper directions.
 
-        The integral of its product with a function that is limited to these directions, such as an intensity, is exact.
+        The integral of its product with a function limited to these directions, such as an intensity, is exact.
         """
         product: Any = 1
         for factor in self._holes.factors(cosine):
@@ -313,17 +313,17 @@ class MicrolensArray:
 
 @functools.lru_cache(maxsize=4)
 def microlens_array(camera: PlenopticCamera, wavelength: float) -> MicrolensArray:
-    """Return the microlenses of a camera, from a cache of the last few.
+    """Return the transmission of a camera's microlenses, from a cache of the last few.
 
     The tables of arrays that are not separable take longer than a point spread. Many operators of one camera are made
-    one after another, and batches of another process mostly need the array of the previous one.
+    one after another, and batches of another process mostly need the previous array.
     """
     return MicrolensArray(camera, wavelength)
 
 
 @dataclass(frozen=True)
 class VaryingArrayFactor:
-    """Factor of an upright array with Dr.Jit parameters that carry gradients, accurate to first order in these."""
+    """Factor of an upright array with Dr.Jit parameters that carry gradients, exact to first order in them."""
 
     factor: ArrayFactor
     lattice: Lattice
@@ -360,7 +360,7 @@ class VaryingArrayFactor:
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
-    """Return the sample before a position, with `count` samples in a period, and the distance from it in samples."""
+    """Return the index of the sample before a position in periods, and the distance from it in samples."""
     types = array_types(place)
     scaled = place * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)

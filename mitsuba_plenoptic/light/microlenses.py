@@ -1,10 +1,10 @@
-r"""The microlens array as a thin element: apertures, and a phase in each.
+r"""The microlens array as a thin element: the apertures, and the phase in each of them.
 
 .. math:: t(m) = \exp\left(-i \pi \frac{n |m - c|^2}{\lambda f_2}\right)
 
 in the aperture of the lens with centre c, and 0 between apertures (Goodman, "Introduction to Fourier Optics", section
-5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. A grid that
-cannot represent the steep orders of the edges uses its orders instead: see `microlens_orders`.
+5.1), n being the index of the medium behind the array; or the phase of the camera's `mla_shape`. If a grid cannot
+represent the steep orders from the edges, orders are used instead: see `microlens_orders`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def is_separable(camera: PlenopticCamera) -> bool:
 
 
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera in the frame that is rotated with its lattice about the axis."""
+    """Return the camera in the frame that is rotated with the lattice about the axis."""
     if camera.mla_rotation == 0:
         return camera
     return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))
@@ -80,7 +80,7 @@ def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]
 
 
 def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
-    """Return the lattice with numbers that are not compiled into kernels, for positions as Dr.Jit arrays."""
+    """Return the lattice with numbers that are not compiled into kernels, for positions in Dr.Jit arrays."""
     given = [*camera.mla_pitches, camera.mla_rotation, *camera.mla_offset, camera.mla_fill]
     along, across, rotation, x, y, fill = (dr.opaque(types.Float64, number) for number in given)
     return make_lattice(
@@ -105,15 +105,15 @@ def bend(camera: PlenopticCamera) -> float:
 
 
 def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return offsets of points all over an aperture, its rim included."""
+    """Return offsets of points that cover an aperture, including its rim."""
     x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, _POINTS)]))
     return np.asarray(x), np.asarray(y)
 
 
 def scattering(camera: PlenopticCamera) -> float:
-    """Return the change of direction cosine by a wide microlens beyond which little light is left.
+    """Return the largest change of direction cosine, by a microlens, up to which nearly all light is scattered.
 
-    The edges of opaque gaps scatter more than the joints of lenses.
+    The edges of opaque gaps scatter more than the joints between lenses.
     """
     return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
 

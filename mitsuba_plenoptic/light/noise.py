@@ -1,4 +1,4 @@
-"""The noise of captures: its estimate from the samples, its compensation, and the means of radiance that lessen it.
+"""Noise of captures: its estimate from samples, its compensation, and means of radiance that reduce it.
 
 The estimate uses the spread of at most sixteen passes, so the value of each pixel has a relative error of
 1/sqrt(32) = 18 % or more. Means over many pixels are more accurate.
@@ -24,12 +24,12 @@ PARTS = 16
 
 
 def require_samples(spp: int) -> None:
-    """Refuse fewer than two samples, which have no spread."""
+    """Refuse fewer than two samples per pixel, which have no spread."""
     refuse_if(spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
 
 
 class PassSpread:
-    """The mean of passes, and its standard deviation from their spread.
+    """The mean of several passes of a capture, and its standard deviation from the passes' spread.
 
     Mitsuba's own integrator ``moment`` gives the spread of single samples, but omits the weights of rays, which a
     plenoptic sensor needs.
@@ -55,7 +55,7 @@ class PassSpread:
 
 
 def keep_spread(task: SumTask) -> SumTask:
-    """Add to the image of one of several independent runs the channels from which `with_spread` computes variances."""
+    """Return a run's task, with added image channels from which `with_spread` computes variances."""
 
     def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
         image = task.combine(sums)
@@ -65,19 +65,19 @@ def keep_spread(task: SumTask) -> SumTask:
 
 
 def with_spread(image: NDArray[np.float32], runs: int) -> NDArray[np.float32]:
-    """Return a capture and its variances from the sum of the images of runs by `keep_spread`."""
+    """Return a capture and its variances from the sum of the images of several runs made by `keep_spread`."""
     whole, sums, squares = np.split(image, 3, axis=-1)
     spread = (squares - sums**2 / runs) * np.float32(runs / max(1, runs - 1))
     return np.concatenate([whole, np.maximum(spread, 0)], axis=-1)
 
 
 class Mended:
-    """Image in which the light around negative values, which are noise, compensates them.
+    """An image whose negative values, which are noise, are compensated by the light around them.
 
-    Clipping them to zero would brighten the image, and the more so the fewer samples there are. Squares of 2 x 2
-    pixels, squares of 2 x 2 of these, and so on up to the whole image keep their sums instead. A square whose sum is
-    below zero becomes black, and the other squares of the next larger one make up for it in proportion to their light.
-    The result therefore has the sum of the image, or is black where that is below zero.
+    Clipping negative values to zero would brighten the image, the more so the fewer samples there are. Instead, squares
+    of 2 x 2 pixels, squares of 2 x 2 of these squares, and so on up to the whole image keep their sums. A square with a
+    sum below zero becomes black, and the other squares of the next larger square make up for it in proportion to their
+    light. The result therefore has the sum of the image, or is black if that sum is below zero.
     """
 
     def __init__(self, image: NDArray[Any]) -> None:
@@ -101,7 +101,7 @@ class Mended:
         return (light * self._spread(self._kept) + self._light * self._spread(kept)).astype(change.dtype)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
-        """Return the transpose of `forward`, applied to a gradient."""
+        """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
         if self._squares is None:
             return np.where(self._positive, gradient, 0)
         squares = self._over_sum(_sums(gradient * self._light))
@@ -120,16 +120,16 @@ class Mended:
 
 
 def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the sums over squares of 2 x 2 pixels; squares beyond odd edges count missing pixels as 0."""
+    """Return the sums over squares of 2 x 2 pixels; beyond odd edges missing pixels count as 0."""
     whole = np.pad(image, [(0, size % 2) for size in image.shape])
     rows = whole[::2].astype(np.float64) + whole[1::2]
     return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 
 def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return, for each value of the radiance, its means over rays of even indices and of odd indices.
+    """Return the means of each radiance value over rays of even indices and over rays of odd indices.
 
-    Return also which cells have nonzero radiance: derivatives of radiance may cancel in the means.
+    A mask of cells with nonzero radiance is returned, too, as derivatives of radiance may cancel in the means.
     """
     (counts, *sums), lit = halves(seen, radiance, count, spp)
     means = [means_of(pair, counts) for pair in sums]
@@ -138,15 +138,15 @@ def known_means(radiance: list[Any], seen: Any, count: int, spp: int) -> tuple[l
 
 
 def means_of(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
-    """Return the means over each half of the rays from their sums and counts; 0 where there is no ray."""
+    """Return the means over each half of the rays from sums and counts; 0 without rays."""
     first, second = (dr.select(number > 0, total / number, 0) for total, number in zip(sums, counts, strict=True))
     return first, second
 
 
 def halves(seen: Any, values: list[Any], count: int, spp: int) -> tuple[list[Pair], Any]:
-    """Return for each cell the sums over rays of even and of odd indices, of `seen` and of each of the values.
+    """Return, for each cell, sums over rays of even and of odd indices: of `seen` and of each value.
 
-    Return also the mask of the cells in which any of the values is not zero.
+    The mask of the cells in which some value is not zero is returned as well.
     """
     rays = dr.opaque(mi.UInt32, spp)
     first = dr.arange(mi.UInt32, count) * rays

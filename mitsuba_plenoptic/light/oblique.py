@@ -1,20 +1,20 @@
 r"""Aberrations of microlenses for light from different points of the pupil.
 
-Microlenses refract direction cosines, and light lands in proportion to slopes. Light that meets a lens of power 1/f
+Microlenses refract direction cosines, while light lands in proportion to slopes. Light that meets a lens of power 1/f
 with the direction cosines s leaves the point m of the lens with :math:`s - m/f`, and lands at
 
 .. math:: m + z\, T(s - m/f), \qquad T(s) = \frac{s}{\sqrt{1 - s^2 / n^2}} ,
 
-in a medium of index n at the reduced distance z. Kernels of a detector's image have the linear part of T alone. The
-rest, which `phase` gives, is spherical aberration, coma, and the astigmatism and field curvature that grow with the
-square of s. Kernels with this phase change with s nearly as a polynomial of degree 2 without mixed higher terms,
+in a medium of index n at the reduced distance z. The kernels of a detector's image have the linear part of T alone. The
+nonlinear part, given by `phase`, is spherical aberration, coma, and the astigmatism and field curvature that grow with
+the square of s. Kernels with this phase change with s nearly as a polynomial of degree 2 without mixed higher terms,
 
 .. math:: \varphi_n(s) \approx \varphi_n(0) + \sum_k b_k(s)\, \varphi_{nk},
           \qquad b = (s_u, s_v, s_u^2, s_u s_v, s_v^2).
 
 The changes :math:`\varphi_{nk}` resemble each other. A few combinations of them, the *oblique kernels*, therefore
-suffice (principal components: Jolliffe, "Principal component analysis", section 3.5); their images are combinations of
-those of the functions, with factors that depend on s.
+suffice (principal components: Jolliffe, "Principal component analysis", section 3.5). The coefficients of their images
+are those of the functions times factors that depend on s.
 """
 
 from __future__ import annotations
@@ -38,20 +38,15 @@ _LEAST = 1e-9
 
 
 def terms(u: Any, v: Any) -> list[Any]:
-    """Return the terms by which kernels change with direction cosines over the largest ones."""
+    """Return the terms in which kernels change with direction cosines, relative to the largest cosines."""
     return [u, v, u * u, u * v, v * v]
 
 
-def _changes_of_terms(u: Any, v: Any, du: Any, dv: Any) -> list[Any]:
-    """Return the changes of `terms` by small changes of the cosines."""
-    return [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv]
-
-
 def phase(u: Any, v: Any, cosines: tuple[float, float], power: float, index: float, enlargement: float) -> Any:
-    """Return the path in units of the reduced distance that points of a lens add to the linear part, in millimetres.
+    """Return the nonlinear part of the path for points of a lens, in millimetres, in units of the reduced distance.
 
-    The displacement of light on the detector is the gradient of this path times the reduced distance. It is without
-    the mean displacement, by which micro-images are enlarged.
+    The gradient of this path times the reduced distance is the displacement of light on the detector, without the mean
+    displacement by which micro-images are enlarged.
     """
 
     def potential(a: Any, b: Any) -> Any:
@@ -66,7 +61,7 @@ def phase(u: Any, v: Any, cosines: tuple[float, float], power: float, index: flo
 
 @dataclass(frozen=True)
 class Oblique:
-    """The combinations of kernels' changes that are used, of a plan with n functions."""
+    """The combinations of kernels' changes that a plan of n functions uses."""
 
     # Largest direction cosine.
     largest: float
@@ -92,13 +87,13 @@ class Oblique:
         tolerance: float,
         most: int,
     ) -> Oblique:
-        """Return the fewest combinations that leave at most a part `tolerance` of images of random light.
+        """Return the fewest combinations that leave at most a part `tolerance` of the images of random light.
 
-        There are at most `most`.
+        At most `most` combinations are returned.
 
-        `cosines` (rays, 2) are those of rays over the largest ones. `images` (directions, n, values) are the functions'
-        kernels for each of `DIRECTIONS`, in an orthonormal basis of the detector; `light` (n, n) is the covariance of
-        the functions' coefficients in random light, and `odd` their symmetry.
+        `cosines` (rays, 2) are those of rays, relative to the largest. `images` (directions, n, values) are the
+        functions' kernels for each of `DIRECTIONS`, in an orthonormal basis of the detector; `light` (n, n) is the
+        covariance of the functions' coefficients in random light, and `odd` the symmetry of the functions.
         """
         change = np.einsum("kd,dnx->nkx", changes(), images)
         expected = np.transpose(terms(*cosines.T))
@@ -132,29 +127,32 @@ class Oblique:
         return len(self.factors)
 
     def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the terms (terms, ...) of direction cosines (2, ...), none without combinations."""
+        """Return the terms (terms, ...) of direction cosines (2, ...); an empty array without combinations."""
         u, v = cosines / np.float32(self.largest)
         return np.reshape(np.array(terms(u, v) if self.count else [], np.float32), (-1, *u.shape))
 
     def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the derivatives (2, terms, ...) of `terms` by either cosine."""
+        """Return the derivatives (2, terms, ...) of `terms` with respect to each cosine."""
         scale = np.float32(1 / self.largest)
         u, v = cosines * scale
         none, one = np.zeros_like(u), np.full_like(u, scale)
-        parts = [_changes_of_terms(u, v, *change) if self.count else [] for change in ((one, none), (none, one))]
+        parts = [
+            [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv] if self.count else []
+            for du, dv in ((one, none), (none, one))
+        ]
         return np.reshape(np.array(parts, np.float32), (2, -1, *u.shape))
 
 
 def changes() -> NDArray[np.float64]:
-    """Return the matrix (terms, directions) from kernels for `DIRECTIONS` to their changes by the terms."""
+    """Return the matrix (terms, directions) that turns kernels for `DIRECTIONS` into their changes with the terms."""
     return np.asarray(np.linalg.inv(_values(DIRECTIONS))[1:])
 
 
 def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix from 1 and the terms of cosines to 1 and the terms of cosines that differ by a step (2,)."""
+    """Return the matrix that maps 1 and the terms to 1 and the terms of cosines that differ by a step (2,)."""
     return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
 
 
 def _values(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 1 and the terms (n, 1 + terms) of some cosines (n, 2)."""
+    """Return 1 and the terms, (n, 1 + terms), of direction cosines (n, 2)."""
     return np.column_stack([np.ones(len(cosines)), *terms(*cosines.T)])

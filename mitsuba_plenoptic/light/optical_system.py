@@ -20,17 +20,17 @@ from .microlenses import upright
 
 
 def is_paraxial(camera: PlenopticCamera) -> bool:
-    """Return whether a field of many points moves by slopes in a camera, as the camera's rays do.
+    """Return whether waves from a field of many points propagate paraxially, by slopes, like the camera's rays.
 
-    Behind an ideal thin main lens a single point's light converges to its image, by direction cosines as light does. No
-    phase does that to the light of all points together, except where light moves by slopes: a parabola.
+    Behind an ideal thin main lens the light of a single point converges to the point's image, by direction cosines. No
+    phase does that to the light of all points together, except in paraxial propagation, by slopes: a parabola.
     """
     return camera.main_lens is None and camera.lens_model == "ideal"
 
 
 @dataclass(frozen=True)
 class OpticalSystem:
-    """The part that captures, operators and reconstructions of one camera share at one wavelength.
+    """Camera, lattice, microlenses and main lens at one wavelength, shared by captures and reconstructions.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class OpticalSystem:
 
     @classmethod
     def by_design(cls, camera: PlenopticCamera) -> OpticalSystem:
-        """Return the optical system at the design wavelength of the main lens, for rays without a wavelength."""
+        """Return the optical system at the main lens's design wavelength, for rays without a wavelength."""
         return cls(camera, getattr(camera.main_lens, "wavelength", LINE_D))
 
     @cached_property
@@ -98,5 +98,5 @@ class OpticalSystem:
 
 @functools.lru_cache(maxsize=4)
 def _wave_lens(camera: PlenopticCamera, wavelength: float, lens_model: str) -> MainLens:
-    """Return the main lens of a camera for waves; the last few are remembered, with their slow fits."""
+    """Return the main lens of a camera for waves; the last few are cached, as fits are slow."""
     return main_lens(camera, wavelength, model=lens_model)

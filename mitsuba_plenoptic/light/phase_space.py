@@ -7,7 +7,7 @@ point P keeps P, and meets the array at m + x instead of m, with the signed dens
 .. math:: K_p(P, x) = \frac{1}{(\lambda b)^2} \int O_P(\eta)\, e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta, \qquad
           O_P(\eta) = t(P + \eta/2)\, t^*(P - \eta/2).
 
-Behind the *array* it lands on the detector at an offset p from the position of the ray model, with a signed density
+Behind the *array* the ray lands on the detector at an offset p from the ray model's position, with a signed density
 :math:`K_a(m, p) \approx \sum_n a_n(m) \varphi_n(p)`, where :math:`a_n` are functions of m over a lens: see
 `array_kernels` and `lens_functions`. A capture becomes a ray capture of a few values per ray, followed by one
 convolution for each value:
@@ -96,7 +96,7 @@ _tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
 
 
 class TableNode(NamedTuple):
-    """The window of the table at one node of the pupil's radius, in the frame of the lattice."""
+    """The window of the table at one node of the pupil's radius, in the lattice frame."""
 
     # Side lengths, which are whole multiples of the lattice periods.
     sides: tuple[float, float]
@@ -141,13 +141,13 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def _least_fill(self) -> float:
-        """Smallest `mla_fill` at which the kernels of the narrowest openings hold."""
+        """Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths."""
         camera = self.camera
         return _NARROWEST * in_millimetres(self.wavelength) * camera.mla_fill / float(camera.lattice.aperture_width)
 
     @property
     def _shift(self) -> float:
-        """Displacement of light by the pupil's diffraction, in pixels, where rays land by their point of a lens."""
+        """Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens."""
         if not self.by_points:
             return 0.0
         camera = self.camera
@@ -157,7 +157,7 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def _limits(self) -> str:
-        """Allowed range of the detector's distance, as text."""
+        """Allowed range of the detector's distance in mm, as text."""
         camera = self.camera
         aside = MOST_PHASE * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
         own = camera.lens_data.converges / camera.pupil_distance
@@ -172,7 +172,7 @@ class PhaseSpace(ArrayKernels):
 
     @functools.cached_property
     def nodes(self) -> list[TableNode]:
-        """Nodes of the table along the pupil's radius, each with the window and the samples it needs."""
+        """Nodes of the table along the pupil's radius, each with its window and number of samples."""
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         pitch = self.lattice.pitches[0]
         unit = max(pitch, _UNIT * reach / radius)
@@ -193,10 +193,10 @@ class PhaseSpace(ArrayKernels):
 
     @property
     def table(self) -> list[NDArray[np.float32]]:
-        """Coefficients of rays at each node of the radius: (nodes of the angle, rows, columns, functions).
+        """Coefficients of rays at each node of the pupil's radius: (nodes of the angle, rows, columns, functions).
 
-        Cameras that differ only in parameters that do not affect it, such as their detectors, share the table. Plans
-        keep none: those of many cameras, as of the steps of a fit, would fill the memory.
+        Cameras that differ only in parameters without effect on the table, such as their detectors, share it. Plans do
+        not store it, as those of many cameras, for example in a fit, would fill the memory.
         """
         camera = self.camera
         key = (
@@ -254,7 +254,7 @@ class PhaseSpace(ArrayKernels):
         lag_v: NDArray[np.float64],
         radius: float,
     ) -> NDArray[np.float32]:
-        """Return O_P, averaged over the part of the pupil for which linear interpolation uses a node."""
+        """Return O_P, averaged over the part of the pupil for which interpolation uses a node."""
         abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
         aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
@@ -278,7 +278,7 @@ class PhaseSpace(ArrayKernels):
         return (total / scale).astype(np.float32)
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
-        """Return the plan of a slightly different camera, with the same functions, whose table has the same nodes."""
+        """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
         plan = replace(self, camera=camera)
         vars(plan)["functions"], vars(plan)["oblique"] = self.functions, self.oblique
         scales = [own / before for own, before in zip(plan.lattice.period(), self.lattice.period(), strict=True)]
@@ -290,9 +290,9 @@ class PhaseSpace(ArrayKernels):
 
 @functools.lru_cache(maxsize=16)
 def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
-    """Return a usual or a finer plan, which is cached for further captures of the camera.
+    """Return a usual or a finer plan of a camera, cached for further captures.
 
-    `shortest` is the shortest wavelength of a capture's plans.
+    `shortest` is the shortest wavelength among the capture's plans.
     """
     plan = PhaseSpace(
         camera,
@@ -307,7 +307,7 @@ def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: fl
 
 
 def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
-    """Return the count of cells of the grid across a pixel, for usual or finer plans."""
+    """Return the number of cells of the grid across a pixel, for usual or finer plans."""
     extent = in_millimetres(wavelength) * camera.reduced_distance
     highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
     return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
@@ -319,14 +319,14 @@ def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
 
 
 class TableNodes:
-    """Nodes of a plan's table; a ray takes a random node among those around its pupil point."""
+    """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._radial, self._radius = plan.radial, plan.camera.pupil_radius
         self._angular = mi.Float([node.angular for node in plan.nodes])
 
     def along(self, Pu: Any, Pv: Any, chance: Any) -> tuple[Any, Any]:
-        """Return distances from the pupil's centre, over its radius, and a random neighbouring node of the radius."""
+        """Return distances from the pupil's centre over its radius, and a random neighbouring node of the radius."""
         distance = dr.sqrt(Pu * Pu + Pv * Pv) / self._radius
         place = (1 - dr.sqrt(dr.maximum(1 - distance, 0))) * self._radial
         return distance, mi.UInt(dr.minimum(dr.floor(place + chance), self._radial))
@@ -338,9 +338,9 @@ class TableNodes:
 
 
 class Table(list[NDArray[np.float32]]):
-    """The arrays (..., coefficients) of a table's nodes, which lie in whole packets one after another in `flat`.
+    """Coefficient arrays of a table's nodes, stored in whole packets one after another in `flat`.
 
-    Zeros follow them, for rays that are outside of all.
+    Zeros follow the arrays, for rays outside all nodes.
     """
 
     def __init__(self, shapes: Sequence[tuple[int, ...]]) -> None:
@@ -365,7 +365,7 @@ class Table(list[NDArray[np.float32]]):
 
 
 class RayCoefficients:
-    """The table of a `PhaseSpace`, or one of the same layout, on the device of the active variant."""
+    """The table of a `PhaseSpace`, or another table of the same layout, on the device of the active variant."""
 
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
@@ -387,7 +387,7 @@ class RayCoefficients:
     def places(
         self, point: tuple[Any, Any], pupil: tuple[Any, Any], jitter: tuple[Any, Any, Any, Any], active: Any
     ) -> list[Any]:
-        """Return where the table has the coefficients of rays, see `__call__`, for `read`.
+        """Return the places in the table of the coefficients of rays, for `read`; see `__call__`.
 
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
         sixteen nodes around it.
@@ -445,7 +445,7 @@ class RayCoefficients:
 
 
 class Polynomials:
-    """Polynomials of a `PhaseSpace`, as coefficients of rays that land by their point of a lens."""
+    """Coefficients of rays whose landing points depend on their points on a lens: the polynomials of a `PhaseSpace`."""
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan

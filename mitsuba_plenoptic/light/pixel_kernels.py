@@ -1,12 +1,13 @@
-r"""Kernels on the grid of pixels, and the images of pixels that the coefficients of rays in cells make for them.
+r"""Kernels on the grid of pixels, and images of pixels made from the coefficients of rays in cells.
 
-Rays are collected in cells, p across a pixel. The coefficients of each place of a cell in its pixel have a kernel on
-the grid of pixels, the sum of the cells' kernel over a pixel. So have the products of a pixel's coefficients with the
-terms by which kernels change with the direction of light (`oblique`), which is that of the pixel's centre. These
-kernels resemble each other, because a pixel does not distinguish where light lands in it. Responses of pixels are
-therefore projected onto a few patterns, the principal components in random light (Jolliffe, "Principal component
-analysis", section 3.5), and there is one image for each pattern. The first pattern is the response to even light, which
-is exact; what the others lack of the light of a response is added to it, so that all light is kept.
+Rays are collected in cells, p across a pixel. The coefficients at each place of a cell in its pixel have a kernel on
+the grid of pixels: the cells' kernel summed over a pixel. The products of a pixel's coefficients with the terms by
+which kernels change with the direction of light (`oblique`) also have kernels; the direction is that of the pixel's
+centre. All these kernels resemble each other, because a pixel does not distinguish where light lands in it. Responses
+of pixels are therefore projected onto a few patterns, the principal components in random light (Jolliffe, "Principal
+component analysis", section 3.5), and there is one image for each pattern. The first pattern is the response to uniform
+light, which is exact; light of a response that the other patterns lack is added to the first, so that all light is
+kept.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _TOGETHER = 2**17
 
 
 class PixelKernels:
-    """Kernels of the images of pixels, and these images, for the coefficients of one kind of lenses."""
+    """Kernels of the images of pixels, and these images from coefficients, for one kind of lenses."""
 
     @single_threaded_blas()
     def __init__(
@@ -86,27 +87,27 @@ class PixelKernels:
         self._shape = functions, own.shape[1]
 
     def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the images (n, pixels) of coefficients (functions, places, pixels) of light from some directions.
+        """Return the images (n, pixels) made from coefficients (functions, places, pixels) of light of some directions.
 
-        `terms` (terms, pixels) are those of the direction in which light meets the lenses.
+        `terms` (terms, pixels) are the terms of the direction in which light meets the lenses.
         """
         images, sums = np.split(self._factors @ values.reshape(self._factors.shape[1], -1), [len(self.kernels)])
         return images + self._of_sums @ (terms[self._term] * sums) if len(sums) else images
 
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the part of images that is proportional to terms; see `combined`."""
+        """Return the part of the images that is proportional to the terms of direction; see `combined`."""
         sums = self._factors[len(self.kernels) :] @ values.reshape(self._factors.shape[1], -1)
         return np.asarray(self._of_sums @ (terms[self._term] * sums))
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return coefficients, the adjoint of `combined` applied to images."""
+        """Return the coefficients that the adjoint of `combined` makes of images."""
         both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
         return np.asarray((self._factors.T @ both).reshape(*self._shape, -1))
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return coefficients, the adjoint of `turned` applied to images."""
+        """Return the coefficients that the adjoint of `turned` makes of images."""
         sums = terms[self._term] * (self._of_sums.T @ images)
         return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
 
@@ -121,9 +122,9 @@ class PixelKernels:
 
 
 def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
-    """Return the fewest orthonormal patterns (n, pixels) that leave a part `tolerance` of images of random light.
+    """Return the fewest orthonormal patterns (n, pixels) that leave a part `tolerance` of images in random light.
 
-    `kernels` have the shape (values, places, k, k), and `covariance` is that of the values.
+    `kernels` have the shape (values, places, k, k), and `covariance` is the covariance of the values.
     """
     # Light that is the same for all cells of a pixel.
     even = kernels[0].sum(0).ravel()
@@ -144,7 +145,7 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
 
 
 def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
-    r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, by which a B-spline of this order smooths."""
+    r"""Return kernels with spectra over :math:`\mathrm{sinc}^{order}`, the smoothing by a B-spline of this order."""
     if order == 0:
         return kernels
     wide = np.pad(kernels, [(0, 0), (_TAIL, _TAIL), (_TAIL, _TAIL)])
@@ -157,7 +158,7 @@ def _sharpened(kernels: NDArray[np.float64], order: int) -> NDArray[np.float64]:
 
 
 def _by_places(kernels: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
-    """Return sums over pixels (values, places, k, k) of cells' kernels, for each place of a cell in its pixel."""
+    """Return cells' kernels summed over pixels, (values, places, k, k), for each place of a cell in its pixel."""
     count = kernels.shape[1] // 2
     reach = -(-count // parts)
     own = np.zeros((len(kernels), parts, parts, 2 * reach + 1, 2 * reach + 1))

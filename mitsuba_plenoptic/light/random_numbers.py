@@ -1,4 +1,4 @@
-"""Random numbers of rays and lenses: evenly spread sequences, hashed integers, and words of 16 bits."""
+"""Random numbers of rays and lenses: evenly spread sequences, hashed integers, and 16-bit words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 def even_steps(dimensions: int) -> NDArray[np.float64]:
     """Return the steps (dimensions,) of an additive sequence that fills the unit cube evenly, modulo 1.
 
-    They are the powers of the reciprocal of the root of x^(d + 1) = x + 1, which in one dimension is the golden ratio
+    The steps are powers of the reciprocal of the root of x^(d + 1) = x + 1, which in one dimension is the golden ratio
     (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences").
     """
     root = 2.0
@@ -25,7 +25,7 @@ def even_steps(dimensions: int) -> NDArray[np.float64]:
 
 
 def even_words(dimensions: int) -> tuple[int, ...]:
-    """Return the `even_steps` in units of 2^-32, integers by which a sequence stays exact at any index."""
+    """Return the `even_steps` as integers in units of 2^-32, with which a sequence stays exact at any index."""
     return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
 
 

@@ -1,4 +1,4 @@
-"""Ray and wave captures of scenes, and estimates of the time and memory that they take."""
+"""Ray and wave captures of scenes, and estimates of their time and memory."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap, Job
-from ..runtime.limits import largest_fitting, require_memory
+from ..runtime.limits import require_memory_for
 from .cost import Cost
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
@@ -41,6 +41,9 @@ each need 0.25 GiB in addition to the film."""
 
 _SAMPLES_PER_PASS = 2**14
 """Dr.Jit gives blocks of so many rays to its threads; pixels of more samples would be shared by two of them."""
+
+_SOFTWARE = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
+"""Packages whose versions captures state."""
 
 _OF_INTEGRATORS = (*KNOWN_PARAMETERS["plenoptic_wave"], *KNOWN_PARAMETERS["plenoptic_laser"], *GONE_PARAMETERS)
 """Parameters that captures hand on to the integrators."""
@@ -128,10 +131,25 @@ def render_capture(
     if hasattr(integrator, "wavelengths"):
         spectrum = integrator.spectrum_of(scene, chosen)
         wavelengths = integrator.wavelengths if spectrum is None else spectrum.centroids()
-    _require_film_memory(camera, spp)
+    rows, columns = camera.shape
+    require_memory_for(
+        lambda width: film_memory(camera, spp, width),
+        columns,
+        f"capture of {columns} x {rows} pixels",
+        lambda width: f"{width} x {max(1, round(width * rows / columns))} pixels",
+    )
     # Two sensors with the same camera must not share a checkpoint.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
-    metadata = _provenance(scene, integrator, seed=seed, spp=spp, **which)
+    metadata: dict[str, Any] = {
+        "scene": scene.id(),
+        "variant": mi.variant(),
+        "integrator": getattr(integrator, "child", integrator).class_name(),
+        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
+        "software": {name: importlib.metadata.version(name) for name in _SOFTWARE},
+        "seed": seed,
+        "spp": spp,
+        **which,
+    }
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
@@ -180,25 +198,25 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
 
 
 def is_wave_capture(scene: Any, model: str | None) -> bool:
-    """Return whether a capture is by waves: as `model` states, or as the scene's integrator does if it is None."""
+    """Return whether a capture is by waves: as `model` states, or by the scene's integrator if `model` is None."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
 
 
 def require_taken(integrator: Any, **given: Any) -> None:
-    """Refuse arguments that a ray capture would ignore; None means not given."""
+    """Refuse arguments that the integrator of a ray capture would ignore; None means not given."""
     if not hasattr(integrator, "wavelengths"):
         refuse_by_rays(**given)
 
 
 def refuse_by_rays(**given: Any) -> None:
-    """Refuse arguments that are for wave captures; None means not given."""
+    """Refuse arguments of wave captures that were given for a ray capture; None means not given."""
     for name, value in given.items():
         if value is not None:
             raise InputError(f"{argument(name)}: a ray capture does not take it; it is for {argument('model')} wave")
 
 
 def require_film(film: Any) -> None:
-    """Refuse films with alpha or in other colours than red, green and blue."""
+    """Refuse films with an alpha channel, or in colours other than red, green and blue."""
     channels = film.base_channels_count()
     refuse_if(channels not in (1, 3), f"film: it has {channels} channels; {_FILM_RULE}")
     # Films show their pixel format only in their description.
@@ -225,65 +243,44 @@ def sample_count(sensor: Any, spp: int | None) -> int:
 
 
 def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the integrator for a model; refuse one with extra outputs."""
-    integrator = _integrator(scene, model, wave)
-    if integrator.aov_names():
-        raise InputError(
-            f"integrator: it has the extra outputs {', '.join(integrator.aov_names())}; a capture needs one without"
-        )
-    return integrator
+    """Return the scene's integrator, wrapped into a wave integrator or taken out of one as the model requires.
 
-
-def _integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> Any:
-    """Return the scene's integrator, wrapped in a wave integrator or extracted from one as the model requires."""
+    Integrators with extra outputs are refused.
+    """
     integrator = scene.integrator()
     if integrator is None:
         raise InputError("scene: it has no integrator; add one, for example of type 'path'")
     if model is not None:
         require_choice("model", model, MODELS)
     is_wave = hasattr(integrator, "wavelengths")
-    if not is_wave and model != "wave":
-        refuse_by_rays(**wave)
-        return integrator
-    if model == "ray":
-        refuse_by_rays(**wave)
-        return integrator.child
-    if is_wave and not wave:
-        return integrator
-    own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
-    # None means not given; Mitsuba's loader would end the process on it.
-    wave = {name: value for name, value in wave.items() if value is not None}
     child = integrator.child if is_wave else integrator
-    try:
-        return mi.load_dict({**own, **wave, "child": child})
-    except RuntimeError as error:
-        raise InputError(mitsuba_sentence(error)) from None
+    if model == "ray" or (model is None and not is_wave):
+        refuse_by_rays(**wave)
+        integrator = child
+    elif wave or not is_wave:
+        own = {"type": integrator.plugin, **integrator.parameters()} if is_wave else {"type": "plenoptic_wave"}
+        # None means not given; Mitsuba's loader would end the process on it.
+        wave = {name: value for name, value in wave.items() if value is not None}
+        try:
+            integrator = mi.load_dict({**own, **wave, "child": child})
+        except RuntimeError as error:
+            raise InputError(mitsuba_sentence(error)) from None
+    instead = advice(python="ground_truth(scene) returns depth and normals", shell="--aov writes depth and normals")
+    extra = ", ".join(integrator.aov_names())
+    refuse_if(extra, f"integrator: it has the extra outputs {extra}; a capture needs one without; {instead}")
+    return integrator
 
 
 def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
-    """Return the bytes of a ray capture, for the camera's film or a film of the same aspect with `columns`."""
+    """Return the memory of a ray capture in bytes, for the camera's film or a film of equal aspect with `columns`."""
     pixels = float(camera.shape[0]) * camera.shape[1]
     if columns is not None:
         pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
     return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
 
-def _require_film_memory(camera: PlenopticCamera, spp: int) -> None:
-    """Refuse a film too large to render, before Mitsuba allocates it."""
-    rows, columns = camera.shape
-
-    def memory(width: int) -> float:
-        return film_memory(camera, spp, width)
-
-    def fitting(limit: float) -> str | None:
-        width = largest_fitting(memory, limit, columns)
-        return f"{width} x {max(1, round(width * rows / columns))} pixels" if width else None
-
-    require_memory(memory(columns), f"capture of {columns} x {rows} pixels", fitting)
-
-
 def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the channels of a film's image and their noise, both in the film's colours."""
+    """Return the channels of a film's image and of its noise, both in the film's colours."""
     image, deviation = image[..., :channels], image[..., channels:]
     if channels < deviation.shape[2]:
         weights = [mi.luminance(mi.ScalarColor3f(unit)) for unit in np.eye(3).tolist()]
@@ -292,19 +289,6 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
         # Light of one wavelength fills all channels of a colour film.
         deviation = np.repeat(deviation, channels, axis=2)
     return image, deviation
-
-
-def _provenance(scene: Any, integrator: Any, **settings: Any) -> dict[str, Any]:
-    """Return the metadata that states how a capture was made."""
-    packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy")
-    return {
-        "scene": scene.id(),
-        "variant": mi.variant(),
-        "integrator": getattr(integrator, "child", integrator).class_name(),
-        **(integrator.parameters() if hasattr(integrator, "parameters") else {}),
-        "software": {name: importlib.metadata.version(name) for name in packages},
-        **settings,
-    }
 
 
 _RAYS = 2**20
@@ -366,13 +350,8 @@ def estimate_capture(
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    rate = _rays_per_second(scene, sensor, integrator, camera.shape, spp, seed)
-    return Cost(0, 0, float(camera.shape[0]) * camera.shape[1] * spp / rate, film_memory(camera, spp))
-
-
-def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int, int], spp: int, seed: int) -> float:
-    """Return rays per second, timed with evenly spaced rows of pixels in the order in which Mitsuba traces them."""
-    rows, columns = shape
+    # Rays of evenly spaced rows of pixels are timed, in the order in which Mitsuba traces them.
+    rows, columns = camera.shape
     together = min(spp, _FEW_PATHS)
     lines = min(rows, max(1, _RAYS // (columns * together)))
     count = lines * columns * together
@@ -399,7 +378,7 @@ def _rays_per_second(scene: Any, sensor: Any, integrator: Any, shape: tuple[int,
     while seconds < _SECONDS:
         seconds += trace()
         passes += 1
-    return passes * count / seconds
+    return Cost(0, 0, float(rows) * columns * spp * seconds / (passes * count), film_memory(camera, spp))
 
 
 def _render_passes(
@@ -412,7 +391,7 @@ def _render_passes(
     progress: Callable[[int, int], None] | None,
     noise: bool,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Render in passes, whose memory does not grow with the sample count; return the image and the requested noise."""
+    """Return the image, rendered in passes, whose memory does not grow with the samples, and the requested noise."""
     most = max(1, _RAYS_PER_PASS // (camera.shape[0] * camera.shape[1]))
     if noise:
         most = min(most, 1 << (-(-spp // PARTS) - 1).bit_length())
@@ -436,10 +415,10 @@ def _render_passes(
 
 
 def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:
-    """Divide samples per pixel into passes of at most `most`, each a power of two.
+    """Return sample counts of passes, each a power of two and at most `most`, that add up to `spp`.
 
-    Otherwise two threads may share a pixel, and the order in which they add its samples varies. Samplers other than
-    ``independent`` do not draw every count; the smallest that they draw is their least.
+    Otherwise two threads may share a pixel, and the order in which they add samples varies. Samplers other than
+    ``independent`` allow only some counts; their smallest allowed count is used for the smallest pass.
     """
     sampler = sensor.sampler().clone()
 

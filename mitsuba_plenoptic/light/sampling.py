@@ -1,4 +1,4 @@
-"""Extent of a scene point's light in a camera, and the sampling and window that its field needs.
+"""Extent of a scene point's light in a camera, and the sampling and window that the light's field needs.
 
 Directions are given as direction cosines, as in the angular spectrum.
 """
@@ -62,9 +62,9 @@ def footprint(lens: MainLens, positions: NDArray[np.float64]) -> Footprint:
 
 
 def _drawn_in(light: Light, P: NDArray[np.float64], is_open: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return points (n, m, 2) with points of the rim, the last ones, and blocked points moved inwards to open places.
+    """Return points (n, m, 2) with blocked points moved inwards to open places; the last ones are points of the rim.
 
-    Rim points move towards the mean of the open points, and other blocked points to it.
+    Rim points move towards the mean of the open points; other blocked points move to this mean.
     """
     if not is_open.any(1).all():
         # The beam is narrow and passes between these points.
@@ -116,7 +116,16 @@ def check_positions(
     g = np.abs(points[:, 2]) if virtual else points[:, 2]
     _refuse_any(points, far | (g < SHORTEST), f"{rule} at least {SHORTEST:g}: in front of the main lens")
     if camera is not None and len(points):
-        _require_millimetres(points[np.abs(points[:, 2]).argmin()], camera)
+        # A point far within the focal length, such as one given in metres, has light that exceeds any memory.
+        closest = points[np.abs(points[:, 2]).argmin()]
+        depth, pitch = float(closest[2]), min(camera.mla_pitches)
+        blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / depth - 1 / camera.focal_length))
+        if abs(depth) < camera.focal_length and blur > _WIDEST * pitch:
+            raise InputError(
+                f"position = {_format(closest)}: its light would cover {blur / pitch:.3g} microlenses across, "
+                f"as it is within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the "
+                "points in metres?"
+            )
     return points
 
 
@@ -124,17 +133,6 @@ def _refuse_any(points: NDArray[np.float64], bad: Any, rule: str) -> None:
     """Refuse points if any is bad, with the first bad one in the message."""
     if bad.any():
         raise InputError(f"position = {_format(points[bad][0])}: {rule}")
-
-
-def _require_millimetres(nearest: NDArray[np.float64], camera: PlenopticCamera) -> None:
-    """Refuse a point far within the focal length, such as a point given in metres, whose light exceeds any memory."""
-    g, pitch = float(nearest[2]), min(camera.mla_pitches)
-    blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / g - 1 / camera.focal_length))
-    if abs(g) < camera.focal_length and blur > _WIDEST * pitch:
-        raise InputError(
-            f"position = {_format(nearest)}: its light would cover {blur / pitch:.3g} microlenses across, as it is "
-            f"within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the points in metres?"
-        )
 
 
 def _format(point: NDArray[np.float64]) -> str:

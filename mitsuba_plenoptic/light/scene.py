@@ -6,6 +6,7 @@ import contextlib
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,6 +17,7 @@ import numpy as np
 
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, did_you_mean, refuse_if, refusing, require_choice, short_repr, suggest_keywords
+from ..extension import missing
 from ..io.exr import read_parts
 from ..runtime.backend import one_at_a_time, set_variant
 from ..runtime.files import require_file, require_size
@@ -66,8 +68,14 @@ def _check(
         (each.tag, {key: _filled(each.get(key, ""), values) for key in _ATTRIBUTES}) for each in roots[-1].iter()
     ]
     folders = [*folders, path.parent, *(path.parent / given["value"] for tag, given in elements if tag == "path")]
-    for folder in folders:
-        _refuse_native_code(path, folder)
+    for plugins in (folder / "plugins" for folder in folders):
+        with contextlib.suppress(OSError):  # there is no such folder
+            native = sorted(item.name for item in plugins.iterdir() if _NATIVE.search(item.name))
+            refuse_if(
+                native,
+                f"{path}: Mitsuba would run the native code in {plugins} ({', '.join(native[:3])}) as plugins of this "
+                "scene: move the folder away",
+            )
     for tag, given in elements:
         plugin = given["type"]
         refuse_if(
@@ -82,7 +90,7 @@ def _check(
 
 
 def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
-    """Return the defaults of a scene's parameters, of several of one name the first, which Mitsuba uses."""
+    """Return the defaults of a scene's parameters; of several with one name the first, as in Mitsuba."""
     found: dict[str, str] = {}
     for root in roots:
         for each in root.iter("default"):
@@ -130,7 +138,7 @@ def _filled(text: str, values: Mapping[str, str]) -> str:
 
 
 def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
-    """Yield the files of any kind that have a name in the folders."""
+    """Yield existing files, of any kind, with a given name in the folders."""
     if not name or "\0" in name:
         return
     for folder in dict.fromkeys(folders):
@@ -142,20 +150,8 @@ def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
             continue  # a text that is too long for a file name
 
 
-def _refuse_native_code(path: Path, folder: Path) -> None:
-    try:
-        native = sorted(item.name for item in (folder / "plugins").iterdir() if _NATIVE.search(item.name))
-    except OSError:
-        return
-    if native:
-        raise InputError(
-            f"{path}: Mitsuba would run the native code in {folder / 'plugins'} ({', '.join(native[:3])}) as "
-            "plugins of this scene: move the folder away"
-        )
-
-
 def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a file that may never end, or whose header claims more data than exist or fit into memory."""
+    """Refuse a resource file that may never end, or whose header claims more data than exist or fit into memory."""
     status = file.stat()
     refuse_if(
         not stat.S_ISREG(status.st_mode),
@@ -164,34 +160,28 @@ def _check_resource(scene: Path, file: Path) -> None:
     # Imported here because only some scenes need it.
     from PIL import Image
 
-    suffix = file.suffix.lower()
+    suffix, sizes = file.suffix.lower(), list[tuple[int, int]]()
     with refusing(f"{scene}: {file} cannot be read:", OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         if suffix in _PICTURES:
             with Image.open(file) as picture:
-                _check_picture(scene, file, *picture.size)
+                sizes.append(picture.size)
         elif suffix == ".exr":
             for part in read_parts(file):
-                _check_picture(scene, file, part.columns, part.rows)
+                sizes.append((part.columns, part.rows))
                 if min(part.origin) < 0:
                     raise ValueError(f"its data window begins at {part.origin}, and Mitsuba crashes below 0")
         elif suffix == ".ply":
-            _check_ply(scene, file, status.st_size)
-
-
-def _check_picture(scene: Path, file: Path, columns: int, rows: int) -> None:
-    require_memory(_TEXEL * columns * rows, f"{scene}: {file} of {columns} x {rows} pixels")
-
-
-def _check_ply(scene: Path, file: Path, size: int) -> None:
-    """Refuse a mesh whose header claims more elements than its file has bytes."""
-    with file.open("rb") as opened:
-        header = opened.read(_LONGEST_PLY_HEADER).partition(b"end_header")[0]
-    for match in re.finditer(rb"^\s*element\s+(\w+)\s+(\S+)", header, re.MULTILINE):
-        name, count = (word.decode(errors="replace") for word in match.groups())
-        refuse_if(
-            not count.isdecimal() or len(count) > 18 or int(count) > size,
-            f"{scene}: {file} claims {short_repr(count)} elements '{name}' in {size} bytes",
-        )
+            with file.open("rb") as opened:
+                header = opened.read(_LONGEST_PLY_HEADER).partition(b"end_header")[0]
+            for match in re.finditer(rb"^\s*element\s+(\w+)\s+(\S+)", header, re.MULTILINE):
+                name, count = (word.decode(errors="replace") for word in match.groups())
+                # An element takes a byte at least.
+                refuse_if(
+                    not count.isdecimal() or len(count) > 18 or int(count) > status.st_size,
+                    f"{scene}: {file} claims {short_repr(count)} elements '{name}' in {status.st_size} bytes",
+                )
+    for columns, rows in sizes:
+        require_memory(_TEXEL * columns * rows, f"{scene}: {file} of {columns} x {rows} pixels")
 
 
 KNOWN_PARAMETERS = {
@@ -209,7 +199,7 @@ KNOWN_PARAMETERS = {
 
 
 def unknown_parameter(plugin: str, name: str) -> str:
-    """Return the message on a parameter that a plugin does not have, with the one that was probably meant."""
+    """Return the message on a parameter that a plugin does not have, with the most similar known one."""
     return f"{plugin}: {name}: it has no such parameter{did_you_mean(name, KNOWN_PARAMETERS.get(plugin, ()))}"
 
 
@@ -266,27 +256,55 @@ def load_scene(
     >>> size = {"detector_width": 0.256, "resolution": 128}
     >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
     """
-    factor = require_unit(unit)
+    factor = UNITS[require_choice("unit", unit, UNITS)]
+    load: Callable[..., Any]
+    parse: Callable[[Any], Any]
     if isinstance(scene, Mapping):
-        loaded = _load_dictionary(scene, variant, parameters, factor)
+        if parameters:
+            raise InputError(
+                f"parameters = {short_repr(dict(parameters))}: a dictionary has none; put the values into it"
+            )
+        if scene.get("type") != "scene":
+            raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
+        set_variant(variant)
+        where, name, entries = "scene", "dictionary", dict(scene)
+        load, parse = partial(mi.load_dict, entries), lambda config: mi.parser.parse_dict(config, entries)
     else:
-        loaded = _load_file(scene, variant, parameters, factor)
+        if parameters is not None and not isinstance(parameters, Mapping):
+            raise InputError(f"parameters = {short_repr(parameters)}: they must be values by name")
+        is_name = re.fullmatch(r"[\w-]{1,64}", str(scene)) and not Path(scene).is_file()
+        path = scene_path(str(scene)) if is_name else require_file(scene)
+        set_variant(variant)
+        values = _complete(path, {str(name): str(value) for name, value in (parameters or {}).items()})
+        where, name = str(path), path.name
+        load, parse = (
+            partial(mi.load_file, where, **values),
+            lambda config: mi.parser.parse_file(config, where, **values),
+        )
+    with loading(where):
+        # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
+        # with it the random numbers that each gets.
+        if factor == 1:
+            loaded = load(optimize=False)
+        else:
+            config = mi.parser.ParserConfig(mi.variant())
+            config.merge_meshes = config.merge_equivalent = False
+            state = parse(config)
+            mi.parser.transform_all(config, state)
+            scale_nodes(state.nodes, factor)
+            loaded = mi.parser.instantiate(config, state)
+    # Captures state this name in their metadata.
+    loaded.set_id(name)
     if sensors := loaded.sensors():
         warn_of_metres(loaded, sensors[0])
     return loaded
 
 
-def _load_file(scene: str | Path, variant: str | None, parameters: Mapping[str, str] | None, factor: float) -> Any:
-    if parameters is not None and not isinstance(parameters, Mapping):
-        raise InputError(f"parameters = {short_repr(parameters)}: they must be values by name")
-    path = _find(scene)
-    set_variant(variant)
-    parameters = {str(name): str(value) for name, value in (parameters or {}).items()}
+def _complete(path: Path, parameters: dict[str, str]) -> dict[str, str]:
+    """Return the parameters for a scene file, with rows in proportion to the columns; refuse names that it has not."""
     roots = check_scene_file(path, parameters)
-    defaults, texts = (
-        scene_defaults(roots),
-        [text for root in roots for each in root.iter() for text in each.attrib.values()],
-    )
+    defaults = scene_defaults(roots)
+    texts = [text for root in roots for each in root.iter() for text in each.attrib.values()]
     for name in parameters:
         # Mitsuba ignores misspelled names silently, and replaces names wherever they are part of a text, but for longer
         # names.
@@ -295,62 +313,11 @@ def _load_file(scene: str | Path, variant: str | None, parameters: Mapping[str, 
             known = sorted(defaults)
             names = f"none of that name ({', '.join(known)})" if known else "no parameters"
             raise InputError(f"parameter {name}: the scene {path} has {names}{did_you_mean(name, known)}")
-    parameters = _with_rows(defaults, parameters)
-    with loading(str(path)):
-        # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
-        # with it the random numbers that each gets.
-        if factor == 1:
-            loaded = mi.load_file(str(path), optimize=False, **parameters)
-        else:
-            loaded = _scaled(lambda config: mi.parser.parse_file(config, str(path), **parameters), factor)
-    # Captures state this name in their metadata.
-    loaded.set_id(path.name)
-    return loaded
-
-
-def _scaled(parse: Callable[[Any], Any], factor: float) -> Any:
-    """Return a scene loaded as by Mitsuba, with all lengths multiplied by a factor; see `scale_nodes`."""
-    config = mi.parser.ParserConfig(mi.variant())
-    config.merge_meshes = config.merge_equivalent = False
-    state = parse(config)
-    mi.parser.transform_all(config, state)
-    scale_nodes(state.nodes, factor)
-    return mi.parser.instantiate(config, state)
-
-
-def _load_dictionary(
-    scene: Mapping[str, Any], variant: str | None, parameters: Mapping[str, str] | None, factor: float
-) -> Any:
-    if parameters:
-        raise InputError(f"parameters = {short_repr(dict(parameters))}: a dictionary has none; put the values into it")
-    if scene.get("type") != "scene":
-        raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
-    set_variant(variant)
-    with loading("scene"):
-        # Not optimised, for the same reason as a scene file.
-        if factor == 1:
-            loaded = mi.load_dict(dict(scene), optimize=False)
-        else:
-            loaded = _scaled(lambda config: mi.parser.parse_dict(config, dict(scene)), factor)
-    loaded.set_id("dictionary")
-    return loaded
-
-
-def _with_rows(defaults: Mapping[str, str], parameters: dict[str, str]) -> dict[str, str]:
-    """Return parameters with the count of rows that preserves the detector's aspect ratio."""
     wanted = parameters.get("resolution", ""), defaults.get("resolution", ""), defaults.get("rows", "")
     if "rows" in parameters or not all(re.fullmatch(r"\d{1,9}", each) for each in wanted):
         return parameters
     columns, own_columns, own_rows = map(int, wanted)
     return {**parameters, "rows": str(max(1, round(columns * own_rows / own_columns)))}
-
-
-def _find(scene: str | Path) -> Path:
-    """Return the file of a scene, given by a path or a built-in name."""
-    text = str(scene)
-    if re.fullmatch(r"[\w-]{1,64}", text) and not Path(text).is_file():
-        return scene_path(text)
-    return require_file(scene)
 
 
 @contextlib.contextmanager
@@ -361,6 +328,9 @@ def loading(what: str = "") -> Iterator[None]:
     except InputError:
         raise
     except (RuntimeError, ValueError, TypeError) as error:
+        # Mitsuba names what a plugin in Python raised in an error, Ctrl-C as well.
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
         # A traceback states lines of Python.
         line = re.search(r"\b(line \d+(?:, col(?:umn)? \d+)?)", str(error).partition("Traceback")[0])
         where = f"{what}{f', {line[1]}' if line else ''}: " if what else ""
@@ -377,7 +347,8 @@ def mitsuba_sentence(error: Exception) -> str:
     if found := re.search(r'unreferenced \w+ in .*? of type "(\w+)": - \w+ "(\w+)"', last):
         return unknown_parameter(found[1], found[2])
     if found := re.search(r'Plugin "(\w+)" not found', last):
-        return f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
+        absent = missing("plugins", found[1])
+        return absent or f"type = {found[1]}: Mitsuba has no such plugin{did_you_mean(found[1], KNOWN_PARAMETERS)}"
     last = re.sub(r"^\[[\w.]+:\d+\] ", "", last)
     last = re.sub(r"^(?:At|While loading|Error while loading) [^:]*?(?:\([^)]*\)|\"[^\"]*\"): ", "", last)
     if found := re.match(r"\[(\w+)\] could not assign an object of type '(\w+)'", last):
@@ -390,138 +361,79 @@ def mitsuba_sentence(error: Exception) -> str:
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 """Millimetres in each unit of lengths of scenes."""
 
-_SHAPES = frozenset(
-    ("sphere", "rectangle", "disk", "cube", "cylinder", "obj", "ply", "serialized", "sdfgrid", "shapegroup", "instance")
+_MOVED_LAMPS = ("point", "spot", "projector")
+_MOVED_CAMERAS = ("plenoptic", "perspective", "thinlens", "radiancemeter")
+_SCALED_SHAPES = (
+    *("sphere", "rectangle", "disk", "cube", "cylinder"),
+    *("obj", "ply", "serialized", "sdfgrid"),
 )
-_SENSORS = frozenset(("plenoptic", "perspective", "thinlens", "radiancemeter"))
-_AT_POINTS = frozenset(("point", "spot", "projector"))
-_EMITTERS = _AT_POINTS | {"area", "directionalarea", "directional", "constant", "envmap", "sunsky", "timed_sunsky"}
-_MEDIA = frozenset(("homogeneous", "heterogeneous"))
-_VOLUMES = frozenset(("gridvolume", "constvolume"))
+_SKIES = ("area", "directionalarea", "directional", "constant", "envmap", "sunsky", "timed_sunsky")
+
+_SCALABLE = {
+    mi.ObjectType.Shape: (*_SCALED_SHAPES, "shapegroup", "instance"),
+    mi.ObjectType.Sensor: _MOVED_CAMERAS,
+    mi.ObjectType.Emitter: (*_MOVED_LAMPS, *_SKIES),
+    mi.ObjectType.Medium: ("homogeneous", "heterogeneous"),
+    mi.ObjectType.Volume: ("gridvolume", "constvolume"),
+}
+"""Plugins that can be scaled, of each type of objects of which some cannot."""
 
 _LENGTHS = {"near_clip": 1e-2, "far_clip": 1e4, "focus_distance": None, "aperture_radius": None}
 """Lengths of Mitsuba's cameras, with the defaults of those whose default is a length of the scene."""
 
 
-def require_unit(unit: str) -> float:
-    """Return the number of millimetres in a unit."""
-    return UNITS[require_choice("unit", unit, UNITS)]
-
-
 def scale_nodes(nodes: Any, factor: float) -> None:
-    """Multiply the lengths of a parsed scene by a factor; refuse what would change its look, by name.
+    """Multiply the lengths of a parsed scene by a factor; refuse by name what would change the scene's look.
 
-    Radiance stays, so that surfaces and skies look the same. Lamps at points send `factor` squared as much, and media
-    are as many times thinner as paths through them get longer. A plenoptic camera is moved and keeps its own lengths,
-    which are millimetres in every scene.
+    Radiance stays, so that surfaces and skies look the same. The intensity of point lamps grows with the square of
+    `factor`, and media become thinner as paths through them get longer. A plenoptic camera is moved and keeps its
+    lengths, which are millimetres in every scene.
     """
+    # Objects of the active variant that have lengths or may hold some that do.
+    made = (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
     for node in nodes:
         properties, plugin = node.props, node.props.plugin_name()
-        name = f"{plugin}{f' {node.props.id()!r}' if node.props.id() else ''}"
+        name = f"unit: {plugin}{f' {node.props.id()!r}' if node.props.id() else ''}"
         for key in properties.keys():  # noqa: SIM118 (properties are no mapping)
-            made = isinstance(properties[key], _made())
-            _require(not made, name, f"{key}: an object that is already made cannot be scaled; give its dictionary")
-        _SCALINGS.get(node.type, _nothing)(properties, plugin, name, factor)
+            refuse_if(
+                isinstance(properties[key], made),
+                f"{name}: {key}: an object that is already made cannot be scaled; give its dictionary",
+            )
+        known = _SCALABLE.get(node.type, (plugin,))
+        refuse_if(
+            plugin not in known,
+            f"{name}: its lengths cannot be scaled, only those of {', '.join(sorted(known))}; scale the scene itself",
+        )
+        place = np.array(properties["to_world"].matrix, np.float64) if "to_world" in properties else np.eye(4)
+        if plugin in (*_SCALED_SHAPES, "gridvolume"):
+            properties["to_world"] = mi.ScalarTransform4f(np.diag([factor, factor, factor, 1]) @ place)
+        # The shapes of a group are scaled, so that an instance of them is only moved.
+        elif plugin in ("instance", *_MOVED_CAMERAS, *_MOVED_LAMPS):
+            if "to_world" in properties:
+                place[:3, 3] *= factor
+                properties["to_world"] = mi.ScalarTransform4f(place)
+            for key in ("origin", "position"):
+                if key in properties:
+                    properties[key] = [factor * value for value in properties[key]]
+        if plugin in ("perspective", "thinlens"):
+            for length, default in _LENGTHS.items():
+                if length in properties or default is not None:
+                    properties[length] = factor * float(properties.get(length, default))
+        elif plugin in _MOVED_LAMPS:
+            power = "scale" if plugin == "projector" else "intensity"
+            properties[power] = _times(properties.get(power, 1.0), factor**2, f"{name}: {power}")
+        elif node.type == mi.ObjectType.Medium:
+            properties["scale"] = float(properties.get("scale", 1.0)) / factor
+        elif plugin == "bumpmap":
+            # Heights of bumps are lengths.
+            properties["scale"] = float(properties.get("scale", 1.0)) * factor
 
 
-def _require(holds: bool, name: str, rule: str) -> None:
-    if not holds:
-        raise InputError(f"unit: {name}: {rule}")
-
-
-def _known(plugin: str, known: frozenset[str], name: str) -> None:
-    rule = f"its lengths cannot be scaled, only those of {', '.join(sorted(known))}; scale the scene itself"
-    _require(plugin in known, name, rule)
-
-
-def _matrix(properties: Any) -> np.ndarray:
-    return np.array(properties["to_world"].matrix, np.float64) if "to_world" in properties else np.eye(4)
-
-
-def _scale(properties: Any, factor: float) -> None:
-    """Scale an object together with its place."""
-    properties["to_world"] = mi.ScalarTransform4f(np.diag([factor, factor, factor, 1]) @ _matrix(properties))
-
-
-def _move(properties: Any, factor: float) -> None:
-    """Scale the place of an object alone."""
-    if "to_world" in properties:
-        matrix = _matrix(properties)
-        matrix[:3, 3] *= factor
-        properties["to_world"] = mi.ScalarTransform4f(matrix)
-
-
-def _nothing(*_: Any) -> None:
-    pass
-
-
-def _shape(properties: Any, plugin: str, name: str, factor: float) -> None:
-    _known(plugin, _SHAPES, name)
-    # The shapes of a group are scaled, so that an instance of them is only moved.
-    if plugin == "instance":
-        _move(properties, factor)
-    elif plugin != "shapegroup":
-        _scale(properties, factor)
-
-
-def _sensor(properties: Any, plugin: str, name: str, factor: float) -> None:
-    _known(plugin, _SENSORS, name)
-    _move(properties, factor)
-    for of_place in ("origin", "position"):
-        if of_place in properties:
-            properties[of_place] = [factor * value for value in properties[of_place]]
-    if plugin in ("perspective", "thinlens"):
-        for length, default in _LENGTHS.items():
-            if length in properties or default is not None:
-                properties[length] = factor * float(properties.get(length, default))
-
-
-def _emitter(properties: Any, plugin: str, name: str, factor: float) -> None:
-    _known(plugin, _EMITTERS, name)
-    if plugin not in _AT_POINTS:
-        return
-    _move(properties, factor)
-    if "position" in properties:
-        properties["position"] = [factor * value for value in properties["position"]]
-    power = "scale" if plugin == "projector" else "intensity"
-    value: Any = properties.get(power, 1.0)
+def _times(value: Any, factor: float, name: str) -> Any:
+    """Return the power of a lamp, a number, a colour or a spectrum, times a factor."""
     if hasattr(value, "is_uniform"):
-        values = [factor**2 * one for one in value.values]
-        scaled = type(value)(values[0]) if value.is_uniform() else type(value)(value.wavelengths, values)
-    else:
-        numbers = isinstance(value, (int, float)) or hasattr(value, "__len__")
-        _require(numbers, name, f"{power}: it must be given as numbers, so that it can be scaled")
-        scaled = value * factor**2
-    properties[power] = scaled
-
-
-def _medium(properties: Any, plugin: str, name: str, factor: float) -> None:
-    _known(plugin, _MEDIA, name)
-    properties["scale"] = float(properties.get("scale", 1.0)) / factor
-
-
-def _volume(properties: Any, plugin: str, name: str, factor: float) -> None:
-    _known(plugin, _VOLUMES, name)
-    if plugin == "gridvolume":
-        _scale(properties, factor)
-
-
-def _bsdf(properties: Any, plugin: str, name: str, factor: float) -> None:
-    # Heights of bumps are lengths.
-    if plugin == "bumpmap":
-        properties["scale"] = float(properties.get("scale", 1.0)) * factor
-
-
-def _made() -> tuple[type, ...]:
-    """Return the classes of objects, in the active variant, that have lengths or may hold some that do."""
-    return (mi.Shape, mi.Sensor, mi.Emitter, mi.Medium, mi.Volume, mi.BSDF, mi.Texture)
-
-
-_SCALINGS = {
-    mi.ObjectType.Shape: _shape,
-    mi.ObjectType.Sensor: _sensor,
-    mi.ObjectType.Emitter: _emitter,
-    mi.ObjectType.Medium: _medium,
-    mi.ObjectType.Volume: _volume,
-    mi.ObjectType.BSDF: _bsdf,
-}
+        values = [factor * one for one in value.values]
+        return type(value)(values[0]) if value.is_uniform() else type(value)(value.wavelengths, values)
+    numbers = isinstance(value, (int, float)) or hasattr(value, "__len__")
+    refuse_if(not numbers, f"{name}: it must be given as numbers, so that it can be scaled")
+    return value * factor

@@ -53,7 +53,7 @@ class SceneLight:
     def __call__(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
     ) -> list[Any]:
-        """Return the radiance along rays from points in the camera frame, by channel or at their own wavelengths."""
+        """Return the radiance along rays from points in the camera frame, by channel or at each ray's wavelengths."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
         found = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
         return channels(found) if wavelengths is None else list(found)
@@ -61,7 +61,7 @@ class SceneLight:
     def rays(
         self, point: tuple[Any, Any, Any], slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None
     ) -> tuple[Any, Any]:
-        """Return a sampler, and the rays from points in the camera frame as Mitsuba's rays in the world frame."""
+        """Return a sampler, and the rays from points in the camera frame as Mitsuba rays in the world frame."""
         ray = world_ray(self.sensor, point, slope)
         if wavelengths is not None:
             ray.wavelengths = type(ray.wavelengths)(*wavelengths)
@@ -74,7 +74,7 @@ class SceneLight:
 
 
 def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
-    """Return rays from points in the camera frame as Mitsuba's in the world frame, when the shutter opens."""
+    """Return rays from points in the camera frame as Mitsuba rays in the world frame, at the shutter's opening."""
     to_world = sensor.world_transform()
     ray = mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
     ray.time = sensor.shutter_open()
@@ -89,14 +89,14 @@ def require_finite(radiance: list[Any], *others: Any) -> None:
 
 
 def require_light(radiance: list[Any]) -> None:
-    """Refuse radiances of which a considerable part is negative, which would be taken for noise."""
+    """Refuse radiances with a considerable negative part, which would be mistaken for noise."""
     if float(min(dr.min(value)[0] for value in radiance)) < 0:
         lack = -sum(float(dr.sum(dr.minimum(value, 0))[0]) for value in radiance)
         refuse_negative(lack, sum(float(dr.sum(dr.abs(value))[0]) for value in radiance))
 
 
 def refuse_negative(lack: float, light: float) -> None:
-    """Refuse negative light, unless it is a small part of the whole."""
+    """Refuse negative light, unless it is a small part of all light."""
     refuse_if(
         lack > _NEGATIVE * light,
         f"scene: {lack / max(light, 1e-300):.0%} of the light of some rays is negative: captures by waves need "
@@ -106,7 +106,7 @@ def refuse_negative(lack: float, light: float) -> None:
 
 @dataclass(frozen=True)
 class LightDerivatives(SceneLight):
-    """Derivatives of the radiance along rays; a call returns them along the parameters' tangents."""
+    """Derivatives of the radiance along rays; calling the object differentiates along the parameters' tangents."""
 
     is_radiance: ClassVar[bool] = False
 
@@ -147,7 +147,7 @@ class LightDerivatives(SceneLight):
 
 @dataclass(frozen=True)
 class Replay:
-    """Rays that have been traced, and the state from which their light paths can be replayed."""
+    """Traced rays, with the state from which their light paths can be replayed."""
 
     # The arguments of the integrator when the rays were traced.
     scene: Any
@@ -160,7 +160,7 @@ class Replay:
     state: Any
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
-        """Replay the light paths; return the change of their radiance in forward mode."""
+        """Return the change of the radiance along replayed light paths, in forward mode."""
         try:
             change, *_ = self.integrator.sample(
                 mode=mode,
@@ -184,12 +184,12 @@ class Replay:
 
 
 def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
-    """Return the arguments of an integrator's `sample` that are the same for all modes."""
+    """Return the arguments of an integrator's `sample` that are the same in all modes."""
     return {"scene": scene, "ray": ray, "active": active, "depth": mi.UInt32(0), "δaovs": None}
 
 
 def _differentiable(integrator: Any) -> Any:
-    """Return an integrator that differentiates the radiance of a given integrator."""
+    """Return an integrator that differentiates the radiance of the given one."""
     if mi.is_polarized:
         raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
     if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
@@ -222,7 +222,7 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
 
 
 def channels(radiance: Any) -> list[Any]:
-    """Return the channels of a radiance; in spectral variants all lanes have the same wavelength, so there is one."""
+    """Return the channels of a radiance: one in spectral variants, where all lanes have the same wavelength."""
     return [radiance[0]] if mi.is_spectral else list(radiance)
 
 
@@ -231,10 +231,10 @@ _FAR_TOO_NEAR = 0.5
 
 
 def warn_of_metres(scene: Any, sensor: Any) -> None:
-    """Warn if all of a scene is far too near to its plenoptic camera, as scenes in metres are.
+    """Warn if a whole scene is far too near to its plenoptic camera, as scenes in metres are.
 
-    That is within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Of other
-    cameras nothing is known.
+    Too near means within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Other
+    cameras are not checked.
     """
     camera, box = getattr(sensor, "camera", None), scene.bbox()
     # An objective sees what is nearer than its focal length.

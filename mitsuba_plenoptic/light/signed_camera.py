@@ -1,18 +1,18 @@
 r"""Derivatives of signed-ray captures with respect to the camera's parameters, with rays fixed in the scene.
 
-On the scene's side of the main lens a ray is fixed: its pupil point, direction, radiance and étendue. A changed camera
+On the scene's side of the main lens, a ray is fixed: its pupil point, direction, radiance and étendue. A changed camera
 refracts it differently: it meets its microlens at another point m, lands at another position u of the detector, in
-cells of the grid, and has another weight, of logarithm f. With primes for derivatives by a parameter, the capture
-changes by
+cells of the grid, and has another weight, of logarithm f. With primes for derivatives with respect to a parameter, the
+capture changes by
 
 .. math:: I' = \sum_n \left[ \varphi_n * \sum_{rays} L\, (f' A_n + m' \cdot \nabla_m A_n + q'\, \partial_q A_n)
           - \nabla \varphi_n * \sum_{rays} L A_n u' + \varphi_n' * \sum_{rays} L A_n \right] ,
 
-where q is the logarithm of the width of the pupil's diffraction over the pitch, the only other quantity on which the
-coefficients depend. The rays that the changed camera would draw sample the same light, so this is the derivative of its
-capture; how radiance changes between rays need not be known. The part with the mean radiance c has a known integral
-over m, which does not change: only the landing positions of its rays and their density do. Images of oblique kernels
-change with those of the functions, and with the direction in which light meets the microlenses.
+where q is the logarithm of the ratio of the pupil's diffraction width to the pitch, the only other quantity on which
+the coefficients depend. The rays that the changed camera would draw sample the same light, so this is the derivative of
+the camera's capture; how radiance changes between rays need not be known. The part with the mean radiance c has a
+constant integral over m: only the landing positions and the density of its rays change. Images of oblique kernels
+change with the functions' images, and with the direction in which light meets the microlenses.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of
 from .scene_light import require_finite
-from .signed_colours import Lanes, mixed
+from .signed_colours import mixed
 from .signed_draws import Drawn, Kept, Lot
 from .signed_rays import SignedRaySum
 
@@ -62,7 +62,7 @@ _KERNEL_STEP, _TABLE_STEP = 1e-3, 2e-2
 
 
 class Held(NamedTuple):
-    """Rays that are fixed in the scene, as they meet a changed camera."""
+    """Rays fixed in the scene, as they pass a changed camera."""
 
     point: Pair  # on the array, from the lens's centre, in the lattice's frame, in which lengths grow with the pitch
     cell: Pair  # on the detector, in cells of the grid from the axis
@@ -97,7 +97,7 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
 
 
 class _CameraSum(SignedRaySum):
-    """Sum of signed rays with the tables for derivatives by its camera."""
+    """The sum of signed rays, with tables for derivatives with respect to the camera's parameters."""
 
     @cached_property
     def _by_width(self) -> list[RayCoefficients]:
@@ -134,21 +134,17 @@ class CameraTangents(_CameraSum):
         kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
+        weights: Sequence[Any],
         lit: Any,
         number: int,
-        lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, the values of each cell for each kernel, its slopes, and its change.
+        """Return each cell's values for each kernel, their slopes and their changes, for each image of a node.
 
-        The changes of the direction cosines of the cells' light follow.
+        The changes of the direction cosines of the cells' light are returned as well.
         """
         (first, start), (drawn, _) = self._first(lot.pixels), self._drawn_rays(lot.pixels, lot.key)
         pixel, key = self._spread(lot.pixels.number), lot.key
-        node, table, width = self._nodes[number], self._coefficients[number], self._by_width[number]
-        used, weights = node.mixture(lanes)
-        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
-        if lanes is not None:
-            weights = self._spread(weights)
+        table, width = self._coefficients[number], self._by_width[number]
         assert isinstance(table, RayCoefficients)  # others are refused
         _, direction, _ = self._groups[0][0].through_pupil(drawn.pupil, drawn.place, drawn.height)
         with dr.resume_grad():
@@ -195,7 +191,7 @@ class CameraTangents(_CameraSum):
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
     ) -> NDArray[np.float32]:
-        """Return the images of all sets of values; see `_bring`."""
+        """Return the images made from all sets of values; see `_bring`."""
         parts, bent = values[:-2], values[-2:]
         images = super()._combined(kernels, parts, cosines, number)
         own = np.split(parts, self._sets)[-1]
@@ -214,7 +210,7 @@ class CameraAdjoint(_CameraSum):
 
     @cached_property
     def _of_kernels(self) -> list[tuple[str, int]]:
-        """Return the components of parameters on which kernels depend."""
+        """The parameter components on which kernels depend."""
         start = parameters_of(self._camera)
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
@@ -224,21 +220,21 @@ class CameraAdjoint(_CameraSum):
         return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
-        """Return the gradient by each component of the parameters, from gradients by channel (rows, columns)."""
+        """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._vjp(lot, felt, total)
         return {name: total[name] for name in self._names}
 
     def _by_direction(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
-        """Return the gradients with respect to the direction of light over the functions' values; see `_felt`."""
+        """Return the gradients, by the direction of light, of the functions' values; see `_felt`."""
         kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
         own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
         slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))
         return [[drjit_array(mi.Float, part.T) for part in kernels.turned_adjoint(own, along)] for along in slopes]
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
-        """Add the gradients from rays of a lot; see `_back`."""
+        """Add the gradients from the rays of a `Lot` of pixels to `total`; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         ((walk, _),), (lanes,) = self._groups, lot.lanes
         radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
@@ -316,9 +312,9 @@ def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
 
 
 def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn, direction: Pair, step: float) -> Held:
-    """Trace rays that a camera has drawn, with their slopes in the scene, through a camera with varying `PARAMETERS`.
+    """Return a camera's drawn rays, with fixed slopes in the scene, traced through a camera of varying `PARAMETERS`.
 
-    `step` is the width of a cell of the detector's grid.
+    `step` is the width in mm of a cell of the detector's grid.
     """
     ((f1,), (b,), (z,), (width,)) = (
         varying[name] for name in ("focal_length", "mla_distance", "detector_distance", "detector_width")
@@ -362,7 +358,7 @@ def hold(camera: PlenopticCamera, varying: Mapping[str, list[Any]], drawn: Drawn
 
 
 def width_change(camera: PlenopticCamera, changes: Values) -> float:
-    """Return the relative change of the width of the pupil's diffraction over the pitch."""
+    """Return the relative change of the ratio of the pupil's diffraction width to the pitch."""
     parts = (
         sign * float(changes[name][0]) / value
         for name, sign, value in (("mla_distance", 1, camera.mla_distance), ("mla_pitch", -1, camera.mla_pitch))
@@ -372,13 +368,13 @@ def width_change(camera: PlenopticCamera, changes: Values) -> float:
 
 
 def width_slopes(plan: PhaseSpace) -> RayCoefficients:
-    """Return the derivatives of coefficients by the logarithm of the width of the pupil's diffraction."""
+    """Return the derivatives of coefficients with respect to the logarithm of the pupil's diffraction width."""
     return RayCoefficients(plan, _width_table(plan))
 
 
 @functools.lru_cache(maxsize=4)
 def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
-    """Return the table of the derivatives of coefficients by the logarithm of the width."""
+    """Return the table of the derivatives of coefficients with respect to the logarithm of the width."""
     distance = plan.camera.mla_distance
     sides = [
         plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).tabulated()
@@ -389,7 +385,7 @@ def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
 
 @functools.lru_cache(maxsize=32)
 def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
-    """Return the derivatives of kernels by each component of a parameter."""
+    """Return the derivatives of kernels with respect to each component of a parameter."""
     camera, start = plan.camera, parameters_of(plan.camera)[name]
     samples = plan.kernel_samples(step, REACH * max(camera.mla_pitches), kind)
     if name not in _OF_KERNELS:

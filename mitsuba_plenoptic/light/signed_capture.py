@@ -1,8 +1,8 @@
-r"""Captures of scenes by signed rays: plan, noise and cost, and derivatives by textures, emitters, BSDFs and media.
+r"""Captures of scenes by signed rays: plan, noise, cost, and derivatives with respect to the scene's parameters.
 
-A capture is linear in the radiances of its rays, so its change is the same sum of their changes. In reverse, let
+A capture is linear in the radiances of its rays, so its change is the same sum over their changes. In reverse, let
 :math:`J_n` be the correlations of the kernels with the gradient of a function of the capture. The derivative of this
-function by the radiance of ray k of N through a cell and lens is
+function with respect to the radiance of ray k of N through a cell and lens is
 
 .. math:: g_k = \frac{1}{N} \left[ w_k A_n(m_k, P_k)\, J_n + \frac{1}{N_h}
           \sum_{j \notin h} \left( J_0 - w_j A_n(m_j, P_j)\, J_n \right) \right] ,
@@ -45,7 +45,7 @@ _SAMPLES = 4
 
 @dataclass(frozen=True)
 class SignedCapture:
-    """A capture by signed rays: the camera, the light, the channels' responses and the accuracy."""
+    """A capture by signed rays: camera, light, responses of the channels, and accuracy."""
 
     camera: PlenopticCamera
     # Radiance along rays.
@@ -59,12 +59,12 @@ class SignedCapture:
 
     @cached_property
     def nodes(self) -> list[Node]:
-        """Return the nodes, the wavelengths at which diffraction is computed."""
+        """The nodes: wavelengths at which diffraction is computed."""
         return self.colours.planned(self.camera, self.accuracy)
 
     @property
     def _parts(self) -> int:
-        """Return the count of grid cells across a pixel."""
+        """The number of grid cells across a pixel."""
         if any(node.plan.by_points for node in self.nodes):
             return 1  # the kernels of these plans are integrated over pixels
         return parts_of(self.camera, min(node.plan.wavelength for node in self.nodes), self.accuracy < FINE)
@@ -80,8 +80,8 @@ class SignedCapture:
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 
-        They are functions so that the memory of one sum is freed before the next is made. Light and nodes are the
-        capture's own by default.
+        The functions allow the memory of one sum to be freed before the next is made. By default, light and nodes are
+        those of the capture.
         """
         used = light or self.light, self.nodes if nodes is None else nodes
         return [
@@ -97,10 +97,7 @@ class SignedCapture:
         return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Return the capture of the scene.
-
-        The result has the shape (rows, columns, channels).
-        """
+        """Return the capture of the scene, an array (rows, columns, channels)."""
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = self.sums(spp, seed, runs, SignedRaySum)
         first = sums[0]()
@@ -128,12 +125,12 @@ class SignedCapture:
         return image
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
-        """Return the channels of an image that only noise can make negative, with negative values compensated."""
+        """Return the compensated images of channels that only noise can make negative, by channel."""
         channels = np.flatnonzero(self.colours.spectrum.matrix().min(1) >= 0).tolist()
         return {channel: Mended(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Estimate the cost of `compute` from some of the rays."""
+        """Return the estimated cost of `compute`, extrapolated from some of the rays."""
         # Nodes whose rays follow the same paths cost nearly the same. The longest wavelength, whose kernels are the
         # largest, stands for the others, so that tables and kernels are computed once.
         longest = {
@@ -159,7 +156,7 @@ class SignedRayAdjoint(SignedRaySum):
             self._vjp(lot, felt)
 
     def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]]) -> None:
-        """Propagate the gradients of the images through the rays of a lot; see `_back`."""
+        """Propagate the gradients of the images through the rays of a `Lot` of pixels; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         together, rays = dr.opaque(mi.UInt32, self._together), dr.width(own)
         for (pupil, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
@@ -182,7 +179,7 @@ class SignedRayAdjoint(SignedRaySum):
     def _cotangents(
         self, lot: Lot, met: Any, felt: list[list[NDArray[np.float32]]], nodes: Sequence[int], lanes: Lanes | None
     ) -> dict[int, Any]:
-        """Return the derivatives by the radiance values of each ray of the pixels `met` of a lot."""
+        """Return the derivatives with respect to each ray's radiance values, for the pixels `met` of a `Lot`."""
         drawn, own = self._drawn_rays(lot.pixels.take(met), lot.key)
         sample = dr.arange(mi.UInt32, dr.width(own)) - own * dr.opaque(mi.UInt32, self._together)
         cell = self._cell_of(own, sample)
@@ -224,7 +221,7 @@ class SignedRayAdjoint(SignedRaySum):
 
 @dataclass(frozen=True)
 class SignedGradients:
-    """The derivatives of a signed-ray capture, with the same rays as its `compute` draws."""
+    """The derivatives of a signed-ray capture, with the rays that `compute` draws."""
 
     capture: SignedCapture
     # The derivatives of its light; None means that the light does not change.
@@ -245,7 +242,7 @@ class SignedGradients:
         return change
 
     def backward(self, gradient: NDArray[np.float32], names: Sequence[str]) -> Values:
-        """Return the gradients for the camera's parameters; those for the scene's are accumulated in Dr.Jit.
+        """Return the gradients of the camera's parameters; gradients of scene parameters accumulate in Dr.Jit.
 
         Shapes: `gradient` (rows, columns, channels).
         """
@@ -261,7 +258,7 @@ class SignedGradients:
         return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
 
     def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> NDArray[np.float32]:
-        """Return the image of a kind of sum, an array (rows, columns, channels)."""
+        """Return the image of one kind of sum, an array (rows, columns, channels)."""
         work = self._sum(kind, light)
         items = int(work.items.sum())
         shape = *self.capture.camera.shape, self.capture.colours.spectrum.channels

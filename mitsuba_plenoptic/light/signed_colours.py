@@ -1,12 +1,12 @@
-r"""The wavelengths at which signed-ray captures compute diffraction, and the weights of rays at each.
+r"""The wavelengths at which signed-ray captures compute diffraction, and the weights of rays at each wavelength.
 
 Coefficients and kernels are computed at a few wavelengths, the nodes. Light of a wavelength between two nodes is
-distributed to both by linear interpolation; light beyond the outermost nodes goes to these. So each channel has an
-image at each node to which it responds, and records the sum of their convolutions.
+divided between them by linear interpolation; light beyond the outermost nodes goes to the nearest node. Each channel
+thus has an image at each node to which it responds, and records the sum of the images' convolutions.
 
-In spectral variants rays have wavelengths of their own, which are drawn from the channels' responses. The two rays that
-correct each other have the same wavelengths, so that light which is even over a lens has only the noise of the
-wavelengths. From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
+In spectral variants each ray has its own wavelengths, drawn from the channels' responses. The two rays that correct
+each other have the same wavelengths, so that light which is uniform over a lens has only the noise of the wavelengths.
+From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _STRATA, _STEPS = 4096, 2**14
 
 
 class Lanes(NamedTuple):
-    """Wavelengths drawn for cells."""
+    """Wavelengths in nanometres drawn for cells."""
 
     wavelengths: list[Any]
     # Index of the stratum in which each lies, and its position there from 0 to 1.
@@ -76,7 +76,7 @@ class DrawnWavelengths:
         self._edges = drjit_array(mi.Float, self.edges)
 
     def draw(self, chance: Any, span: tuple[float, float]) -> Lanes:
-        """Draw the wavelengths of rays of the active variant from a range of the strata, by random numbers."""
+        """Draw the wavelengths of the active variant's rays, from a range of the strata, by random numbers."""
         count = dr.size_v(mi.UnpolarizedSpectrum)
         low, high = (dr.opaque(mi.Float, end * _STRATA) for end in span)
         lanes = Lanes([], [], [], [])
@@ -93,7 +93,7 @@ class DrawnWavelengths:
 
 
 def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
-    """Return random numbers for cells of a grid that are evenly spread among neighbouring cells and over passes."""
+    """Return random numbers for cells of a grid, evenly spread over neighbouring cells and over passes."""
     row = index // columns
     along, down = (dr.opaque(mi.UInt32, step) for step in even_words(2))
     offset = dr.opaque(mi.UInt32, (number * even_words(1)[0] + seed) % 2**32)
@@ -102,7 +102,7 @@ def chances(columns: Any, index: Any, number: int, seed: int) -> Any:
 
 @dataclass(frozen=True)
 class Node:
-    """A wavelength at which diffraction is computed, and the light for which it is used."""
+    """A wavelength at which diffraction is computed, and the light that uses it."""
 
     # Coefficients and kernels of the camera at this wavelength.
     plan: Any
@@ -113,7 +113,7 @@ class Node:
     weights: NDArray[np.float64]
 
     def mixture(self, lanes: Lanes | None = None) -> tuple[list[int], list[list[Any]]]:
-        """Return the indices of the values used, and their weights for each channel; for drawn wavelengths, by cell."""
+        """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""
         if lanes is None:
             used = np.flatnonzero(self.weights.any(0)).tolist()
             # Opaque values are kernel inputs, so that other values do not compile the kernels again.
@@ -137,14 +137,14 @@ def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
 
 
 def span(nodes: list[Node]) -> tuple[float, float]:
-    """Return the range of the strata, within 0 to 1, whose wavelengths contribute to the nodes."""
+    """Return the range of strata, within 0 to 1, with wavelengths that contribute to the nodes."""
     lit = np.flatnonzero(np.any([node.weights.any(0) for node in nodes], axis=0))
     return max(int(lit[0]) - 1, 0) / _STRATA, min(int(lit[-1]) + 1, _STRATA) / _STRATA
 
 
 @dataclass(frozen=True)
 class SignedColours:
-    """Responses of a capture's channels to wavelengths."""
+    """Responses of a capture's channels, by wavelength."""
 
     # Wavelengths, and the channels' responses.
     spectrum: Spectrum
@@ -159,21 +159,21 @@ class SignedColours:
 
     @classmethod
     def lines(cls, wavelengths: tuple[float, ...]) -> SignedColours:
-        """Return the responses for light that has one value, of one wavelength, for each channel."""
+        """Return the responses for light given by one value, at one wavelength, for each channel."""
         return cls(Spectrum.lines(*wavelengths), True, np.eye(len(wavelengths)))
 
     @functools.cached_property
     def drawn(self) -> DrawnWavelengths | None:
-        """Return the distribution from which rays' wavelengths are drawn, or None if light has no spectrum."""
+        """The distribution from which rays' wavelengths are drawn, or None if light has no spectrum."""
         return None if self.responses is None else DrawnWavelengths(self.responses)
 
     def places(self, camera: PlenopticCamera, accuracy: float) -> list[float]:
-        """Return the wavelengths of the nodes.
+        """Return the wavelengths of the nodes, in nanometres.
 
         The nodes of a band, or of channels with common nodes, are spaced evenly in the logarithm of the wavelength,
-        without the outermost 1 % of the responses on either side; a single node is the mean wavelength. Their count is
-        the smallest that gives each channel's spot of a microlens in even light to three times `accuracy`, and limits
-        the blur that a dispersive main lens causes between neighbouring nodes, at the usual accuracy to one lens.
+        without the outermost 1 % of the responses on either side; a single node is the mean wavelength. The number of
+        nodes is the smallest that gives each channel's microlens spot in uniform light to three times `accuracy`, and
+        that limits the blur between neighbouring nodes of a dispersive main lens, at the usual accuracy to one lens.
         """
         wavelengths, responses = np.array(self.spectrum.wavelengths), np.abs(self.spectrum.matrix().astype(np.float64))
         found: set[float] = set()
@@ -198,7 +198,7 @@ class SignedColours:
     def shared(
         self, camera: PlenopticCamera, accuracy: float
     ) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
-        """Return the wavelength of each node, its channels, and the weights of a ray's values in these: see `Node`."""
+        """Return each node's wavelength, its channels, and the weights of a ray's values in them: see `Node`."""
         places = self.places(camera, accuracy)
         found = []
         for number, place in enumerate(places):
@@ -215,12 +215,12 @@ class SignedColours:
 
 
 def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.float64]:
-    """Return the linear interpolation weights (nodes, wavelengths) of nodes."""
+    """Return the weights (nodes, wavelengths) of linear interpolation between nodes."""
     return np.stack([np.interp(wavelengths, places, unit) for unit in np.eye(len(places))])
 
 
 def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights of each channel, normalised to the sum 1."""
+    """Return the weights of each channel, normalised to a sum of 1."""
     return np.asarray(weights / weights.sum(1, keepdims=True))
 
 
@@ -236,7 +236,7 @@ def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], cou
 def _enough(
     camera: PlenopticCamera, wavelengths: NDArray[np.float64], weights: NDArray[np.float64], error: float
 ) -> list[float]:
-    """Return the fewest nodes that satisfy the conditions that `SignedColours.places` states."""
+    """Return the fewest nodes that satisfy the conditions of `SignedColours.places`."""
     if wavelengths[0] == wavelengths[-1]:
         return [float(wavelengths[0])]
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
@@ -259,6 +259,6 @@ def _enough(
 
 
 def _power(camera: PlenopticCamera, wavelength: float) -> float:
-    """Return the reciprocal of the image distance behind the main lens for objects at the focus distance."""
+    """Return the reciprocal, in 1/mm, of the image distance behind the main lens for objects at the focus distance."""
     lens = OpticalSystem(camera.at_wavelength(wavelength), wavelength).lens
     return float(lens.vergence(camera.focus_distance))

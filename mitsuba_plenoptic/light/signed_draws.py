@@ -1,8 +1,8 @@
 """Sampling of rays for signed-ray captures: from detector cells, through points around lenses and of the pupil.
 
-Points around microlenses are drawn with a density near that of the rays' light. At each node of a plan's table the
-window around a lens is divided into strips, and each strip into cells, all of which receive equally many rays. Cells
-are narrow where the first coefficient, which contains a ray's light, is large.
+Points around microlenses are drawn with a density close to that of the rays' light. At each node of a plan's table the
+window around a lens is divided into strips, and each strip into cells; all cells receive equally many rays. Cells are
+narrow where the first coefficient, which contains a ray's light, is large.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _LEAST = 0.05
 
 
 class Drawn(NamedTuple):
-    """Rays that are drawn for cells of the detector."""
+    """Rays drawn for cells of the detector."""
 
     # Their points on the pupil, and on the equivalent round pupil.
     pupil: Pair
@@ -70,12 +70,12 @@ class Drawn(NamedTuple):
 
     @property
     def kept(self) -> Kept:
-        """Data on which the coefficients of the rays depend."""
+        """The data on which the coefficients of the rays depend."""
         return Kept(self.point, self.inner, self.weight, self.open)
 
 
 class Kept(NamedTuple):
-    """Data on which the coefficients of rays depend, besides random numbers that are drawn again: see `Drawn`."""
+    """Data, other than redrawn random numbers, on which the coefficients of rays depend: see `Drawn`."""
 
     point: Pair
     inner: Pair
@@ -83,7 +83,7 @@ class Kept(NamedTuple):
     open: Any
 
     def at(self, lane: Any) -> Kept:
-        """Return the data of some of the rays, evaluated."""
+        """Return the evaluated data of some of the rays."""
         point, inner = (
             tuple(dr.gather(mi.Float, value, lane) for value in values) for values in (self.point, self.inner)
         )
@@ -92,7 +92,7 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of the detector, each with a lens."""
+    """Pixels of the detector, each paired with a lens."""
 
     # A rectangle of pixels.
     box: Box
@@ -113,7 +113,7 @@ class Pixels:
 
 
 class Lot(NamedTuple):
-    """Pixels, each with a lens that lights it, whose rays are traced at once."""
+    """Pixels, each paired with a lens that lights it, whose rays are traced together."""
 
     # Their indices among all pixels.
     some: Any
@@ -126,7 +126,7 @@ class Lot(NamedTuple):
 
     @property
     def key(self) -> Any:
-        """The seed of the rays' points, whose lowest bits number the points."""
+        """Random seed of the rays' points, whose lowest bits number the points."""
         return dr.opaque(mi.UInt32, self.seed & ~15)
 
 
@@ -142,7 +142,7 @@ class Aims(NamedTuple):
     kind: Any
 
     def at(self, own: Any) -> Aims:
-        """Return the aims of some cells or pixels, which are computed once for all of their rays."""
+        """Return the aims of some cells or pixels, computed once for all of their rays."""
         dr.eval(*self)
         middle, centre = (
             tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
@@ -152,10 +152,10 @@ class Aims(NamedTuple):
 
 
 class Draws:
-    """Draws rays for the cells of a camera's detector.
+    """Sampler of the rays of a camera's detector cells.
 
-    The rays of a pixel and a lens are numbered, cell by cell. All those of even numbers, and all of odd ones, follow a
-    sequence that fills the lens evenly.
+    The rays of a pixel and a lens are numbered, cell by cell. Rays of even numbers, and rays of odd numbers, each
+    follow a sequence that fills the lens evenly.
     """
 
     def __init__(
@@ -180,12 +180,12 @@ class Draws:
 
     @cached_property
     def _points(self) -> LensPoints:
-        """Return the distribution of points around lenses for the longest wavelength, which is diffracted most."""
+        """Distribution of points around lenses for the longest wavelength, which is diffracted most."""
         return LensPoints(self._longest)
 
     @property
     def widest(self) -> float:
-        """Return the radius in the pupil's plane within which the ray through a lit pixel's centre passes."""
+        """Radius in mm, in the pupil's plane, that contains the ray through every lit pixel's centre."""
         camera = self._camera
         # Other points of the pixel and around its cells see other points of the pupil.
         wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
@@ -198,11 +198,13 @@ class Draws:
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
-        """Return the lenses that can light a pixel, as lattice indices from the lens of its chief ray."""
+        """Lenses that can light a pixel, as lattice indices relative to the lens of the pixel's chief ray."""
         camera = self._camera
         # Irregularities displace lenses by at most this distance.
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
-        return camera.lattice.neighbours(self._seen(self.widest) + beyond)
+        # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
+        apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
+        return camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
 
     @cached_property
     def _steps(self) -> list[Any]:
@@ -216,18 +218,12 @@ class Draws:
 
     @property
     def lit_lenses(self) -> float:
-        """Return the mean count of lenses that light a pixel, counted in the middle of the detector."""
+        """Mean number of lenses that light a pixel, counted in the middle of the detector."""
         return _lit_lenses(self._camera, self._longest, self._parts)
-
-    def _seen(self, radius: float) -> float:
-        """Return the distance on the array of rays from one detector point whose pupil points are `radius` apart."""
-        camera = self._camera
-        farthest = radius * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
-        return farthest * max(self.enlargements)
 
     @property
     def _step(self) -> float:
-        """The width of a cell in millimetres."""
+        """Width of a cell in millimetres."""
         return self._camera.pixel_size / self._parts
 
     def aims(self, pixels: Pixels) -> Aims:
@@ -242,15 +238,13 @@ class Draws:
             for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
         )
         _, cell = self.walk.chief_cell((x, y))
-        i, j = (
-            index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True)
-        )
+        i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
         centre, _ = self.walk.lens_at(i, j)
         height = self.walk.height(*centre)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
 
     def _cells(self, aims: Aims, place: Any) -> Aims:
-        """Return the aims of cells at given places in pixels, numbered row by row, from the aims of the pixels."""
+        """Return the aims of cells at given places in pixels, numbered row by row, from the pixels' aims."""
         row = quotient(place, self._parts)
         x, y = (
             p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
@@ -259,7 +253,7 @@ class Draws:
         return aims._replace(middle=(x, y))
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
-        """Return the pupil points whose light lands, in the mean over a lens, on detector points."""
+        """Return the pupil points whose light lands on detector points, as a mean over a lens."""
         chief = tuple(c + offset for c, offset in zip(aims.centre, self._chief(detector, aims), strict=True))
         slopes, _ = self.walk.through_centre(tuple(c - p for c, p in zip(aims.centre, chief, strict=True)), aims.height)
         return tuple(
@@ -267,16 +261,16 @@ class Draws:
         )
 
     def evenness(self, drawn: Drawn) -> Any:
-        """Return the weights by which rays of all cells are even over the pupil."""
+        """Return weights that make the rays of all cells uniform over the pupil."""
         offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
         return self.walk.through_centre(offset, drawn.height)[1]
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
-        """Return the landing points of light that lands on detector points, if it passed the centres of its lenses."""
+        """Return where light that lands on detector points would land through the centres of its lenses."""
         return self._shrunk(tuple(p - c for c, p in zip(aims.centre, detector, strict=True)), aims.kind)
 
     def _shrunk(self, offset: Pair, kind: Any) -> Pair:
-        """Return places relative to the lenses' centres as if all light passed these: micro-images are enlarged."""
+        """Return positions relative to lens centres, divided by the enlargement of micro-images."""
         if len(self.enlargements) > 1:
             larger = dr.gather(mi.Float, mi.Float(self.enlargements), kind)
         else:
@@ -284,7 +278,7 @@ class Draws:
         return tuple(value / larger for value in offset)
 
     def cosines(self, pixels: Pixels) -> Pair:
-        """Return the direction cosines, in the lattice's frame, with which the light of pixels meets the array."""
+        """Return the direction cosines, in the lattice frame, with which the light of pixels meets the array."""
         camera, aims = self._camera, self.aims(pixels)
         u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
         # In the medium behind the lenses the sine is smaller by its index.
@@ -292,7 +286,7 @@ class Draws:
         return u * scale, v * scale
 
     def turns(self, kind: int) -> NDArray[np.float64]:
-        """Return the changes (places, 2) of `cosines` from a pixel to its cells, near the middle of a lens."""
+        """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells, near the middle of a lens."""
         camera = self._camera
         along = (np.arange(self._parts) - (self._parts - 1) / 2) * self._step
         y, x = (each.ravel() for each in np.meshgrid(along, along, indexing="ij"))
@@ -302,8 +296,8 @@ class Draws:
     def draw(self, pixels: Pixels, own: Any, sample: Any, place: Any, seed: Any) -> Drawn:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent.
 
-        For each ray, `own` is the position of its pixel among the pixels, `sample` its number in the pixel, and `place`
-        that of its cell.
+        For each ray, `own` is the index of its pixel among the pixels, `sample` its number in the pixel, and `place`
+        the index of its cell.
         """
         aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
         pixel = dr.gather(mi.UInt32, pixels.number, own)
@@ -317,7 +311,13 @@ class Draws:
         x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)
         if self.by_points:
-            point, aside = lattice.aperture_point(*random[:2]), self._diffracted(pixel, sample, seed)
+            # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
+            first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
+            energy = first * (_AIRY - 1)
+            low = mi.UInt32(energy)
+            ends = (dr.gather(mi.Float, self._airy, step) for step in (low, low + 1))
+            radius, (sine, cosine) = dr.lerp(*ends, energy - low), dr.sincos(2 * math.pi * second)
+            point, aside = lattice.aperture_point(*random[:2]), (radius * cosine, radius * sine)
             weight = dr.ones(mi.Float, dr.width(sample))
             turn = dr.gather(mi.Float, self._turns, aims.kind)
             pupil = tuple(P + turn * m for P, m in zip(pupil, point, strict=True))
@@ -330,30 +330,17 @@ class Draws:
         detector = x - aims.centre[0], y - aims.centre[1]
         return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
 
-    def _within(self, point: Pair) -> Pair:
-        """Return the nearest points on a lens."""
-        lattice = self._camera.lattice
-        (u, v), (across, up) = lattice.to_frame(*point), lattice.aperture_widths
-        return lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
-
     def crossed(self, drawn: Drawn) -> Pair:
-        """Return the sideways path of light in the medium, and its depth, from the nearest points of lenses."""
-        x, y = self._within(drawn.point)
+        """Return the lateral path of light in the medium behind the lens, and the medium's depth."""
+        lattice = self._camera.lattice
+        (u, v), (across, up) = lattice.to_frame(*drawn.point), lattice.aperture_widths
+        x, y = lattice.from_frame(dr.clip(u, -across / 2, across / 2), dr.clip(v, -up / 2, up / 2))
         aside = dr.hypot(x - drawn.detector[0], y - drawn.detector[1])
         return aside, self._camera.detector_distance + drawn.height
 
-    def _diffracted(self, pixel: Any, sample: Any, seed: Any) -> Pair:
-        """Draw the displacements of light on the array by diffraction at the whole pupil, from the Airy pattern."""
-        first, second = (mi.sample_tea_float32(pixel, seed ^ (sample << 4) ^ number) for number in (11, 12))
-        place = first * (_AIRY - 1)
-        low = mi.UInt32(place)
-        v = dr.lerp(dr.gather(mi.Float, self._airy, low), dr.gather(mi.Float, self._airy, low + 1), place - low)
-        y, x = dr.sincos(2 * math.pi * second)
-        return v * x, v * y
-
     @cached_property
     def _airy(self) -> Any:
-        """Return the radii that encircle even steps of the Airy pattern's energy (Born and Wolf, section 8.5.2)."""
+        """Radii that encircle even steps of the Airy pattern's energy (Born and Wolf, section 8.5.2)."""
         from scipy.special import j0, j1
 
         camera = self._camera
@@ -367,7 +354,7 @@ class Draws:
 
 @functools.lru_cache(maxsize=64)
 def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
-    """Return `Draws.lit_lenses`, which is cached for further captures of the camera."""
+    """Return `Draws.lit_lenses`, cached for further captures of the camera."""
     draws, side = Draws(camera, [plan], parts), min(_COUNTED, *camera.resolution)
     left, top = ((size - side) // 2 for size in camera.resolution)
     box = Box(left, top, side, side)
@@ -378,7 +365,7 @@ def _lit_lenses(camera: PlenopticCamera, plan: PhaseSpace, parts: int) -> float:
 
 
 def tent(value: Any) -> Any:
-    """Map uniform random numbers to the density 1 - |t|, a B-spline of order 2."""
+    """Return numbers with the density 1 - |t|, a B-spline of order 2, from uniform random numbers."""
     return dr.select(value < 0.5, dr.sqrt(2 * value) - 1, 1 - dr.sqrt(2 * (1 - value)))
 
 
@@ -395,7 +382,7 @@ class LensPoints:
         self._rows, self._columns = (drjit_array(mi.Float, part) for part in (rows, columns))
 
     def draw(self, pupil: tuple[Any, Any], chance: Any, random: Any) -> tuple[tuple[Any, Any], Any]:
-        """Return points, and the reciprocals of their density over the aperture, for rays to points of the pupil."""
+        """Return points around lenses for rays to pupil points, and the reciprocals of their density over a lens."""
         lattice = self._lattice
         Pu, Pv = lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, chance[0])
@@ -414,7 +401,7 @@ class LensPoints:
 
 @functools.lru_cache(maxsize=8)
 def _edges(plan: PhaseSpace) -> list[NDArray[np.float32]]:
-    """Return the two edges of each strip of all nodes, and of their cells, in sides of the windows, as flat arrays."""
+    """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
     parts = [divided(density_of(values)) for part in plan.table for values in part[..., 0]]
     edges = (np.array(each, np.float32) - np.float32(0.5) for each in zip(*parts, strict=True))
     # A ray reads both edges at once.
@@ -432,9 +419,9 @@ def density_of(values: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Divide a window into parts over which a density, constant within each sample, has equal integrals.
+    """Return the edges that divide a window into parts over which a piecewise constant density has equal integrals.
 
-    Returns the edges of the strips, (n + 1,), and those of their cells, (n, n + 1).
+    The edges are those of the strips, (n + 1,), and of the cells in each strip, (n, n + 1).
     """
     rows, columns = density.shape
     upto = np.concatenate([np.zeros((1, columns)), np.cumsum(density, axis=0)])

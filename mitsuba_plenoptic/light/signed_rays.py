@@ -1,11 +1,11 @@
-r"""Wave captures of scenes from the rays of a ray capture: signed coefficients for each ray, and convolutions.
+r"""Wave captures of scenes from the rays of a ray capture: signed coefficients of each ray, and convolutions.
 
 Rays start from each cell of the detector's grid, pass points around a lens that lights the cell, and continue through
-the pupil into the scene. `light.phase_space` gives the light that arrives with each ray, and its distribution on the
-detector. Only the radiance along rays is needed of the scene.
+the pupil into the scene. `light.phase_space` gives the light that arrives with each ray, and the light's distribution
+on the detector. The scene only has to provide the radiance along rays.
 
 Coefficients vary in sign and magnitude within a lens, so that their plain sum is noisy even for a uniform scene. With
-the mean c of the radiances that other, independent rays of the same cell and lens have found, the sum is therefore
+the mean c of the radiances found by other, independent rays of the same cell and lens, the sum is therefore
 
 .. math:: \frac{1}{N} \sum_k \left[ w_k A_n(m_k, P_k)\, (L_k - c) + \delta_{n0}\, c \right] ,
 
@@ -69,7 +69,7 @@ _LEAST = 2
 
 
 class Brought(NamedTuple):
-    """Sums that the rays of a lot contribute."""
+    """Sums over the rays of a lot."""
 
     # For each node and image the mean values of cells, pixel by pixel.
     values: list[list[list[Any]]]
@@ -129,7 +129,7 @@ class SignedRaySum:
         self.items = np.array([block.rows * block.columns for block in self._blocks])
 
     def batches(self, first: int) -> Iterator[Block]:
-        """Trace the rays of the blocks from index `first`, and yield their images, which are to be convolved."""
+        """Yield the images of the blocks from index `first`, which are to be convolved, after tracing their rays."""
         for number, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, number])
             # Dr.Jit's own threads rest while others compute the batches; here they are needed.
@@ -147,7 +147,7 @@ class SignedRaySum:
 
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
-        """Return the kernels of each node, each kind of lenses and each set of values of a ray."""
+        """Kernels of each node, each kind of lenses and each set of values of a ray."""
         draws, order = self._draws, 0 if self._draws.by_points else ORDER - 1
         grids = [
             _Grid(self._parts, larger, tuple(map(tuple, draws.turns(kind).tolist())), order)
@@ -170,7 +170,7 @@ class SignedRaySum:
 
     @cached_property
     def _flat_kernels(self) -> list[list[NDArray[np.float32]]]:
-        """Return the kernels of the images of each node."""
+        """Flat list of the kernels of each node's images."""
         return [[kernel for sets in kinds for each in sets for kernel in each.kernels] for kinds in self._kernels]
 
     def _rows(self, number: int, kind: int) -> list[slice]:
@@ -181,7 +181,7 @@ class SignedRaySum:
 
     @cached_property
     def _convolutions(self) -> list[Convolution]:
-        """Return the convolution of each image; the channels of a node share one."""
+        """Convolution of each image; the channels of a node share one."""
         size = self._blocks[0].rows, self._blocks[0].columns
         # Those of derivatives are used once.
         make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
@@ -193,10 +193,7 @@ class SignedRaySum:
         return [coefficients_of(node.plan) for node in self._nodes]
 
     def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[NDArray[np.float32]]:
-        """Trace the rays of pixels of a box.
-
-        Return the images (kernels, pixels) of each channel of each node.
-        """
+        """Return the images (kernels, pixels) of each channel of each node, from traced rays of the pixels of a box."""
         every = dr.width(pixels)
         counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
         sums = [np.zeros((count, every), np.float32) for count in counts]
@@ -231,17 +228,23 @@ class SignedRaySum:
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
     ) -> NDArray[np.float32]:
-        """Return the images (n, pixels) of a node's values (values, places, pixels) of cells, for all sets.
+        """Return the images (n, pixels) from a node's values (values, places, pixels) of cells, for all sets of values.
 
-        `cosines` (2, pixels) are those of the light of the pixels.
+        `cosines` (2, pixels) are the direction cosines of the pixels' light.
         """
         terms, parts = self._nodes[number].plan.oblique.terms(cosines), np.split(values, len(kernels))
         return np.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
 
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
-        """Yield pixels of a box with each lens that lights them, in lots."""
+        """Yield, in lots, the pixels of a box with each lens that lights them."""
         size = max(1, _LANES // self._together)
-        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, self._kept_of(box, seeds)), pixels) != 0
+        # Near pixels, and one of each square of the others, have rays.
+        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
+        drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
+        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
+        one_of_each = np.kron(drawn, np.ones_like(squares)) == np.tile(squares, shape)
+        held = ~self._far(box) | one_of_each[: box.rows, : box.columns]
+        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, held), pixels) != 0
         found: list[list[Any]] = [[] for _ in self._draws.kinds.every]
         for number in range(len(self._draws.candidates)):
             lens = dr.opaque(mi.UInt32, number)
@@ -265,7 +268,7 @@ class SignedRaySum:
                     yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
-        """Return which pixels (rows, columns) of a box are far from the recorded ones; see `_NEAR`."""
+        """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
         window, near = box_of(self._camera, 0), _NEAR if self._parts > 1 else math.inf
         rows, columns = (
             np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
@@ -276,19 +279,11 @@ class SignedRaySum:
         )
         return np.asarray(rows[:, None] | columns)
 
-    def _kept_of(self, box: Box, seeds: np.random.SeedSequence) -> NDArray[np.bool_]:
-        """Return which pixels of a box have rays: all near ones, and one of each square of the others."""
-        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
-        chosen = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
-        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
-        kept = np.kron(chosen, np.ones_like(squares)) == np.tile(squares, shape)
-        return ~self._far(box) | kept[: box.rows, : box.columns]
-
     def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[NDArray[np.float32]]]]]:
-        """Yield the lots of all blocks, and the gradients with respect to the images that the lots make.
+        """Yield the lots of all blocks, and the gradients with respect to the images made from the lots.
 
-        `gradient` is that with respect to the sum, by channel (rows, columns). A gradient (kernels, pixels) is yielded
-        for each image of each node.
+        `gradient` is the gradient with respect to the sum, by channel (rows, columns). A gradient (kernels, pixels) is
+        yielded for each image of each node.
         """
         for number, bins in enumerate(self._blocks):
             convolutions, every = iter(self._convolutions), bins.rows * bins.columns
@@ -307,9 +302,9 @@ class SignedRaySum:
                 yield lot, felt
 
     def _felt(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
-        """Return the gradients with respect to each set of the functions' values of the cells of pixels of a lot.
+        """Return the gradients with respect to each set of the functions' values, for cells of pixels of a lot.
 
-        They follow from `images`, those with respect to a node's images for one channel; see `_back`.
+        They follow from `images`, the gradients with respect to a node's images for one channel; see `_back`.
         """
         terms = self._nodes[number].plan.oblique.terms(self._cosines(lot, some))
         own = images[:, dr.gather(mi.UInt32, lot.some, some).numpy()]
@@ -324,39 +319,37 @@ class SignedRaySum:
         return np.array([value.numpy() for value in self._draws.cosines(lot.pixels.take(some))])
 
     def probe(self) -> NDArray[np.float32]:
-        """Return the light of some pixels, which identifies a scene and its camera."""
+        """Return the light of some pixels, a fingerprint of a scene and its camera."""
         pixels = self._some(_PROBES // self._parts**2)
         return np.concatenate([np.ravel(part) for part in self._trace(self._bins, pixels, np.random.SeedSequence(0))])
 
     def cost(self) -> tuple[float, float]:
-        """Estimate from some of the pixels and tiles the time in seconds and the bytes that the sum takes."""
+        """Return the time in seconds and the bytes that the sum takes, estimated from some pixels and tiles."""
         start = time.perf_counter()
         convolutions = self._convolutions
         made = time.perf_counter() - start
         count = self._bins.rows * self._bins.columns
         convolved, memory = cost_of(convolutions, self._blocks[0], count)
-        # The first run compiles the kernels, and is left out.
-        seconds = [self._timed(self._some(_CELLS // self._parts**2), seed) for seed in range(3)]
+        pixels, seconds = self._some(_CELLS // self._parts**2), []
+        for seed in range(3):
+            with busy_drjit():
+                dr.sync_thread()
+                start = time.perf_counter()
+                self._trace(self._bins, pixels, np.random.SeedSequence(seed))
+                dr.sync_thread()
+                seconds.append((time.perf_counter() - start) / dr.width(pixels))
         plans = [node.plan for node in self._nodes if not node.plan.by_points]
         tables = sum(part.nbytes for plan in plans for part in plan.table)
+        # The first run compiles the kernels, and is left out.
         return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
 
     def _some(self, count: int) -> Any:
-        """Return the indices of `count` pixels, evenly spaced over all."""
+        """Return the indices of `count` evenly spaced pixels."""
         every = self._bins.rows * self._bins.columns
         return drjit_array(mi.UInt32, np.linspace(0, every - 1, min(count, every)))
 
-    def _timed(self, pixels: Any, seed: int) -> float:
-        """Return the seconds per pixel that tracing the rays of pixels takes."""
-        with busy_drjit():
-            dr.sync_thread()
-            start = time.perf_counter()
-            self._trace(self._bins, pixels, np.random.SeedSequence(seed))
-            dr.sync_thread()
-            return (time.perf_counter() - start) / dr.width(pixels)
-
     def _lanes(self, pixels: Pixels, turn: int, seed: int) -> list[Lanes | None]:
-        """Return the wavelengths of the rays of pixels in one of the passes, for each group of nodes."""
+        """Return the wavelengths of the rays of pixels in one pass, for each group of nodes."""
         if self._drawn is None:
             return [None for _ in self._groups]
         chance = chances(dr.opaque(mi.UInt32, pixels.box.columns), pixels.index, turn, seed)
@@ -368,7 +361,7 @@ class SignedRaySum:
         return lanes
 
     def _collect(self, lot: Lot) -> Brought:
-        """Trace the rays of a lot; return sums over the rays of its cells, scheduled for evaluation."""
+        """Return sums over the rays of each cell of a lot, traced and scheduled for evaluation."""
         count = dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
@@ -383,7 +376,10 @@ class SignedRaySum:
                 require_light(radiance)
             known, lit = known_means(radiance, counted, count, self._together)
             for number, own in zip(nodes, kept, strict=True):
-                sums.append(self._bring(lot, own, radiance, known, lit, number, lanes))
+                used, weights = self._nodes[number].mixture(lanes)
+                lights, means = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
+                weights = weights if lanes is None else self._spread(weights)
+                sums.append(self._bring(lot, own, lights, means, weights, lit, number))
         cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
         return Brought(sums, cosines)
@@ -396,11 +392,11 @@ class SignedRaySum:
         return self._draws.draw(pixels, own, sample, quotient(sample, self._spp), key), own
 
     def _cell_of(self, own: Any, sample: Any) -> Any:
-        """Return the position of the cell of rays among the cells of pixels."""
+        """Return the index of each ray's cell among the cells of all pixels."""
         return own * dr.opaque(mi.UInt32, self._parts**2) + quotient(sample, self._spp)
 
     def _asked(self, walk: Walk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
-        """Return the arguments of the light: see `SceneLight`."""
+        """Return the arguments of a call of the light: see `SceneLight`."""
         start, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
         seen = drawn.open & dr.all([dr.isfinite(value) for value in (*start, *direction)], axis=0)
@@ -409,12 +405,12 @@ class SignedRaySum:
         return start, direction, seen, seed, [dr.gather(mi.Float, each, own) for each in lanes.wavelengths]
 
     def _answer(self, drawn: Drawn) -> Any:
-        """Return the pixels' response to rays by their paths behind the lenses, times the rays' weights in a medium."""
+        """Return the pixels' response to rays by their path behind the lenses, times the rays' weights in a medium."""
         even = self._draws.evenness(drawn)
         return even if self._response is None else self._response(*self._draws.crossed(drawn)) * even
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
-        """Return what `_bring` needs to know of rays for a node."""
+        """Return the data of rays that `_bring` needs for a node."""
         places = self._coefficients[number].places(drawn.point, drawn.inner, drawn.chance, drawn.open)
         return places, dr.select(drawn.open, drawn.weight, 0)
 
@@ -424,18 +420,16 @@ class SignedRaySum:
         kept: tuple[Any, ...],
         radiance: list[Any],
         known: list[Pair],
+        weights: Sequence[Any],
         lit: Any,
         number: int,
-        lanes: Lanes | None,
     ) -> list[list[Any]]:
-        """Return, for each image of a node, the mean coefficients of the rays of each cell."""
-        (first, start), (places, weight) = self._first(lot.pixels), kept
+        """Return, for each image of a node, the mean coefficients of the rays of each cell.
+
+        `weights` mix the radiances of rays, and their known means in cells, for each image.
+        """
         # Computed before the recorded loop, so as not to become a part of it.
-        node, coefficients = self._nodes[number], self._coefficients[number]
-        used, weights = node.mixture(lanes)
-        radiance, known = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
-        if lanes is not None:
-            weights = self._spread(weights)
+        (first, start), (places, weight), coefficients = self._first(lot.pixels), kept, self._coefficients[number]
 
         def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
             own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
@@ -455,13 +449,13 @@ class SignedRaySum:
         return self._mean_of(bring, lit, number)
 
     def _first(self, pixels: Pixels) -> Pair:
-        """Return the number of the first ray of all cells of pixels: among the rays of all, and of each pixel."""
+        """Return the number of the first ray of each cell: among the rays of all pixels, and of its own pixel."""
         places = self._parts**2
         lane, spp = dr.arange(mi.UInt32, dr.width(pixels.index) * places), dr.opaque(mi.UInt32, self._spp)
         return lane * spp, (lane - quotient(lane, places) * dr.opaque(mi.UInt32, places)) * spp
 
     def _spread(self, values: Any) -> Any:
-        """Return values of pixels, or sequences of these, for each of their cells."""
+        """Return the values of pixels, or sequences of values, repeated for each of their cells."""
         if self._parts == 1:
             return values
         if isinstance(values, Sequence):
@@ -470,7 +464,7 @@ class SignedRaySum:
         return dr.gather(type(values), values, quotient(dr.arange(mi.UInt32, dr.width(values) * places), places))
 
     def _mean_of(self, bring: Callable[..., Any], lit: Any, number: int) -> list[list[Any]]:
-        """Return the mean values of each cell of lit pixels, over its rays in a loop, for each image of a node."""
+        """Return the mean values over the rays of each cell of lit pixels, in a loop, for each image of a node."""
         node, functions = self._nodes[number], self._nodes[number].plan.functions.count
         nothing = [[mi.Float(0) for _ in range(self._sets * functions)] for _ in node.channels]
         end = dr.select(self._spread(lit), dr.opaque(mi.UInt32, self._spp), 0)
@@ -480,7 +474,7 @@ class SignedRaySum:
 
 
 class _Grid(NamedTuple):
-    """How kernels of pixels are made from those of cells, for a kind of lenses."""
+    """Conversion of kernels of cells into kernels of pixels, for one kind of lenses."""
 
     # Count of cells across a pixel, and factor by which micro-images are larger than by rays through lens centres.
     parts: int
@@ -490,7 +484,7 @@ class _Grid(NamedTuple):
     order: int
 
     def for_pixels(self, plan: PhaseSpace, kernels: NDArray[np.float64]) -> PixelKernels:
-        """Return kernels for the images of pixels from those (values, k, k) of cells."""
+        """Return the kernels of pixel images from kernels (values, k, k) of cells."""
         turns = np.array(self.turns) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.
         mean = kernels / (self.parts * self.larger) ** 2
@@ -499,7 +493,7 @@ class _Grid(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
-    """Return the kernels of a plan for a kind of lenses, which are cached for further captures of the camera."""
+    """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     camera = plan.camera
     return grid.for_pixels(plan, plan.kernels(camera.pixel_size / grid.parts, REACH * max(camera.mla_pitches), kind))
 

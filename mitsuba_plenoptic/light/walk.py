@@ -1,7 +1,7 @@
 """The walk of rays between detector, microlens array, main lens and scene, in either direction.
 
-Ray captures, signed rays, the rays of points, splatting and geometric projections all take it. It works on NumPy
-arrays and Dr.Jit arrays, whose gradients it propagates. `optics.rays` has the formulas and the symbols.
+Ray captures, signed rays, rays of points, splatting and geometric projections all use it. It works on NumPy and Dr.Jit
+arrays, whose gradients it propagates. `optics.rays` has the formulas and the symbols.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Passage(NamedTuple):
 
 @dataclass(frozen=True)
 class Walk:
-    """The optical elements that rays of a camera pass; numbers that may carry gradients are Dr.Jit arrays."""
+    """The optical elements that rays of a camera pass; parameters that may carry gradients are Dr.Jit arrays."""
 
     # The camera with plain values, for the parameters without gradients.
     camera: PlenopticCamera
@@ -58,7 +58,7 @@ class Walk:
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: MainLens | None = None) -> Walk:
-        """Return the walk of a camera's plain values, by default through its main lens at the design wavelength."""
+        """Return the walk with a camera's plain values, by default through the main lens at its design wavelength."""
         lens = main_lens(camera) if lens is None else lens
         lengths = np.array(camera.mla_focal_lengths)
         return cls(camera, lens, camera.lattice, lengths, camera.detector_distance, camera.mla_medium)
@@ -66,12 +66,12 @@ class Walk:
     # -- the array -----------------------------------------------------------------------------------
 
     def height(self, x: Any, y: Any) -> Any:
-        """Return the distance of a tilted array at a position towards the main lens, relative to the axis."""
+        """Return the height in mm of a tilted array at a position: towards the main lens, relative to the axis."""
         across, up = (math.tan(math.radians(angle)) for angle in self.camera.mla_tilt)
         return x * across + y * up if across or up else 0.0
 
     def chief_cell(self, pixel: Pair) -> tuple[Pair, Pair]:
-        """Return where the chief rays of detector points cross the array, and the cells of the lenses there."""
+        """Return where the chief rays of detector points cross the array, and the indices of the lenses there."""
         x, y = chief_points(self.lens, pixel, self.detector_distance, self.medium)
         if any(self.camera.mla_tilt):
             height = self.height(x, y)
@@ -80,13 +80,13 @@ class Walk:
         return (x, y), self.lattice.cell(x - right, y - up)
 
     def centre(self, i: Any, j: Any) -> Pair:
-        """Return the centres of lenses of a regular array, or of one that is aligned to chief rays."""
+        """Return the centres of lenses of a regular array, or of an array aligned to chief rays."""
         x, y = self.lattice.centre(i, j)
         right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
         return x + right, y + up
 
     def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
-        """Return the centres of lenses, irregular ones too, and their focal lengths, reduced by the medium's index."""
+        """Return the centres of lenses, irregular ones too, and the focal lengths, reduced by the medium's index."""
         (x, y), f2 = self.centre(i, j), self.focal_lengths / self.medium
         if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
             f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
@@ -101,7 +101,7 @@ class Walk:
         return (x, y), f2
 
     def turn(self, passage: Passage) -> Pair:
-        """Return the changes of the direction cosines of rays, or of their slopes, at points of lenses."""
+        """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
         (mx, my), (cx, cy), f2 = passage
         x, y, shape = mx - cx, my - cy, self.camera.mla_shape
         if shape is None:
@@ -117,7 +117,7 @@ class Walk:
         return x, y
 
     def _chief(self, centre: Pair, height: Any) -> Pair | None:
-        """Return the slopes of chief rays at the centres of lenses that turn slopes; None if they turn cosines."""
+        """Return the chief rays' slopes at lens centres, for lenses that turn slopes; None if they turn cosines."""
         if turns_cosines(self.camera):
             return None
         return self.lens.slope_to(0.0, centre[0], height), self.lens.slope_to(0.0, centre[1], height)
@@ -125,9 +125,9 @@ class Walk:
     # -- towards the scene ---------------------------------------------------------------------------
 
     def out_of_array(self, pixel: Pair, passage: Passage) -> tuple[Pair, Any, Any]:
-        """Return the slopes before the array of rays from detector points, their weights, and which leave the medium.
+        """Return slopes before the array of rays from detector points, weights, and which rays leave the medium.
 
-        By the weights, rays from all points of the detector are even over the pupil; see `optics.rays.evenness`.
+        The weights make rays from all points of the detector uniform over the pupil; see `optics.rays.evenness`.
         """
         height = self.height(*passage.centre)
         z = self.detector_distance + height if any(self.camera.mla_tilt) else self.detector_distance
@@ -137,26 +137,26 @@ class Walk:
         return slope, rays.evenness(slope, behind, chief, self.medium), emerges
 
     def trace(self, pixel: Pair, passage: Passage) -> Traced:
-        """Trace rays from detector points through points of the array and through the main lens."""
+        """Return traced rays from detector points through points of the array and through the main lens."""
         slope, _, emerges = self.out_of_array(pixel, passage)
         point, slope, is_open = self.into_scene(passage.point, slope, self.height(*passage.centre))
         return point, slope, is_open & emerges
 
     def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
-        """Trace rays from positions on the array, at a height before its plane on the axis, through the main lens."""
+        """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
         if not isinstance(height, float) or height:
             position = position[0] - height * slope[0], position[1] - height * slope[1]
         return self.lens.trace(position, slope)
 
     def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
-        """Trace rays from positions on the array, at a height before its plane on the axis, through pupil points."""
+        """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
         x, y = (self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
         return self.into_scene(position, (x, y), height)
 
     def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
-        """Return slopes before the array of rays through lens centres, at offsets from detector points, and weights.
+        """Return slopes before the array, and weights, of rays through lens centres at offsets from detector points.
 
-        Lenses are thin phases, which do not turn the rays through their centres; weights as by `out_of_array`.
+        Lenses are thin phases, which do not turn the rays through their centres; weights as in `out_of_array`.
         """
         behind = tuple(value / (self.detector_distance + height) for value in offset)
         slope = behind if self.medium == 1 else rays.refracted((behind[0], behind[1]), self.medium)
@@ -165,7 +165,7 @@ class Walk:
     # -- towards the detector ------------------------------------------------------------------------
 
     def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
-        """Return where rays through points of the pupil and an untilted array land, and weights as `out_of_array`."""
+        """Return landing points and weights (see `out_of_array`) of rays through pupil points and an untilted array."""
         (mx, my), centre, _ = passage
         before, chief = (self.lens.slope_to(pupil[0], mx), self.lens.slope_to(pupil[1], my)), self._chief(centre, 0.0)
         behind = rays.into_medium(before, self.turn(passage), chief, self.medium)
@@ -175,7 +175,7 @@ class Walk:
     # -- the pupil -----------------------------------------------------------------------------------
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
-        """Map points of the pupil, seen from lenses, to the round pupil; points outside map to points outside."""
+        """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
         found = self.lens.round_map
         if found is None:
             return pupil
@@ -186,13 +186,13 @@ class Walk:
         fields, across, _, _ = found.points.shape
         u, v = x * c + y * s, y * c - x * s
         at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
+        # Outside its border the map continues with the border's values, which lie outside the pupil.
         u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
         return u * c - v * s, u * s + v * c
 
     @functools.cached_property
     def _round_pupil(self) -> Any:
         assert self.lens.round_map is not None
-        # Outside its border the map continues with the border's values, which lie outside the pupil.
         return mi.Texture3f(
             drjit_array(mi.TensorXf, self.lens.round_map.points),
             filter_mode=dr.FilterMode.Linear,
@@ -201,7 +201,7 @@ class Walk:
 
 
 def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
-    """Return the walk of each group of systems whose rays follow the same paths, and the indices of the group."""
+    """Return one walk for each group of systems whose rays follow the same paths, and the indices of its systems."""
     found: dict[float, tuple[Walk, list[int]]] = {}
     for number, system in enumerate(systems):
         found.setdefault(system.lens.refraction, (Walk.of(system.camera, system.lens), []))[1].append(number)
@@ -209,14 +209,14 @@ def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
 
 
 def on_plane(traced: Traced, distance: Any, mla_distance: Any) -> Pair:
-    """Return where rays in the scene meet an object plane, times -b / g in millimetres; it may lie at infinity."""
+    """Return where rays in the scene meet an object plane, which may be at infinity, times -b / g in millimetres."""
     (x, y, z), (tx, ty), _ = traced
     forward = 1 - z / distance
     return tuple(-mla_distance * rays.object_direction(X, forward * t, distance) for X, t in ((x, tx), (y, ty)))
 
 
 def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera) -> tuple[Any, Any]:
-    """Follow rays from p through m of the lens at c to an object plane by paraxial optics, which is linear in them.
+    """Follow rays from p through m of the lens at c back to an object plane by paraxial optics, linear in p, m and c.
 
     One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.
     """

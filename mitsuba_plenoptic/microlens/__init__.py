@@ -1,8 +1,8 @@
-"""Shapes of microlenses: the path that light gains in each point of a cell. A new shape is a new file here.
+"""Shapes of microlenses: the path that light gains at each point of a cell. A new shape is a new file here.
 
 A shape states the phase in waves, for wave captures, and the slopes of the path, for rays. Both are functions of the
-offset from the centre of the lens, in the frame that is rotated with the lattice. Everything else follows from these:
-diffraction orders, kernels of signed rays and the directions of rays.
+offset from the lens's centre, in the frame rotated with the lattice. Diffraction orders, kernels of signed rays and
+directions of rays follow from them.
 """
 
 from .conic import Conic

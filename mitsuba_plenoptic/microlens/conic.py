@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import put, refuse_if, require_number
-from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..runtime.backend import module_of
-from .shape import MicrolensShape, known_index, per_millimetre
+from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +65,7 @@ class Conic(MicrolensShape):
         for coefficient in self.coefficients:
             power = power * square
             depth = depth + coefficient * power
-        return depth * (-self._excess(wavelength) * per_millimetre(wavelength))
+        return depth * (-excess_index(self.glass, wavelength) * per_millimetre(wavelength))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
@@ -76,26 +75,21 @@ class Conic(MicrolensShape):
         for order, coefficient in enumerate(self.coefficients, 2):
             power = power * square
             rise = rise + 2 * order * coefficient * power
-        rise = rise * -self._excess(LINE_D)
+        rise = rise * -excess_index(self.glass, LINE_D)
         return rise * x, rise * y
 
     def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
-        return self._excess(wavelength) / self._excess(LINE_D)
+        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
+        return excess_index(self.glass, wavelength) / excess_index(self.glass, LINE_D)
 
     @property
     def power(self) -> float:
-        """Power :math:`(n - 1) / R` at the vertex and the line d."""
-        return self._excess(LINE_D) / self.curvature_radius
+        """Power :math:`(n - 1) / R` at the vertex and the d line (587.6 nm), in 1/mm."""
+        return excess_index(self.glass, LINE_D) / self.curvature_radius
 
     def covers(self, x: Any, y: Any) -> Any:
         """Return a mask of offsets that the surface covers: a sphere or an ellipsoid ends where it is upright."""
         return (x * x + y * y) * (1 + self.conic) < self.curvature_radius**2
-
-    def _excess(self, wavelength: float) -> float:
-        """Return the refractive index of the material at a wavelength, less 1 for air."""
-        glass: Glass = self.glass
-        return glass.at(wavelength) - 1
 
     def _root(self, square: Any) -> Any:
         module = module_of(square)

@@ -20,10 +20,10 @@ from .shape import MM_PER_NM, MicrolensShape
 
 @dataclass(frozen=True, eq=False)
 class PhaseMap(MicrolensShape):
-    r"""A thin element whose phase is sampled, at one or several wavelengths.
+    r"""A thin element whose phase is sampled at one or several wavelengths.
 
-    Jumps by whole waves between adjacent samples are those of the map: elsewhere adjacent samples must differ by less
-    than half a wave. Between its samples the phase without jumps is a bicubic spline.
+    Jumps by whole waves between adjacent samples count as jumps of the phase: elsewhere adjacent samples must differ by
+    less than half a wave. Between samples, the phase without jumps is a bicubic spline.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class PhaseMap(MicrolensShape):
 
     @property
     def _given(self) -> tuple[float, ...]:
-        """Wavelengths of the maps, as a tuple."""
+        """Wavelengths of the maps in nanometres, as a tuple."""
         return tuple(self.wavelengths)  # type: ignore[arg-type]
 
     def _parts(self, wavelength: float) -> list[tuple[int, float]]:
@@ -118,12 +118,12 @@ class PhaseMap(MicrolensShape):
         return along, across
 
     def strength(self, wavelength: float) -> float:
-        """Return the ratio of the slopes, of the fitted paraboloids; see `MicrolensShape.strength`."""
+        """Return the ratio of slopes, for the fitted paraboloids; see `MicrolensShape.strength`."""
         return self._power(wavelength) / self.power
 
     @property
     def power(self) -> float:
-        """Power of the paraboloid of revolution that fits the phase without jumps best, at the line d."""
+        """Power, at the d line in 1/mm, of the paraboloid of revolution that best fits the phase without jumps."""
         return self._power(LINE_D)
 
     def _power(self, wavelength: float) -> float:

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from ..errors import put, require_number
 from ..prescription.glass import LINE_D
 from .sampled_grid import SampledGrid, known_samples
-from .shape import MicrolensShape, known_index, per_millimetre
+from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled(MicrolensShape):
     r"""A thin lens whose surface towards the main lens is sampled.
 
-    Light gains the phase :math:`(n - 1) h / \lambda` in waves, h being the height of the surface. Between samples it is
-    a bicubic spline, whose gradient deflects rays.
+    Light gains the phase :math:`(n - 1) h / \lambda` in waves, with the height h of the surface. Between samples the
+    surface is a bicubic spline, whose gradient deflects rays.
 
     Parameters
     ----------
@@ -59,33 +59,29 @@ class Sampled(MicrolensShape):
 
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves; see `MicrolensShape.waves`."""
-        return self._grid.at(x, y) * (self._excess(wavelength) * per_millimetre(wavelength))
+        return self._grid.at(x, y) * (excess_index(self.glass, wavelength) * per_millimetre(wavelength))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         along, across = self._grid.slopes(x, y)
-        return along * self._excess(LINE_D), across * self._excess(LINE_D)
+        return along * excess_index(self.glass, LINE_D), across * excess_index(self.glass, LINE_D)
 
     def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
-        return self._excess(wavelength) / self._excess(LINE_D)
+        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
+        return excess_index(self.glass, wavelength) / excess_index(self.glass, LINE_D)
 
     @cached_property
     def power(self) -> float:
-        """Power of the paraboloid of revolution that fits the heights best, at the line d."""
-        return fitted_power(self.height * self._excess(LINE_D), self._grid)
+        """Power, at the d line in 1/mm, of the paraboloid of revolution that best fits the heights."""
+        return fitted_power(self.height * excess_index(self.glass, LINE_D), self._grid)
 
     def covers(self, x: Any, y: Any) -> Any:
         """Return a mask of offsets within the samples."""
         return self._grid.covers(x, y)
 
-    def _excess(self, wavelength: float) -> float:
-        """Return the refractive index of the material at a wavelength, less 1 for air."""
-        return float(self.glass.at(wavelength)) - 1
-
 
 def fitted_power(path: NDArray[np.float64], grid: SampledGrid) -> float:
-    """Return the power of the paraboloid of revolution that fits samples of a path best, besides tilt and offset."""
+    """Return the power in 1/mm of the paraboloid that best fits samples of a path, besides tilt and offset."""
     x, y = (np.linspace(-half, half, size) for half, size in zip(grid.reach, path.shape[::-1], strict=True))
     x, y = (values.ravel() for values in np.meshgrid(x, y))
     scale = max(grid.reach)

@@ -19,7 +19,7 @@ COUNTS = 4, 1024
 
 
 def known_samples(name: str, value: Any) -> NDArray[np.float64]:
-    """Return samples (rows, columns) from numbers or a file, of a limited count and rounded to short decimals."""
+    """Return samples (rows, columns) from numbers or a file, limited in number and rounded to short decimals."""
     # Single precision is enough for a path, and its decimals are short in files.
     samples = read_samples(name, value).astype(np.float32)
     low, high = COUNTS
@@ -67,7 +67,7 @@ def _read(path: Path) -> Any:
 
 
 class SampledGrid:
-    """A bicubic spline through samples whose first and last columns are `width` apart, centred on the lens."""
+    """A bicubic spline through samples, centred on the lens; first and last column are `width` mm apart."""
 
     def __init__(self, samples: NDArray[np.float64], width: float) -> None:
         self._samples = samples
@@ -75,7 +75,7 @@ class SampledGrid:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Offsets of the outermost samples along x and y."""
+        """Offsets in mm of the outermost samples along x and y."""
         rows, columns = self._samples.shape
         return (columns - 1) * self._step / 2, (rows - 1) * self._step / 2
 
@@ -86,7 +86,7 @@ class SampledGrid:
 
     @cached_property
     def _corners(self) -> NDArray[np.float64]:
-        """Value, slopes by column and by row, and mixed slope at each sample: (samples, 4)."""
+        """Value, slope by column, slope by row, and mixed slope at each sample: (samples, 4)."""
         from scipy.interpolate import RectBivariateSpline
 
         rows, columns = (np.arange(size, dtype=float) for size in self._samples.shape)
@@ -100,11 +100,11 @@ class SampledGrid:
         return self._sum(x, y, (0, 0))
 
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the derivatives by x and by y."""
+        """Return the derivatives of the interpolated value along x and y."""
         return self._sum(x, y, (1, 0)) / self._step, self._sum(x, y, (0, 1)) / self._step
 
     def nearest(self, values: NDArray[np.float64], x: Any, y: Any) -> Any:
-        """Return other values of the samples at offsets, each from the nearest sample."""
+        """Return, from other values of the samples, the value of the sample nearest to each offset."""
         (column, u), (row, v) = self._places(x, y)
         module = module_of(u)
         column, row = column + module.floor(u + 0.5), row + module.floor(v + 0.5)
@@ -134,7 +134,7 @@ class SampledGrid:
 
 
 def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
-    """Return the weights of Hermite's cubic, or their derivatives, by end and by whether they belong to the slope."""
+    """Return the weights of Hermite's cubic, or their derivatives, for value and slope at each end."""
     if derivative:
         step = 6 * t * (1 - t)
         return {(0, 0): -step, (1, 0): step, (0, 1): 1 + t * (3 * t - 4), (1, 1): t * (3 * t - 2)}
@@ -143,7 +143,7 @@ def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
 
 
 def _take(values: NDArray[np.float64], index: Any, like: Any) -> Any:
-    """Return values at indices that are floats, as the kind of array of `like`."""
+    """Return values at indices that are given as floats, as an array of the kind of `like`."""
     if not dr.is_array_v(like):
         return values[np.asarray(index, np.int64)]
     kind = type(like)

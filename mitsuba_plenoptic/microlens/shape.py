@@ -1,4 +1,4 @@
-"""The interface of the shapes of microlenses, and a shape from any of the forms in which it can be given."""
+"""The interface of microlens shapes, and the conversion of a shape from any of its forms."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _RIM = np.linspace(0, 1, 65)
 
 
 class MicrolensShape(ABC):
-    """The path that a microlens adds to light, as a function of the offset from its centre.
+    """The path that a microlens adds to light, as a function of the offset from the lens's centre.
 
-    A subclass is a frozen dataclass; its fields are the entries of its plain form, besides ``form``, its name.
+    A subclass is a frozen dataclass; its fields, and its name ``form``, are the entries of its plain form.
     """
 
     form: ClassVar[str]
@@ -42,7 +42,7 @@ class MicrolensShape(ABC):
     def waves(self, x: Any, y: Any, wavelength: float) -> Any:
         """Return the phase in waves at offsets in millimetres, as NumPy or Dr.Jit arrays.
 
-        It is larger where light gains a longer path. A constant is of no effect.
+        The phase is larger where light gains a longer path. A constant has no effect.
 
         Parameters
         ----------
@@ -54,20 +54,20 @@ class MicrolensShape(ABC):
 
     @abstractmethod
     def slopes(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the gradient of the path at the line d, in millimetres per millimetre; see `waves`.
+        """Return the gradient of the path at the d line (587.6 nm), in millimetres per millimetre; see `waves`.
 
-        Rays are deflected by it. Of a phase with jumps by whole waves it is that of the phase without jumps: rays
-        follow the first diffraction order.
+        The gradient deflects rays. For a phase with jumps by whole waves, the phase without jumps counts: rays follow
+        the first diffraction order.
         """
 
     @abstractmethod
     def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength over the slopes at the line d."""
+        """Return the slopes at a wavelength divided by the slopes at the d line (587.6 nm)."""
 
     @property
     @abstractmethod
     def power(self) -> float:
-        """Power at the line d: the reciprocal of the focal length in air, in 1/mm."""
+        """Power at the d line (587.6 nm): the reciprocal of the focal length in air, in 1/mm."""
 
     def covers(self, x: Any, y: Any) -> Any:
         """Return a mask of offsets, NumPy arrays, at which the shape is defined."""
@@ -79,7 +79,7 @@ class MicrolensShape(ABC):
         return self.strength(486.1) != self.strength(656.3)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
+        """Return the shape as numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
         plain = {field.name: _plain(getattr(self, field.name)) for field in fields}
         return {"form": self.form} | plain
@@ -148,10 +148,15 @@ def known_shape(value: Any, resolve: Callable[[str], str] = str) -> MicrolensSha
 
 
 def known_index(name: str, value: Any) -> Glass:
-    """Return the material of a lens from any of the forms of a glass; its index at the line d must exceed 1."""
+    """Return a lens's material from any form of a glass; its index at the d line must exceed 1."""
     glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
     refuse_if(not glass.at(LINE_D) > 1, f"{name} = {short_repr(value)}: its index must be greater than 1")
     return glass
+
+
+def excess_index(glass: Glass, wavelength: float) -> float:
+    """Return the refractive index of a material at a wavelength, less 1 for air."""
+    return float(glass.at(wavelength)) - 1
 
 
 def per_millimetre(wavelength: float) -> float:
@@ -160,7 +165,7 @@ def per_millimetre(wavelength: float) -> float:
 
 
 def focal_length_of(shape: MicrolensShape, medium: float, given: Sequence[float] | None) -> float:
-    """Return the focal length in a medium of this index; refuse a negative one, or another one that is given."""
+    """Return a shape's focal length in a medium, in mm; refuse a negative one, and a different given one."""
     refuse_if(
         not shape.power > 0,
         f"mla_shape: its power is {shape.power:.4g} per mm: it must focus light, with a power greater than 0",

@@ -1,4 +1,4 @@
-"""Diffractive lenses with a formula: kinoforms, Fresnel lenses with zones of one wave."""
+"""Diffractive lenses given by a formula: kinoforms, Fresnel lenses with zones of one wave."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .shape import MicrolensShape, per_millimetre
 class ZoneLens(MicrolensShape):
     r"""A kinoform: a parabolic phase with a jump by one wave of the design wavelength at the border of each zone.
 
-    At the design wavelength :math:`\lambda_0` the phase in waves is the fractional part of
-    :math:`-r^2 / 2 \lambda_0 F`, from 0 to 1, and all light goes to the first diffraction order. At others it is
-    :math:`\lambda_0 / \lambda` times that, as for a relief of a material without dispersion, and light goes to other
-    orders, too. Rays follow the first order, of the focal length :math:`F \lambda_0 / \lambda`.
+    At the design wavelength :math:`\lambda_0` the phase in waves is the fractional part of :math:`-r^2 / 2 \lambda_0
+    F`, from 0 to 1, and all light goes to the first diffraction order. At another wavelength the phase is
+    :math:`\lambda_0 / \lambda` times as large, as for a relief of a material without dispersion, and light goes to
+    other orders, too. Rays follow the first order, of the focal length :math:`F \lambda_0 / \lambda`.
 
     Parameters
     ----------
@@ -55,10 +55,10 @@ class ZoneLens(MicrolensShape):
         return -x * self.power, -y * self.power
 
     def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength over the slopes at the line d; see `MicrolensShape.strength`."""
+        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
         return wavelength / LINE_D
 
     @property
     def power(self) -> float:
-        """Power of the first diffraction order at the line d."""
+        """Power of the first diffraction order at the d line (587.6 nm), in 1/mm."""
         return LINE_D / (self.wavelength * self.focal_length)

@@ -1,7 +1,7 @@
-"""Guards of the physics: the light that a computation loses or aliases, measured on its own data, with bounds.
+"""Guards of the physics: the light that a computation loses or aliases, measured in its data, with bounds.
 
-Grids and windows are chosen beforehand, from geometry or by the caller. Each guard measures one fraction of the power
-in the computed fields and thus checks that choice. All bounds are defined here, with their reasons.
+Grids and windows are chosen beforehand, by geometry or by the caller. Each guard checks that choice by a measured
+fraction of the power in the computed fields. All bounds are defined here, with their reasons.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class PhysicsError(InputError):
 
 @dataclass(frozen=True)
 class Guard:
-    """Fraction of the power that a computation loses, and the bounds for warning and error.
+    """A fraction of the power that a computation may lose, with the bounds for warning and error.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ APERTURE = Guard(
 
 
 class _Findings(dict[Guard, float]):
-    """Largest fraction that each guard has found so far."""
+    """The largest fraction that each guard has found so far."""
 
 
 _findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
@@ -205,20 +205,7 @@ def watch() -> Iterator[dict[str, float]]:
 
 
 def check(guard: Guard, fraction: float) -> None:
-    """Record a fraction of the power, and raise an error if it exceeds the guard's bound.
-
-    Parameters
-    ----------
-    guard : Guard
-        The guard.
-    fraction : float
-        The measured fraction, from 0 to 1.
-
-    Raises
-    ------
-    PhysicsError
-        If the fraction exceeds `refuse`.
-    """
+    """Record a fraction of the power, from 0 to 1; raise a `PhysicsError` if it exceeds the guard's `refuse`."""
     require(guard, fraction)
     fraction = max(0.0, fraction)
     findings = _findings.get()
@@ -229,39 +216,13 @@ def check(guard: Guard, fraction: float) -> None:
 
 
 def require(guard: Guard, fraction: float) -> None:
-    """Raise an error if a fraction of the power exceeds the guard's bound, without recording the fraction.
-
-    Parameters
-    ----------
-    guard : Guard
-        The guard.
-    fraction : float
-        The measured fraction, from 0 to 1.
-
-    Raises
-    ------
-    PhysicsError
-        If the fraction exceeds `refuse`.
-    """
+    """Raise a `PhysicsError` if a fraction of the power exceeds the guard's `refuse`, without recording it."""
     if fraction > guard.refuse:
         raise PhysicsError(_sentence(guard, fraction))
 
 
 def check_window(in_rim: float, before: float = 0.0) -> None:
-    """Record the fraction of a field's power in the rim of its window, after and before propagation.
-
-    Parameters
-    ----------
-    in_rim : float
-        The fraction after propagation.
-    before : float
-        The fraction before propagation.
-
-    Raises
-    ------
-    PhysicsError
-        If light has wrapped around the window.
-    """
+    """Record the fraction of a field's power in its window's rim, `in_rim`, and the growth since `before`."""
     check(WINDOW, in_rim)
     check(WRAPPED, in_rim - before)
 

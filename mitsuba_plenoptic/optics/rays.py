@@ -1,9 +1,9 @@
-"""The thin-lens ray formulas, once, for the sensor, the wave capture and the reconstructions.
+"""The thin-lens ray formulas, defined once for the sensor, the wave capture and the reconstructions.
 
-In the camera frame: main lens in z = 0, scene towards +z, microlens array (MLA) in z = -b, detector in
-z = -(b + z). Rays are followed from the detector towards the scene and described by points and slopes
-(dx/dz, dy/dz), one axis at a time, which is exact for ideal (stigmatic) thin lenses. All functions work on
-floats, NumPy arrays and Dr.Jit arrays.
+In the camera frame the main lens is in z = 0, the scene towards +z, the microlens array (MLA) in z = -b, and the
+detector in z = -(b + z). Rays are followed from the detector towards the scene and described by points and slopes
+(dx/dz, dy/dz), one axis at a time, which is exact for ideal (stigmatic) thin lenses. All functions work on floats,
+NumPy arrays and Dr.Jit arrays.
 
 Symbols: p detector point, m MLA point, c microlens centre, P pupil point, t slope between MLA and main lens,
 X scene point at distance g, q point of the MLA plane.
@@ -55,7 +55,7 @@ def main_lens_slope(t: Any, P: Any, focal_length: Any) -> Any:
 
 
 def object_direction(P: Any, slope: Any, distance: Any) -> Any:
-    """Position on the object plane of a ray from a pupil point, over the plane's distance: X/g = P/g + t'."""
+    """Position on the object plane of a ray from a pupil point, divided by the plane's distance: X/g = P/g + t'."""
     return P / distance + slope
 
 
@@ -65,18 +65,18 @@ def mla_point(X: Any, P: Any, distance: Any, mla_distance: Any, focal_length: An
 
 
 def conjugate_coordinate(X: Any, distance: Any, mla_distance: Any) -> Any:
-    """Project a scene point through the main lens's centre onto the MLA plane: -X b/g."""
+    """Return the projection of a scene point through the main lens's centre onto the MLA plane: -X b/g."""
     return -X * mla_distance / distance
 
 
 def slopes_to_cosines(tx: Any, ty: Any) -> tuple[Any, Any]:
-    """Turn slopes into direction cosines, t / sqrt(1 + tx^2 + ty^2)."""
+    """Return direction cosines from slopes, t / sqrt(1 + tx^2 + ty^2)."""
     scale = rsqrt(1 + tx * tx + ty * ty)
     return tx * scale, ty * scale
 
 
 def cosines_to_slopes(sx: Any, sy: Any) -> tuple[Any, Any]:
-    """Turn direction cosines into slopes, s / sqrt(1 - sx^2 - sy^2)."""
+    """Return slopes from direction cosines, s / sqrt(1 - sx^2 - sy^2)."""
     scale = rsqrt(1 - sx * sx - sy * sy)
     return sx * scale, sy * scale
 
@@ -95,8 +95,8 @@ def into_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> Pair
     .. math:: t' = \frac{c}{n} \left[ t + c^2 \left( \tfrac{1}{n^2} - 1 \right) (t_c \cdot (t - t_c))\, t_c \right]
               - \frac{\tau}{n} , \qquad c = \left[ 1 + \left( 1 - \tfrac{1}{n^2} \right) t_c^2 \right]^{-1/2} :
 
-    Snell's law for the chief ray and its derivative for the others, so that all light of one direction meets in the
-    lens's focal plane. Both laws hold in the direction of light and against it.
+    Snell's law for the chief ray and its derivative for other rays, so that all light of one direction meets in the
+    lens's focal plane. Both laws hold in either direction of light.
 
     Parameters
     ----------
@@ -123,10 +123,10 @@ def into_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> Pair
 
 
 def out_of_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> tuple[Pair, Any]:
-    """Return the slope before a microlens from that in the medium behind it, and whether light passes the border.
+    """Return the slope before a microlens from the slope in the medium behind it, and whether light passes the border.
 
-    The inverse of `into_medium`, with the same parameters. Lenses that turn direction cosines reflect steep light
-    totally; its slope is 0.
+    This is the inverse of `into_medium`, with the same parameters. Lenses that turn direction cosines reflect steep
+    light totally; its slope is 0.
     """
     if chief is None:
         sx, sy = (index * s + change for s, change in zip(slopes_to_cosines(*slope), turn, strict=True))
@@ -142,11 +142,11 @@ def out_of_medium(slope: Pair, turn: Pair, chief: Pair | None, index: Any) -> tu
 
 
 def evenness(before: Pair, behind: Pair, chief: Pair | None, index: Any) -> Any:
-    """Return the weight by which rays that are even over a detector in a medium are even over the pupil.
+    """Return the weight with which rays that are uniform over a detector in a medium are uniform over the pupil.
 
-    It is the area of slopes before a microlens over that in the medium, less the factor n^2 that both have on the axis:
-    c^-4 with the c of `into_medium`, and for lenses that turn direction cosines the square of the ratio of 1 + t^2.
-    Without a medium it is 1.
+    The weight is the ratio of slope areas before a microlens and in the medium, divided by the factor n^2 that it has
+    on the axis: c^-4 with the c of `into_medium`, and for lenses that turn direction cosines the square of the ratio of
+    1 + t^2. Without a medium it is 1.
     """
     if _is_one(index):
         return 1.0
@@ -164,7 +164,7 @@ def _dot(a: Pair, b: Pair) -> Any:
 
 
 def _is_one(index: Any) -> bool:
-    """Return whether there is no medium, so that slopes keep their bits."""
+    """Return whether the index is the number 1, so that slopes stay bit for bit the same."""
     return isinstance(index, (int, float)) and index == 1
 
 
@@ -173,7 +173,7 @@ _ANGLES = 1025
 
 
 def pixel_response(pairs: tuple[float, ...], absorption: float) -> Callable[[Any, Any], Any] | None:
-    """Return the response of pixels to light that moves aside by so far in a medium so deep; None if it is always 1.
+    """Return a function of lateral path and depth in a medium that gives pixels' response; None if it is always 1.
 
     Parameters
     ----------

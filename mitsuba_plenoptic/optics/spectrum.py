@@ -45,7 +45,7 @@ Table = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class Responses(NamedTuple):
-    """Responses of channels as functions of the wavelength."""
+    """Responses of detector channels as functions of the wavelength."""
 
     # From wavelengths (n,) in nanometres to responses (channels, n) per nanometre.
     at: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -64,7 +64,7 @@ _WRONG = 4e-3
 @suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
-    """Wavelengths with the responses of the channels that record them.
+    """Wavelengths in nanometres, with the response of each detector channel to them.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Spectrum:
 
     @classmethod
     def lines(cls, *wavelengths: float) -> Spectrum:
-        """Make a spectrum of single wavelengths, with one channel for each.
+        """Return a spectrum of single wavelengths, with one channel for each.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Spectrum:
 
     @classmethod
     def band(cls, centre: float, width: float, count: int) -> Spectrum:
-        """Make a flat band of one channel, whose responses sum to 1.
+        """Return the spectrum of a flat band of one channel, whose responses sum to 1.
 
         Parameters
         ----------
@@ -131,7 +131,7 @@ class Spectrum:
 
     @classmethod
     def bands(cls, centres: Sequence[float], width: float, count: int) -> Spectrum:
-        """Make flat bands of equal width, with one channel for each, as `band` does.
+        """Return the spectrum of flat bands of equal width, with one channel for each, as `band` does.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class Spectrum:
         count: int = WAVELENGTHS,
         tables: Sequence[Table] = (),
     ) -> Spectrum:
-        """Make a spectrum of responses that are functions of the wavelength; sums over it are quadratures.
+        """Return a spectrum of responses that are functions of the wavelength, with weights of a quadrature.
 
         Parameters
         ----------
@@ -186,9 +186,9 @@ class Spectrum:
     def sensor(
         cls, path: str | Path | NDArray[np.float64], count: int = WAVELENGTHS, tables: Sequence[Table] = ()
     ) -> Spectrum:
-        """Make a spectrum from a table of the responses of a detector, linear between its rows.
+        """Return a spectrum from a table of a detector's responses, interpolated linearly between rows.
 
-        Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in all of them.
+        Each channel is divided by its integral, so that light of radiance 1 at every wavelength reads 1 in each.
 
         Parameters
         ----------
@@ -284,7 +284,7 @@ class Spectrum:
 
 
 def read_responses(path: str | Path) -> NDArray[np.float64]:
-    """Read a detector's table, whose rows are a wavelength in nanometres and the response of every channel."""
+    """Read a detector's table; each row holds a wavelength in nanometres and the response of every channel."""
     table = read_table(path)
     refuse_if(
         table.shape[1] < 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0),
@@ -357,9 +357,9 @@ def _nodes(
 
 
 def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the nodes of the Gauss rule for weights at given positions: the zeros of the orthogonal polynomial.
+    """Return the nodes of the Gauss rule for weights at given positions: zeros of the orthogonal polynomial.
 
-    They are the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
+    The zeros are the eigenvalues of the matrix of the polynomials' recurrence, which Lanczos's iteration computes, with
     repeated orthogonalisation for stability.
     """
     middle, half = (wavelengths.max() + wavelengths.min()) / 2, np.ptp(wavelengths) / 2
@@ -378,5 +378,5 @@ def _gauss_nodes(wavelengths: NDArray[np.float64], weights: NDArray[np.float64],
 def interpolated(
     wavelengths: NDArray[np.float64], columns: Iterable[NDArray[np.float64]], at: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Interpolate each column of a table linearly at some wavelengths."""
+    """Return the columns of a table, interpolated linearly at given wavelengths."""
     return np.stack([np.interp(at, wavelengths, column) for column in columns])

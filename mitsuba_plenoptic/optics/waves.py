@@ -34,9 +34,9 @@ def in_millimetres(wavelength: float) -> float:
 def phasor(waves: Any) -> Any:
     r"""Return :math:`\exp(2 \pi i w)` for path differences in waves.
 
-    Paths may be 10^6 waves, which single precision cannot represent. Whole waves are therefore removed in double
-    precision, and only the remainder is passed to sine and cosine in single precision, with an error of 3e-7 rad at any
-    distance.
+    Paths may be 10^6 waves long, which single precision cannot represent to a fraction. Whole waves are therefore
+    removed in double precision; sine and cosine of the remainder are computed in single precision, with an error of
+    3e-7 rad at any distance.
     """
     if not dr.is_array_v(waves):
         return np.exp(2j * math.pi * waves).astype(np.complex64)
@@ -54,7 +54,7 @@ def parabola(square: Any, focal_length: Any, wavelength: float) -> Any:
 
 
 def soft_edge(samples: Any) -> Any:
-    """Return the transmission of an edge that is softened over one sample, at distances inside it in samples.
+    """Return the transmission of an edge softened over one sample, at distances in samples, positive inside.
 
     The steep spectrum of a hard edge would be aliased into the band of the grid.
     """
@@ -63,7 +63,7 @@ def soft_edge(samples: Any) -> Any:
 
 
 def smooth_edge(samples: Any) -> Any:
-    """Return the transmission of an edge as `soft_edge` does, but smoothed by a cubic between the same ends."""
+    """Return the transmission of an edge softened over one sample, like `soft_edge`, but by a cubic."""
     passed = soft_edge(samples)
     return passed * passed * (3 - 2 * passed)
 
@@ -73,7 +73,7 @@ _EDGE = 1 / 8
 
 
 def power(field: Field) -> float:
-    """Sum of the squared moduli of a field whose rows are contiguous."""
+    """Return the sum of the squared moduli of a field whose rows are contiguous."""
     return float(_power_by_row(field).sum())
 
 
@@ -85,7 +85,7 @@ def rim(size: int) -> int:
 def band_edge_fraction(
     spectrum: Field, frequencies: np.ndarray | None = None, weight: np.ndarray | float = 1.0
 ) -> float:
-    """Fraction of the power in the outer eighth of the frequencies; zero frequency is first.
+    """Fraction of a spectrum's power in the outer eighth of the frequencies; zero frequency is first.
 
     `spectrum` has the shape (rows, columns); `frequencies` and `weight` have one value for each row.
     """
@@ -108,7 +108,7 @@ def fraction(part: float, whole: float) -> float:
 
 
 def weighted(weight: np.ndarray, field: Field) -> float:
-    """Sum of the power of rows, each multiplied by its weight."""
+    """Return the sum of the power of rows, each multiplied by a weight."""
     return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * _power_by_row(field)).sum())
 
 
@@ -129,11 +129,10 @@ _UNSEEN = 0.01
 
 
 class StepGuard:
-    """Checks of one propagation step: of the field before it, its spectrum, and the field after it.
+    """Checks of one propagation step, made on the field before it, on the spectrum, and on the field after it.
 
-    About 32 rows of each large array are checked, which takes about a hundredth of the step's time. If they do not
-    contain their fraction of the power, because the power is concentrated in few rows, all rows of the spectrum are
-    checked.
+    About 32 rows of each large array are checked, in about a hundredth of the step's time. If these rows do not contain
+    their share of the power, because the power is concentrated in few rows, all rows of the spectrum are checked.
 
     `pitch` is the distance between samples in millimetres.
     """
@@ -198,13 +197,29 @@ def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None)
 
 @one_at_a_time
 def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
-    r"""Propagate a field from one plane to a parallel one.
+    r"""Return a field propagated from one plane to a parallel one.
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
 
-    Lengths are in millimetres. The carrier :math:`\exp(i k d)` is omitted. The result is on the device of `field`; with
-    `overwrite` it reuses the memory of the field. A field that is under-sampled or leaves its window raises a
-    PhysicsError (see `guards`).
+    The carrier :math:`\exp(i k d)` is omitted. The result is on the device of `field`.
+
+    Parameters
+    ----------
+    field : array
+        Complex samples, (rows, columns).
+    pitch : float
+        Distance of samples in millimetres.
+    distance : float
+        Distance of the planes in millimetres; a negative one propagates back.
+    wavelength : float
+        Wavelength in nanometres.
+    overwrite : bool
+        Whether the result reuses the memory of the field.
+
+    Raises
+    ------
+    PhysicsError
+        If the field is under-sampled or leaves its window; see `guards`.
     """
     libraries = backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
@@ -213,7 +228,8 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     samples = given if overwrite else backend_of(given).empty(given.shape, np.complex64)
     if not overwrite:
         samples[...] = given
-    pitch, distance, wavelength = _check(pitch, distance, wavelength)
+    pitch, distance = require_number("pitch", pitch, positive=True), require_number("distance", distance)
+    wavelength = require_wavelength(wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
     packed = fft2_packed(drjit_array(libraries.types.UInt64, as_words(samples)), shape)
     guard.see_spectrum(packed)
@@ -237,16 +253,15 @@ def advance(
     paraxial: bool = False,
     beyond_paraxial: bool = False,
 ) -> Field:
-    r"""Multiply the spectrum of a field by the transfer function :math:`\exp(i (k_z - k) d)` of free space.
+    r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
-    ones, in millimetres. `part` is for a block of rows: the index of the first row, and the number of rows of the whole
-    spectrum. `paraxial` and `beyond_paraxial` are as in
-    `transfer`.
+    ones, in millimetres. `part` describes a block of rows: the index of its first row, and the number of rows of the
+    whole spectrum. `paraxial` and `beyond_paraxial` are as in `transfer`.
     """
     packed = drjit_array(array_module().UInt64, as_words(spectrum))
-    packed = _advance(packed, spectrum.shape, pitch, distance, wavelength, shift, part, paraxial, beyond_paraxial)
-    return as_field(packed, spectrum.shape)
+    how = {"shift": shift, "paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
+    return as_field(_advance(packed, spectrum.shape, pitch, distance, wavelength, part, **how), spectrum.shape)
 
 
 def _advance(
@@ -255,12 +270,10 @@ def _advance(
     pitch: float | tuple[float, float],
     distance: float,
     wavelength: float,
-    shift: tuple[float, float] = (0.0, 0.0),
     part: tuple[int, int] | None = None,
-    paraxial: bool = False,
-    beyond_paraxial: bool = False,
+    **how: Any,
 ) -> Any:
-    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space."""
+    """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""
     types = array_types(packed)
     rows, columns = shape
     row, column = rows_and_columns(types, rows, columns)
@@ -268,8 +281,7 @@ def _advance(
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    kind = {"paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
-    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, shift=shift, **kind))
+    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, **how))
 
 
 def transfer(
@@ -284,9 +296,9 @@ def transfer(
 ) -> Any:
     r"""Return the transfer function of free space, :math:`\exp(i (k_z - k) d)`, zero for evanescent waves.
 
-    The `paraxial` one is Fresnel's, :math:`\exp(-i k s^2 d / 2)`: light of the frequency :math:`s / \lambda` moves
-    sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section 4.2.3).
-    With `beyond_paraxial`, return the ratio to Fresnel's.
+    The `paraxial` transfer function is Fresnel's, :math:`\exp(-i k s^2 d / 2)`: light of the frequency :math:`s /
+    \lambda` moves sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section
+    4.2.3). With `beyond_paraxial`, the ratio of the exact function to Fresnel's is returned.
     """
     types = array_types(sx)
 
@@ -312,11 +324,3 @@ def _cosine(types: Any, index: Any, count: int, pitch: float, wavelength: float)
     position, size = types.Int32(index), dr.opaque(types.Int32, count)
     order = dr.select(2 * position < size, position, position - size)
     return types.Float64(order) * dr.opaque(types.Float64, in_millimetres(wavelength) / (count * pitch))
-
-
-def _check(pitch: float, distance: float, wavelength: float) -> tuple[float, float, float]:
-    return (
-        require_number("pitch", pitch, positive=True),
-        require_number("distance", distance),
-        require_wavelength(wavelength),
-    )

@@ -1,8 +1,8 @@
 """The plugins for Mitsuba, which are registered whenever a variant becomes active.
 
-A plugin's class is bound to the types of the variant that was active when it was defined, so each variant gets
-its own class. Nothing here may raise: an exception in the callback would not undo the change of the variant. For a
-variant that cannot work, constructors are registered that raise an error with the reason.
+A plugin's class is bound to the types of the variant that was active when it was defined, so each variant gets its own
+class. The callback must not raise, since an exception would not undo the change of the variant. For a variant that
+cannot work, constructors are registered that raise an error with the reason.
 """
 
 from __future__ import annotations

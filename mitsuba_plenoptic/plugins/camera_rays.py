@@ -1,4 +1,4 @@
-"""The draws of the sensor's rays: a lens and its point for each point of the detector, and a wavelength."""
+"""Random draws of the sensor's rays: for each detector point a lens, a point of that lens, and a wavelength."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class RayColours:
     indices: list[Any] | None
 
     def of(self, walk: CameraRays) -> CameraRays:
-        """Return the walk of rays with these focal lengths and indices through the main lens."""
+        """Return the walk through the main lens for rays with these focal lengths and indices."""
         lens: Any = walk.lens
         if self.indices is not None:
             return replace(walk, lens=replace(lens, indices=self.indices))
@@ -97,14 +97,14 @@ class Dispersion:
         return cls(wavelengths, along(camera.glass, Glass.focal_ratio), microlenses, indices)
 
     def ends(self, camera: PlenopticCamera) -> list[PlenopticCamera]:
-        """Return the camera at its shortest and at its longest wavelength."""
+        """Return the camera at the shortest and at the longest wavelength."""
         glasses = [glass for glass in (camera.glass, camera.mla_glass) if glass is not None]
         low = max([min(self.wavelengths), *(glass.reach[0] for glass in glasses)])
         high = min([max(self.wavelengths), *(glass.reach[1] for glass in glasses)])
         return [camera.at_wavelength(wavelength) for wavelength in (min(low, LINE_D), max(high, LINE_D))]
 
     def draw(self, sample: Any, wavelengths: Any) -> tuple[RayColours, Any, Any]:
-        """Return the optics of rays of random wavelengths, the unused part of the sample, and channels' weights."""
+        """Return the optics of rays of random wavelengths, the unused part of the sample, and the channels' weights."""
         if mi.is_spectral:
             position = dr.clip((wavelengths[0] - self.wavelengths[0]) / _STEP, 0, len(self.wavelengths) - 1)
             low = mi.UInt32(dr.minimum(dr.floor(position), len(self.wavelengths) - 2))
@@ -134,7 +134,7 @@ class Dispersion:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Lenses around a chief ray's lens among which the lenses of rays are drawn evenly."""
+    """Lenses around a chief ray's lens, from which the lens of each ray is drawn with equal probability."""
 
     # Steps in the lattice's indices, as two arrays; the first is the chief ray's own lens.
     steps: list[Any]
@@ -146,7 +146,7 @@ class Candidates:
     defocus: Any = 0.0
 
     def limit(self, chief: Pair, towards: Pair) -> Any:
-        """Return the distance within which lens centres are tried, by their direction from the chief ray's point."""
+        """Return the distance in mm within which lens centres are tried, by their direction from the chief ray."""
         across, along = (
             towards[0] * chief[1] - towards[1] * chief[0],
             towards[0] * chief[0] + towards[1] * chief[1],
@@ -158,7 +158,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class CameraRays(Walk):
-    """The walk of the sensor's rays, which draws the lenses and their points through which rays pass."""
+    """The walk of the sensor's rays, with the random draws of lenses and lens points."""
 
     # Dispersion of the glasses, if the paths of rays depend on colour.
     dispersion: Dispersion | None
@@ -190,7 +190,7 @@ class CameraRays(Walk):
         )
 
     def candidates(self, beyond: float = 0.0) -> Candidates:
-        """Return the lenses among which the lenses of rays are drawn, at the wavelength that needs most."""
+        """Return the lenses from which the lenses of rays are drawn, at the wavelength that needs the most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
         place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
@@ -214,7 +214,7 @@ class CameraRays(Walk):
         return Candidates(numbers[:2], *(numbers[2:] if checks else ()))
 
     def tried(self, candidates: Candidates, chief: Pair, i: Any, j: Any) -> Any:
-        """Return whether lenses are near enough to the points of chief rays."""
+        """Return whether lenses are close enough to the chief rays' points to be tried."""
         if candidates.limits is None:
             return mi.Bool(True)
         (x, y), _ = self.lens_at(i, j)
@@ -249,10 +249,10 @@ class CameraRays(Walk):
         return nth(choice), scaled - whole, choice, tried
 
     def pass_array(self, pixel: Pair, lens_sample: Any, candidates: Candidates) -> tuple[Passage, Any, Any]:
-        """Return the points of the array through which rays from detector points pass, drawn at random.
+        """Return random points of the array through which rays from detector points pass.
 
-        `pixel` is the detector point, a pair of Dr.Jit arrays. Return also the number of the candidate, and that of the
-        lenses from which it was drawn.
+        `pixel` is the detector point, a pair of Dr.Jit arrays. The index of the chosen candidate, and the number of
+        candidates from which it was drawn, are returned as well.
         """
         chief, cell = self.chief_cell(pixel)
         (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
@@ -263,8 +263,8 @@ class CameraRays(Walk):
     def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
         """Return random points of the lenses above detector points, and random points of the pupil.
 
-        Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. Return these, slopes
-        towards the pupil, and the columns and rows of pixels among those of their lenses.
+        Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. The slopes towards the
+        pupil, and the column and row of each pixel under its lens, are returned as well.
         """
         offset = self.lattice.offset
         index, side, within = [], [], []

@@ -45,7 +45,7 @@ from .properties import (
 
 
 def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]:
-    """Return the names of the camera's parameters that carry gradients, and whether parameters of the scene do.
+    """Return the names of camera parameters that carry gradients, and whether scene parameters carry any.
 
     Parameters with respect to which captures have no derivative are refused.
     """
@@ -71,7 +71,7 @@ def tangent(sensor: Any, name: str) -> NDArray[np.float64]:
 
 
 def accumulate(sensor: Any, name: str, gradient: NDArray[np.float64]) -> None:
-    """Add to the gradient of a parameter of the camera."""
+    """Add a gradient to the gradient of a camera parameter."""
     value = getattr(sensor, name)
     dr.accum_grad(value, type(value)(gradient.tolist()))
 
@@ -221,7 +221,7 @@ def make_class() -> type:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Add the gradients by parameters from a gradient by the capture, for `mi.render`."""
+            """Add the gradients of parameters, from the gradient with respect to the capture, for `mi.render`."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
@@ -234,7 +234,7 @@ def make_class() -> type:
         def _gradients(
             self, scene: Any, params: Any, sensor: Any, seed: int, spp: int, forward: bool
         ) -> tuple[tuple[str, ...], SignedGradients]:
-            """Return the camera parameters with gradients, and the capture's derivatives; refuse what has none."""
+            """Return the camera parameters with gradients, and the capture's derivatives; refuse unsupported ones."""
             refuse_if(
                 self.method != SIGNED_RAYS, f"{NAME}: method = {self.method}: it has no gradients; use {SIGNED_RAYS}"
             )
@@ -280,7 +280,26 @@ def make_class() -> type:
             return self.colours.spectrum_for(channels, colour.tables_of(scene) if mi.is_spectral else [])
 
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
-            return self._by_points(scene, sensor) if self.method == POINTS else self._signed(scene, sensor)
+            if self.method == SIGNED_RAYS:
+                return self._signed(scene, sensor)
+            camera = regular_array(PlenopticCamera.from_sensor(sensor))
+            require_ideal(camera)
+            spectrum, upsampling = self.spectrum_of(scene, sensor), None
+            if mi.is_spectral:
+                wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
+                responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
+                colour.require_spectra(scene, wavelengths, responses)
+            require_matte(scene, sensor, self.child, camera)
+            if spectrum is None:
+                spectrum = Spectrum.lines(*self.wavelengths)
+            else:
+                upsampling = self.colours.upsampling(spectrum)
+                if (nodes := self.colours.nodes) is not None:
+                    bands = 1 if self.colours.bandwidth is None else len(self.wavelengths)
+                    spectrum = spectrum.interpolated(nodes * bands)
+            each = spectrum.wavelengths if mi.is_spectral else (None,)
+            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in each]
+            return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def _signed(self, scene: Any, sensor: Any) -> SignedCapture:
             colours = self.colours.signed(sensor.film().base_channels_count())
@@ -293,24 +312,6 @@ def make_class() -> type:
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
-
-        def _by_points(self, scene: Any, sensor: Any) -> PointsCapture:
-            camera = regular_array(PlenopticCamera.from_sensor(sensor))
-            require_ideal(camera)
-            spectrum = self.spectrum_of(scene, sensor)
-            if mi.is_spectral:
-                wavelengths = self.wavelengths if spectrum is None else spectrum.wavelengths
-                responses = np.ones((1, 1), np.float32) if spectrum is None else spectrum.matrix()
-                colour.require_spectra(scene, wavelengths, responses)
-            require_matte(scene, sensor, self.child, camera)
-            upsampling = None if spectrum is None else self.colours.upsampling(spectrum)
-            nodes = None if spectrum is None else self.colours.total_nodes()
-            spectrum = Spectrum.lines(*self.wavelengths) if spectrum is None else spectrum
-            each = spectrum.wavelengths if mi.is_spectral else (None,)
-            lights = [SceneLight(scene, sensor, self.child, wavelength) for wavelength in each]
-            if nodes is not None:
-                spectrum = spectrum.interpolated(nodes)
-            return PointsCapture(camera, lights, spectrum, upsampling, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""

@@ -1,4 +1,4 @@
-"""Reading of plugin parameters, with checks of their types, which Mitsuba does not make, and filling of films.
+"""Reading of plugin parameters with checks of their types, which Mitsuba lacks, and filling of films.
 
 Messages state the plugin, the parameter, its value and the rule.
 """
@@ -52,7 +52,7 @@ from ..runtime.backend import drjit_array
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
-    """Return a value of a plugin's properties unchecked; the caller checks it."""
+    """Return a value of a plugin's properties without any check, which is left to the caller."""
     return _plain(props[name]) if name in props else default
 
 
@@ -76,7 +76,7 @@ def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) ->
 def require_read(props: Any, plugin: str) -> None:
     """Refuse a parameter that a plugin has not read, as no parameter has its name.
 
-    Mitsuba does so itself once a plugin is made, without the name that was meant.
+    Mitsuba also refuses it once the plugin is made, but without naming the most similar parameter.
     """
     for name in props.unqueried():
         if absent := missing("parameters", name):
@@ -85,15 +85,15 @@ def require_read(props: Any, plugin: str) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return the single entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
+    """Return the only entry of an array, which ``load_dict`` accepts for a scalar; other values unchanged."""
     return value[0] if hasattr(value, "__len__") and not isinstance(value, str) and len(value) == 1 else value
 
 
 def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
-    """Return the camera of a plugin's properties and its film, which is the detector."""
+    """Return the camera described by a plugin's properties and by its film, the detector."""
     with naming(plugin):
         given = {
-            name: _READERS[entry.form](props, name) if entry.form in _READERS else _plain(props[name])
+            name: _read_parameter(_plain(props[name]), name, entry.form)
             for name, entry in PARAMETERS.items()
             if name in props and entry.form is not Form.FILM
         }
@@ -106,63 +106,40 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
     return camera
 
 
-def _read_numbers(props: Any, name: str) -> tuple[float, ...]:
-    """Return one or several values, given as a scalar, a point, vector or list, or as text separated by commas."""
-    value = _plain(props[name])
-    if isinstance(value, str):
-        with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
-            value = [float(part) for part in value.split(",")]
-    elif not hasattr(value, "__len__"):
-        value = [value]
-    return tuple(require_number(name, _plain(number)) for number in value)
-
-
-def _read_position(props: Any, name: str) -> tuple[float, ...]:
-    """Return the x and y of a position, given as a pair or as a point or vector whose z is 0."""
-    position = _read_numbers(props, name)
-    return position[:2] if len(position) == 3 and position[2] == 0 else position
-
-
-def _text_for(read: Callable[..., Any], what: str) -> Callable[[Any, str], Any]:
-    """Return the reader of values that are given as files or their texts, which the function `read` takes."""
-
-    def read_text(props: Any, name: str) -> Any:
-        source = _plain(props[name])
-        if not isinstance(source, str):
-            raise InputError(f"{name} = {source!r}: it must be text: {what}")
-        return read(source, lambda path: str(mi.file_resolver().resolve(path)))
-
-    return read_text
-
-
-def _read_glass(props: Any, name: str) -> Any:
-    """Return a glass, given as a name, a refractive index or the text of a JSON object."""
-    source = _plain(props[name])
-    if not isinstance(source, str) or not source.lstrip().startswith("{"):
-        return source
-    with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
-        return json.loads(source)
-
-
-def _read_response(props: Any, name: str) -> Any:
-    """Return a response of photodiodes, given as a file or the text of a JSON object."""
-    source = _plain(props[name])
-    if not isinstance(source, str) or source.lstrip().startswith("{"):
-        return source
-    return str(mi.file_resolver().resolve(source))
-
-
-_READERS = {
-    Form.SEVERAL: _read_numbers,
-    Form.NUMBERS: _read_numbers,
-    Form.PLACE: _read_position,
-    Form.LENS: _text_for(read_lens, "a file or a bundled lens"),
-    Form.GLASS: _read_glass,
-    Form.SHAPE: _text_for(known_shape, "a JSON file, or its content"),
-    Form.SCREEN: _text_for(known_screen, "a JSON file, or its content"),
-    Form.RESPONSE: _read_response,
+_TEXTS: dict[Form, tuple[Callable[..., Any], str]] = {
+    Form.LENS: (read_lens, "a file or a bundled lens"),
+    Form.SHAPE: (known_shape, "a JSON file, or its content"),
+    Form.SCREEN: (known_screen, "a JSON file, or its content"),
 }
-"""Readers for the forms of parameters that scene files write differently from Python."""
+"""Readers of values that are given as files or their texts, and what these are."""
+
+
+def _read_parameter(value: Any, name: str, form: Form) -> Any:
+    """Return a camera's parameter of a form that scene files may write differently from Python."""
+
+    def resolved(path: str) -> str:
+        return str(mi.file_resolver().resolve(path))
+
+    is_text, is_object = isinstance(value, str), isinstance(value, str) and value.lstrip().startswith("{")
+    if form in (Form.SEVERAL, Form.NUMBERS, Form.PLACE):
+        if is_text:
+            with refusing(f"{name} = {value!r}: it must be a number, or several with commas between them", ValueError):
+                value = [float(part) for part in value.split(",")]
+        elif not hasattr(value, "__len__"):
+            value = [value]
+        numbers = tuple(require_number(name, _plain(number)) for number in value)
+        # Points and vectors have a z.
+        return numbers[:2] if form is Form.PLACE and len(numbers) == 3 and numbers[2] == 0 else numbers
+    if form in _TEXTS:
+        read, what = _TEXTS[form]
+        refuse_if(not is_text, f"{name} = {value!r}: it must be text: {what}")
+        return read(value, resolved)
+    if form is Form.GLASS and is_object:
+        with refusing(f"{name}: it must be a JSON object:", *NO_RECORD):
+            return json.loads(value)
+    if form is Form.RESPONSE and is_text and not is_object:
+        return resolved(value)
+    return value
 
 
 def put(film: Any, image: NDArray[np.float32], channels: int) -> None:
@@ -234,7 +211,7 @@ class Colours:
         """Return the spectrum of a film with `channels`; None if each channel of light has one wavelength.
 
         `tables` are spectra of the scene whose products with the responses must be integrated accurately. `count` is
-        that of the wavelengths of each band, by default `nodes`.
+        the number of wavelengths of each band, by default `nodes`.
         """
         if self.table is not None:
             columns = self.table.shape[1] - 1
@@ -290,10 +267,6 @@ class Colours:
             return basis
         # Sums over wavelengths approximate integrals; the matrix is corrected so that grey remains exactly grey.
         return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
-
-    def total_nodes(self) -> int | None:
-        """Return the count of wavelengths at which point spreads are computed; None means as many as they need."""
-        return None if self.nodes is None else self.nodes * (1 if self.bandwidth is None else len(self.wavelengths))
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters by name, as for ``mi.load_dict``."""
@@ -364,13 +337,13 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
 
 
 def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, int]:
-    """Return the sensor, the seed and the count of samples of `mi.render`, which gives indices, arrays or zeros."""
+    """Return the sensor, seed and sample count of a call of `mi.render`, which gives indices, arrays or zeros."""
     sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
     return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
 
 
 def make_base() -> type:
-    """Define the base of such integrators for the active Mitsuba variant; they offer `record` and `parameters`."""
+    """Define the base class of integrators with `record` and `parameters` for the active Mitsuba variant."""
 
     class RecordingIntegrator(mi.SamplingIntegrator):
         plugin: str
@@ -397,7 +370,7 @@ def make_base() -> type:
             return film.develop() if develop else None
 
         def to_string(self) -> str:
-            """Describe the integrator."""
+            """Return the description of the integrator that Mitsuba prints."""
             lines = [f"  {name} = {value}," for name, value in self.parameters().items()]
             return "\n".join([f"{type(self).__name__}[", *lines, f"  child = {self.child}", "]"])
 

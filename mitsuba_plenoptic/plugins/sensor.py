@@ -13,13 +13,14 @@ import numpy as np
 
 from ..camera import PlenopticCamera, film_numbers
 from ..camera.documentation import with_sensor_parameters
-from ..camera.entry import Captures, Form, Parameter
+from ..camera.entry import Captures, Form
 from ..camera.parameters import PARAMETERS
 from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
-from ..lenses.main_lens import Pair, Traced
+from ..lenses.main_lens import Pair
 from ..lenses.real_lens import RealLens
+from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
 from .camera_rays import CameraRays, Candidates
 from .properties import read_camera, require_read
@@ -141,10 +142,13 @@ def make_class() -> type:
         def traverse(self, callback: Any) -> None:
             """Expose the parameters to `mi.traverse`."""
             super().traverse(callback)
-            differentiable, discontinuous = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
-            callback.put("to_world", self.m_to_world, differentiable | discontinuous)
+            differentiable, edges = mi.ParamFlags.Differentiable, mi.ParamFlags.Discontinuous
+            callback.put("to_world", self.m_to_world, differentiable | edges)
             for name in self._numbers:
-                callback.put(name, getattr(self, name), _flags(PARAMETERS[name]))
+                gradients = PARAMETERS[name].gradients
+                flags = differentiable | edges if Captures.EDGES in gradients else differentiable
+                by_rays = Captures.RAYS in gradients
+                callback.put(name, getattr(self, name), flags if by_rays else mi.ParamFlags.NonDifferentiable)
 
         def parameters_changed(self, keys: list[str] | None = None) -> None:
             """Check changed parameters and apply them."""
@@ -184,7 +188,7 @@ def make_class() -> type:
             return PlenopticCamera(**values, **film_numbers(self.film()))
 
         def _on_detector(self, film_sample: Any) -> Pair:
-            """Return the detector points for film samples, which are fractions of the crop window."""
+            """Return the detector points of film samples, which are fractions of the crop window."""
             film = self.film()
             pixel = self.detector_width / film.size()[0]
             x, y = (
@@ -195,7 +199,7 @@ def make_class() -> type:
             return x, y
 
         def crosstalk_missed(self) -> float:
-            """Estimate from a sample of rays the fraction of the light that passes lenses that are not sampled."""
+            """Return the fraction of light through lenses that are not sampled, estimated from a sample of rays."""
             steps = [step.numpy().astype(int) for step in self._candidates.steps]
             drawn = set(zip(*steps, strict=True))
             around = replace(self._rays.candidates(beyond=max(self._rays.camera.mla_pitches)), limits=None)
@@ -221,27 +225,19 @@ def make_class() -> type:
             """
             pixel = self._on_detector(film_sample)
             passage, *_ = self._rays.pass_array(pixel, mi.Point2f(0.5), Candidates([mi.Float(0), mi.Float(0)]))
-            return self._in_world(self._rays.trace(pixel, passage._replace(point=passage.centre)))
+            point, slope, open_ = self._rays.trace(pixel, passage._replace(point=passage.centre))
+            return mi.RayDifferential3f(world_ray(self, point, slope)), open_
 
         def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
             """Return the ray through points of the microlens array and the pupil, and whether it is transmitted."""
-            return self._in_world(self._rays.through_pupil(pupil, position))
-
-        def _in_world(self, traced: Traced) -> tuple[Any, Any]:
-            """Return a traced ray in the world frame, at the time when the shutter opens."""
-            point, slope, open_ = traced
-            to_world = self.world_transform()
-            ray = mi.RayDifferential3f(
-                mi.Ray3f(to_world @ mi.Point3f(*point), to_world @ dr.normalize(mi.Vector3f(*slope, 1)))
-            )
-            ray.time = self.shutter_open()
-            return ray, open_
+            point, slope, open_ = self._rays.through_pupil(pupil, position)
+            return mi.RayDifferential3f(world_ray(self, point, slope)), open_
 
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> tuple[Any, Any]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
-            rays, light = self._rays, None
+            rays, light, passage, width = self._rays, None, None, self.detector_width / self.film().size()[0]
             if rays.dispersion is not None:
                 light, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
                 rays, weight = light.of(rays), weight * share
@@ -249,23 +245,32 @@ def make_class() -> type:
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
             if self._table is not None:
-                traced, response = self._by_table(rays, (px, py), lens_sample, wavelengths)
-                ray = self._towards(traced, time, wavelengths)
-                weight = dr.select(traced[2] & active, weight * response, 0)
-                return mi.RayDifferential3f(ray) if differential else ray, weight
-            passage, _, tried = rays.pass_array((px, py), lens_sample, self._candidates)
-            if light is not None:
-                passage = passage._replace(focal_length=passage.focal_length * light.mla_ratio)
-            point, slope, open_ = rays.trace((px, py), passage)
+                # Rays go from the whole pupil to the pixels' lenses.
+                position, slope, side = rays.pass_pixel_lens((px, py), width, lens_sample)
+                # A pixel sees this square of the pupil through an ideal lens.
+                seen = dr.square(width * rays.lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
+                response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
+                point, slope, open_ = rays.lens.trace(position, slope)
+                weight = weight * response
+            else:
+                passage, _, tried = rays.pass_array((px, py), lens_sample, self._candidates)
+                if light is not None:
+                    passage = passage._replace(focal_length=passage.focal_length * light.mla_ratio)
+                point, slope, open_ = rays.trace((px, py), passage)
+                if self._response is not None:
+                    mx, my = passage.point
+                    weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
+                weight = weight * (tried * rays.out_of_array((px, py), passage)[1])
             open_ &= active
-            if self._response is not None:
-                mx, my = passage.point
-                weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
-            ray = self._towards((point, slope, open_), time, wavelengths)
-            to_world = self.world_transform()
+            ray = world_ray(self, point, slope)
+            # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
+            ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
+            ray.time = time
+            ray.wavelengths = wavelengths
             if differential:
                 ray = mi.RayDifferential3f(ray)
-                width = self.detector_width / self.film().size()[0]
+            if differential and passage is not None:
+                to_world = self.world_transform()
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if self.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
@@ -276,22 +281,10 @@ def make_class() -> type:
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
-            return ray, dr.select(open_, weight * (tried * rays.out_of_array((px, py), passage)[1]), 0)
-
-        def _towards(self, traced: Traced, time: Any, wavelengths: Any) -> Any:
-            """Return traced rays in the world frame."""
-            (point, slope, open_), to_world = traced, self.world_transform()
-            ray = mi.Ray3f()
-            ray.o = to_world @ mi.Point3f(*point)
-            ray.d = to_world @ dr.normalize(mi.Vector3f(*slope, 1))
-            # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
-            ray.maxt = dr.select(open_, dr.largest(mi.Float), 0)
-            ray.time = time
-            ray.wavelengths = wavelengths
-            return ray
+            return ray, dr.select(open_, weight, 0)
 
         def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
-            """Return points of the four neighbours for light that crosses walls, and the unused part of the sample."""
+            """Return points of the four neighbouring pixels for light that crosses walls, and the unused sample."""
             fraction, size = self.pixel_crosstalk, self.detector_width / self.film().size()[0]
             scaled = sample[0] / fraction
             side = dr.floor(scaled)
@@ -302,16 +295,6 @@ def make_class() -> type:
             within = dr.select(crosses, scaled - side, rest)
             moved = tuple(p + dr.select(crosses, step * size, 0) for p, step in zip(pixel, (x, y), strict=True))
             return (moved[0], moved[1]), mi.Point2f(within, sample[1])
-
-        def _by_table(self, rays: CameraRays, pixel: Pair, sample: Any, wavelengths: Any) -> tuple[Traced, Any]:
-            """Return rays from the whole pupil to the lenses of pixels, and their weights by the table of responses."""
-            size = self.detector_width / self.film().size()[0]
-            point, slope, side = rays.pass_pixel_lens(pixel, size, sample)
-            lens = rays.lens
-            # A pixel sees this square of the pupil through an ideal lens.
-            seen = dr.square(size * lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
-            response = self._table(side, slope, wavelengths) * (math.pi * lens.reach**2 / seen)
-            return lens.trace(point, slope), response
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
@@ -326,7 +309,7 @@ def make_class() -> type:
             return self._sample(time, sample1, sample2, sample3, active, differential=True)
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            """Refuse light tracing: a scene point sees the detector through many lenses at once."""
+            """Refuse light tracing, as a scene point sees the detector through many lenses at once."""
             raise InputError(
                 f"{NAME}: light tracing (an integrator such as ptracer) cannot reach the detector through the "
                 "lenses; use path or direct"
@@ -357,16 +340,8 @@ def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
     return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
 
 
-def _flags(entry: Parameter) -> Any:
-    """Return the flags that state whether ray captures can be differentiated with respect to a parameter."""
-    if Captures.RAYS not in entry.gradients:
-        return mi.ParamFlags.NonDifferentiable
-    flags = mi.ParamFlags.Differentiable
-    return flags | mi.ParamFlags.Discontinuous if Captures.EDGES in entry.gradients else flags
-
-
 def _plain(values: Any, given: float | tuple[float, ...]) -> list[float]:
-    """Return single-precision values as given, or as their shortest decimals: 0.512 for 0.5120000243."""
+    """Return single-precision values as first given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(given).tolist()
     # Points and vectors come in single precision.
     known = {np.float32(number): number for number in numbers if float(np.float32(number)) != number}

@@ -1,7 +1,7 @@
-r"""Rules from the allowed error of an image: how much light to discard, and which points may share a pattern.
+r"""Rules that follow from the allowed error of an image: how much light to discard, and which points share a pattern.
 
-The two rules are fitted to captures of walls and scenes by the camera of the paper, compared with images in which no
-point spreads are shared and only the last 0.1 % of the light is discarded (the case `speed.sharing` of `tools/bench`).
+The two rules are fitted to captures of walls and scenes by the paper's camera, compared with images in which no point
+spreads are shared and only the last 0.1 % of the light is discarded (the case `speed.sharing` of `tools/bench`).
 
 Points share patterns because of the symmetry of the microlens lattice. If a scene point moves so that its image on the
 MLA moves by one lens, the pattern on the detector moves by one micro-image, :math:`D_2 (b + z) / b`, and is otherwise
@@ -9,8 +9,8 @@ unchanged except for the aberrations of a thin lens far from the axis. Points of
 within their lenses therefore need one propagation for a zone of lenses.
 
 Wavefronts count as equal if one microlens cannot distinguish them. Out of focus a microlens sees only a part of the
-pupil, one of :math:`n = 2 a |\Delta b| / b D_2` across. Of a changed wavefront it sees the changed tilt of this part,
-which moves its spot: a change by :math:`\delta` waves at the pupil's edge gives :math:`4 \delta / n` waves across a
+pupil, one of :math:`n = 2 a |\Delta b| / b D_2` across. It responds to the change of a wavefront's tilt over this part,
+which moves the spot: a change by :math:`\delta` waves at the pupil's edge gives :math:`4 \delta / n` waves across a
 lens, and a motion of the image by :math:`\mu` gives :math:`\mu D_1 / \lambda b n`. The steps of position and distance
 within which points share a pattern therefore increase with the defocus.
 """
@@ -78,7 +78,7 @@ def chosen_accuracy(accuracy: float | None, method: str, default: float = DEFAUL
 
 
 def band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to retain for an allowed error of the sum of some points."""
+    """Return how much of the diffracted light to keep for an allowed error of the sum of some points."""
     allowed = accuracy / _FEW_STRICTER if count <= _FEW else accuracy
     band = next(band for limit, band in _BANDS if allowed < limit)
     if count <= _FEW:
@@ -88,7 +88,7 @@ def band_for(accuracy: float, count: int) -> Band:
 
 
 def derivative_band_for(accuracy: float, count: int) -> Band:
-    """Choose how much of the diffracted light to retain for derivatives.
+    """Return how much of the diffracted light to keep for derivatives.
 
     Derivatives give more weight to light at large angles, whose phase changes fastest. Light of a hard pupil edge that
     is aliased changes fastest of all, so that edges are softer than for images.
@@ -104,12 +104,12 @@ def derivatives_share(accuracy: float, count: int) -> bool:
 
 
 def wavefront_step(accuracy: float, camera: PlenopticCamera, lens: MainLens, positions: NDArray[np.float64]) -> float:
-    """Choose the largest difference, in waves across a microlens, of wavefronts that count as equal.
+    """Return the largest difference, in waves across a microlens, of wavefronts that count as equal.
 
-    The errors of overlapping point spreads average out, so that fewer of them must each be more accurate.
+    The errors of overlapping point spreads average out, so that sums of few spreads need more accurate ones.
 
-    The positions are in the camera frame or, behind a round lens, in one that is rotated about the axis. The result is
-    0 if nothing may be shared.
+    The positions are in the camera frame or, behind a round lens, in a frame rotated about the axis. The result is 0 if
+    nothing may be shared.
     """
     if not len(positions):
         return 0.0
@@ -140,7 +140,7 @@ _OFF_LATTICE = 0.38196601
 
 @dataclass(frozen=True)
 class Patterns:
-    """Patterns, and the pattern of each point."""
+    """Point patterns, and the index of each point's pattern."""
 
     positions: NDArray[np.float64]  # scene point for which each pattern is computed, (patterns, 3)
     slant: NDArray[np.float64] | None  # mean slant of the points (see `PupilWeights`), (patterns, 2)
@@ -203,7 +203,7 @@ def find_patterns(
 
 
 def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Express positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
+    """Return positions on the MLA, (n, 2), in steps along the lattice vectors, the first of which is along x."""
     (width, _), (aside, height) = camera.lattice.basis
     x, y = (position - np.array(camera.mla_offset)).T
     j = y / height
@@ -211,7 +211,7 @@ def _lattice_steps(camera: PlenopticCamera, position: NDArray[np.float64]) -> ND
 
 
 def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.float64]:
-    """Express steps along the lattice vectors, (n, 2), as positions on the MLA in pitches."""
+    """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
     basis, offset = np.array(camera.lattice.basis), np.array(camera.mla_offset)
     return np.asarray(steps @ (basis / camera.mla_pitch) + offset / camera.mla_pitch)
 
@@ -219,7 +219,7 @@ def _in_pitches(camera: PlenopticCamera, steps: NDArray[Any]) -> NDArray[np.floa
 def _depth_steps(
     camera: PlenopticCamera, lens: MainLens, g: NDArray[np.float64], wavelength: float, step: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return an index per point for its step of distance, and the number of parts of a lens along an axis."""
+    """Return the index of each point's step of distance, and the number of parts of a lens along an axis."""
     lam = in_millimetres(wavelength)
     a, b = lens.pupil_radius, lens.pupil_distance
     defocus = a * a / (2 * lam) * (lens.convergence(g) - 1 / b)

@@ -1,4 +1,4 @@
-"""The field of one scene point behind the exit pupil, and just before the microlenses."""
+"""The field of one scene point behind the exit pupil and directly in front of the microlenses."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def field_grids(
     refinement: float,
     growth: float,
 ) -> FieldGrids:
-    """Choose the grids of one scene point's field, with the parameters of `full_field`."""
+    """Return the grids of one scene point's field, with the parameters of `full_field`."""
     lens = system.waves_of_one(position)
     if isinstance(lens, ExitPupil):
         positions, cosines = lens.bundle
@@ -94,7 +94,7 @@ def grids_around(
     refinement: float = 1.0,
     growth: float = 1.0,
 ) -> FieldGrids:
-    """Choose grids that hold the fields of all scene points (n, 3) with these footprints; `what` names the work."""
+    """Return grids that hold the fields of all scene points (n, 3) around an image; `what` names the work."""
     camera, wavelength = system.camera, system.wavelength
     p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
@@ -166,7 +166,7 @@ class SampledField:
 
 
 def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
-    """Return a field on a grid of another pitch, of either sign, as its samples determine it by their band limit."""
+    """Return a field interpolated by its band limit on a grid of another pitch, of either sign."""
     arrays = backend().arrays
     # Along y, then along x.
     matrices = []
@@ -223,7 +223,7 @@ def pupil_field(
 def at_mla(
     camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField, paraxial: bool = False
 ) -> SampledField:
-    """Propagate a field to the finer grid at the MLA, and crop it to the detector's window."""
+    """Return a field propagated to the finer grid at the MLA, and cropped to the detector's window."""
     spectrum = backend().empty(pupil.samples.shape, np.complex64)
     spectrum[...] = pupil.samples
     with resting_drjit():
@@ -254,13 +254,13 @@ def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
 
 
 def blocks(count: int) -> Iterator[slice]:
-    """Divide a range into slices, which limits the memory of their intermediate results."""
+    """Yield slices of a range, which limit the memory of intermediate results."""
     for start in range(0, count, BLOCK):
         yield slice(start, min(count, start + BLOCK))
 
 
 def interpolate(spectrum: Field, count: int, axis: int) -> Field:
-    """Transform a spectrum back along one axis to `count` samples of the same window, by zero padding."""
+    """Return a spectrum's transform back along one axis, with `count` samples in the same window by zero padding."""
     size = spectrum.shape[axis]
     shape = list(spectrum.shape)
     shape[axis] = count
@@ -281,7 +281,7 @@ def telecentric_arrival(
     grids: FieldGrids,
     weights: PupilWeights | None = None,
 ) -> tuple[SampledField, SampledField]:
-    """Return the field on the stop, and that in the native image just before the microlenses, for a scene point (3,).
+    """Return the fields of a scene point (3,) on the stop and in the native image directly before the microlenses.
 
     Both have the power 1, except for light that misses the detector's window.
     """

@@ -1,11 +1,12 @@
-r"""Waves on the pupil that the fields of points of similar distance are but for smooth factors: tilts, or spheres.
+r"""Waves on the pupil common to the fields of points of similar distance, up to smooth factors: tilts or spheres.
 
-The factors are functions of the pupil's point and of the scene's point: see `pupil_sums`. A parabolic main lens adds
-the same phase to the light of all points. Their fields differ by tilts and by little else; sums of tilts are
-non-uniform Fourier transforms (`Tilts`).
+The factors are functions of the pupil point and the scene point: see `pupil_sums`. A parabolic main lens adds the same
+phase to the light of all points. Their fields then differ mainly by tilts; sums of tilts are non-uniform Fourier
+transforms (`Tilts`).
 
-An ideal main lens turns the sphere of each point into one about the point's own image, and these differ by much more
-than tilts: by 41 waves at f/2, 3.5 mm off the axis. With the vergence v behind the lens and the slopes u of the point,
+An ideal main lens turns the sphere around each point into a sphere around the point's image, and these spheres differ
+by much more than tilts: by 41 waves at f/2, 3.5 mm off the axis. With the vergence v behind the lens and the slopes u
+of the point,
 
 .. math:: p(P, X) = \frac{1}{\lambda v} \left((1 + u^2)^{1/2} - (1 + |v P + u|^2)^{1/2}\right) .
 
@@ -44,7 +45,7 @@ _FARTHEST = 1e20
 
 
 class PupilGrid:
-    """The square of a wide grid's samples that contains the pupil; `count` x `count`."""
+    """The square part of a wide grid, `count` x `count` samples, that contains the pupil."""
 
     def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float) -> None:
         self.pitch = pitch
@@ -60,30 +61,30 @@ class PupilGrid:
 
 
 class Carrier(Protocol):
-    """Waves of the points of a layer, without their smooth factors.
+    """Carrier waves of a layer's points: their fields without the smooth factors.
 
-    `shift` (n,) are factors of the points that the sums leave out.
+    `shift` (n,) are phase factors of the points that the sums leave out.
     """
 
     shift: NDArray[np.complex128]
 
     def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
-        """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
+        """Yield blocks of rows of the sum of the waves with given amplitudes (n,) on the pupil's samples."""
 
     def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
-        """Return for each wave the inner product with samples, which come in blocks of rows."""
+        """Return each wave's inner product with samples, which come in blocks of rows."""
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
-        """Return the path in waves that all points have besides, at points of the pupil."""
+        """Return the additional path in waves, common to all points, at points of the pupil."""
 
     def remainder(
         self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
     ) -> NDArray[np.float64]:
-        """Return paths of some points in waves at m points of the pupil, less the waves of this carrier, (m, n)."""
+        """Return paths of some points in waves at m pupil points, less the paths of the carrier waves, (m, n)."""
 
 
 class Tilts:
-    """Plane waves about the path of the middle of a layer's points (n, 3)."""
+    """Plane waves relative to the path of the middle of a layer's points (n, 3)."""
 
     def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength = lens, wavelength
@@ -100,11 +101,11 @@ class Tilts:
 
     @staticmethod
     def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-        """Return an upper bound in bytes of the memory of the sums, without the memory of each point."""
+        """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         return PlaneWaves.memory(grid.count)
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
-        """Return the path of the middle of the layer."""
+        """Return the path in waves of the middle of the layer."""
         opaque = array_module().Float64
         X, Y, g = (dr.opaque(opaque, float(value)) for value in self.middle)
         return self._lens.path(pupil, (X, Y, g), self._wavelength)
@@ -112,7 +113,7 @@ class Tilts:
     def remainder(
         self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
     ) -> NDArray[np.float64]:
-        """Return paths in waves less the path of the middle point and the tilts."""
+        """Return paths in waves less the middle point's path and the tilts."""
         of_middle = self._lens.path((x[:, None], y[:, None]), tuple(self.middle), self._wavelength)
         return np.asarray(waves - of_middle - np.stack([x, y], 1) @ self._frequencies[which].T)
 
@@ -121,7 +122,7 @@ class Tilts:
 
 
 class Spheres:
-    """Spherical waves towards the images of points (n, 3) by an ideal lens, moved into one plane."""
+    """Spherical waves towards the images of points (n, 3) by an ideal lens, with the images moved into one plane."""
 
     def __init__(self, lens: ThinLens, wavelength: float, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, wavelength, grid
@@ -140,7 +141,7 @@ class Spheres:
 
     @classmethod
     def memory(cls, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-        """Return an upper bound in bytes of the memory of the sums, without the memory of each point."""
+        """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
         count = fast_length(cls.window(lens, points, grid))
         # The points' plane is a part of the window, as wide as the images.
         held = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
@@ -159,7 +160,7 @@ class Spheres:
             yield rows, found[rows]
 
     def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
-        """Return for each wave the inner product with samples, which come in blocks of rows."""
+        """Return each wave's inner product with samples, which come in blocks of rows."""
         wide = np.zeros((self._count, self._grid.count), np.complex64)
         for rows, block in samples:
             wide[self._inner][rows] = block
@@ -175,13 +176,13 @@ class Spheres:
         return self._waves.adjoint(spectra())
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
-        """Return the aberrations of the lens at points of the pupil."""
+        """Return the path in waves of the lens's aberrations at points of the pupil."""
         return self._lens.aberration(pupil, self._wavelength)
 
     def remainder(
         self, waves: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], which: Any
     ) -> NDArray[np.float64]:
-        """Return paths in waves less the spheres and the aberrations."""
+        """Return paths in waves less the paths of the spheres and the aberrations."""
         X, Y = self._images[which].T
         away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
         sphere = self._path(X**2 + Y**2) - self._path(away)
@@ -197,7 +198,7 @@ class Spheres:
         return slice(first, first + self._grid.count)
 
     def _kernel(self, rows: slice) -> Field:
-        """Return rows of the spectrum of the sphere, with zero frequency in the middle."""
+        """Return rows of the sphere's spectrum, with zero frequency in the middle."""
         order = np.abs(np.arange(self._count) - self._count // 2)
         quarter = _spectrum(self._count, self._grid.pitch, self._reach, self._distance, self._wavelength)
         return np.asarray(quarter[order[rows]][:, order])
@@ -212,7 +213,7 @@ def _sphere(square: Any, radius: float, wavelength: float) -> Any:
 def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float) -> Field:
     """Return the spectrum of a sphere, which is even along both axes, at frequencies that are not negative.
 
-    The sphere fades out beyond `reach` samples of the `count` of its window. That of the last layer is remembered.
+    The sphere fades out beyond `reach` samples in its window of `count` samples. The last layer's spectrum is cached.
     """
     step = np.arange(count // 2 + 1)
     # The edge is so wide that it holds no steeper light than the samples do.
@@ -228,7 +229,7 @@ def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength:
 
 
 def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-    """Return the distance of the plane in the middle of the images of points, and their chief rays' places (n, 2)."""
+    """Return the distance of the plane in the middle of points' images, and the chief rays' positions on it, (n, 2)."""
     vergence = lens.vergence(points[:, 2])
     distance = _finite_inverse((vergence.min() + vergence.max()) / 2)
     return distance, points[:, :2] * (-distance / points[:, 2:])
@@ -240,12 +241,12 @@ def _finite_inverse(nearness: float) -> float:
 
 
 def _reach(images: NDArray[np.float64], grid: PupilGrid) -> float:
-    """Return the largest distance, along an axis, between a sample of the pupil and an image, in samples."""
+    """Return the largest distance along an axis, in samples, between a sample of the pupil and an image."""
     return grid.count / 2 + float(np.abs(images - grid.middle).max()) / grid.pitch
 
 
 def _to_samples(spectrum: Field, axis: int) -> Field:
-    """Transform an axis whose zero is in the middle back, without a factor."""
+    """Return the inverse transform along an axis whose zero is in the middle, without a factor."""
     return np.fft.fftshift(fft(np.fft.ifftshift(spectrum, axis), axis=axis, inverse=True, norm="forward"), axis)
 
 

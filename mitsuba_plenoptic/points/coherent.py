@@ -1,9 +1,9 @@
-"""The complex field of many mutually coherent points in the planes of the camera, and its adjoint.
+"""The complex field of many mutually coherent points in the planes of the camera, and the adjoint.
 
-The field on the pupil is a sum over layers of distance (see `pupil_sums`). From there it goes through the camera as
-that of a single point does (see `full_field`): by its angular spectrum to the array, through the microlenses by their
-diffraction orders, and by its angular spectrum to the detector. All of this is linear; the adjoint applies the adjoints
-of the steps in opposite order. Transfer functions and transmissions then are conjugated.
+The field on the pupil is a sum over layers of distance (see `pupil_sums`). It propagates through the camera like a
+single point's field (see `full_field`): by its angular spectrum to the array, through the microlenses by their
+diffraction orders, and by its angular spectrum to the detector. All steps are linear; the adjoint applies their
+adjoints in opposite order, with conjugated transfer functions and transmissions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_choice
+from ..errors import InputError, refuse_if
 from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import Footprint, footprint
@@ -29,7 +29,7 @@ from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_microlenses, pixel_integrals
 from .nonuniform import POINT_BYTES
-from .pupil_sums import Layer, layers, memory
+from .pupil_sums import Layer, carrier_type, layers
 
 PLANES = ("pupil", "array", "detector")
 """Planes in which fields are computed: just behind the main lens, just before the microlenses, and on the detector."""
@@ -49,7 +49,7 @@ def require_coherent(camera: PlenopticCamera) -> None:
 class CoherentFields:
     """Fields of scene points (n, 3) of a camera with a thin main lens, each of unit power through the pupil.
 
-    The phase of a point's amplitude is that of its field at the centre of the pupil.
+    The phase of a point's amplitude is the phase of the point's field at the centre of the pupil.
     """
 
     def __init__(self, system: OpticalSystem, points: NDArray[np.float64]) -> None:
@@ -61,12 +61,20 @@ class CoherentFields:
         self.grids = grids_around(system, lens, _footprint(lens, points), points, what)
         self._pupil = PupilGrid(lens, self.grids.wide_origin, self._pupil_pitch)
         self._parts = layers(system, lens, points)
-        sums = max(memory(lens, points[part], self._pupil) for part in self._parts)
+        kinds = [carrier_type(lens, points[part], self._pupil) for part in self._parts]
+        # An upper bound of the memory of a layer's field, without that of each point.
+        sums = max(kind.memory(lens, points[part], self._pupil) for kind, part in zip(kinds, self._parts, strict=True))
         check_memory(POINT_BYTES * len(points) + sums + 8.0 * self.grids.wide_pupil**2, what)
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
-        pupil = self._on_pupil(amplitudes)
+        grid = self._pupil
+        inner = np.zeros((grid.count, grid.count), np.complex64)
+        for part, layer in self._layers:
+            layer.add(amplitudes[part], inner)
+        field = backend().arrays.zeros(self.shape("pupil"), np.complex64)
+        field[grid.rows, grid.columns] = backend().arrays.asarray(inner)
+        pupil = SampledField(field, self.grids.wide_origin, self._pupil_pitch)
         if plane == "pupil":
             return pupil
         array = at_mla(self.system.camera, self.system.wavelength, self.grids, pupil)
@@ -77,7 +85,7 @@ class CoherentFields:
             return SampledField(fft2(spectrum, inverse=True), array.origin, array.pitch)
 
     def intensity(self, amplitudes: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """Integrate the intensity of the field on the detector over the recorded pixels."""
+        """Return the intensity of the field on the detector, integrated over each recorded pixel."""
         array = self.at(amplitudes, "array")
         spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
         del array
@@ -86,12 +94,25 @@ class CoherentFields:
 
     def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
         """Return the inner product of each point's field with samples of one of the planes."""
-        arrays = backend().arrays
-        field = arrays.array(samples, np.complex64)
+        camera, grids = self.system.camera, self.grids
+        field: Field = backend().arrays.array(samples, np.complex64)
         if plane == "detector":
-            field = self._before_microlenses(field)
+            # Back to the array, and through the microlenses.
+            with resting_drjit():
+                spectrum = fft2(field)
+            wavelength = camera.medium_wavelength(self.system.wavelength)
+            spectrum = advance(spectrum, grids.pitch, -camera.detector_distance, wavelength)
+            with resting_drjit():
+                field = fft2(spectrum, inverse=True).conj()
+            pass_microlenses(self.system, grids, field)
+            field = field.conj()
         if plane != "pupil":
-            field = self._behind_pupil(field)
+            # Back from the array to the pupil.
+            with resting_drjit():
+                spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
+            spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
+            with resting_drjit():
+                field = fft2(spectrum, inverse=True)
         field = np.ascontiguousarray(backend().to_host(field[self._pupil.rows, self._pupil.columns]))
         result = np.empty(len(self._points), np.complex64)
         for part, layer in self._layers:
@@ -105,7 +126,7 @@ class CoherentFields:
 
     @property
     def transforms(self) -> int:
-        """Number of transforms of the pupil that a field takes, in all layers."""
+        """Number of transforms of the pupil that a field takes, in all layers together."""
         return sum(layer.rank for _, layer in self._layers)
 
     @property
@@ -116,46 +137,16 @@ class CoherentFields:
     def _layers(self) -> list[tuple[NDArray[np.int64], Layer]]:
         return [(part, Layer(self.system, self._lens, self._points[part], self._pupil)) for part in self._parts]
 
-    def _on_pupil(self, amplitudes: NDArray[np.complex64]) -> SampledField:
-        grid = self._pupil
-        inner = np.zeros((grid.count, grid.count), np.complex64)
-        for part, layer in self._layers:
-            layer.add(amplitudes[part], inner)
-        field = backend().arrays.zeros(self.shape("pupil"), np.complex64)
-        field[grid.rows, grid.columns] = backend().arrays.asarray(inner)
-        return SampledField(field, self.grids.wide_origin, self._pupil_pitch)
-
-    def _before_microlenses(self, field: Field) -> Field:
-        """Apply the adjoint of the microlenses and of the propagation to the detector."""
-        camera = self.system.camera
-        with resting_drjit():
-            spectrum = fft2(field)
-        wavelength = camera.medium_wavelength(self.system.wavelength)
-        spectrum = advance(spectrum, self.grids.pitch, -camera.detector_distance, wavelength)
-        with resting_drjit():
-            field = fft2(spectrum, inverse=True).conj()
-        pass_microlenses(self.system, self.grids, field)
-        return field.conj()
-
-    def _behind_pupil(self, field: Field) -> Field:
-        """Apply the adjoint of the propagation from the pupil to the array."""
-        grids, camera = self.grids, self.system.camera
-        with resting_drjit():
-            spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
-        spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
-        with resting_drjit():
-            return fft2(spectrum, inverse=True)
-
 
 def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
-    """Return the footprints of points, computed for some of them at a time."""
+    """Return the footprints of points, computed for a limited number of points at a time."""
     parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
     names = [field.name for field in dataclasses.fields(Footprint)]
     return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
-    """Transform the detector's window along one axis to the spectrum of the wide window: adjoint of `onto_window`."""
+    """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
     arrays, count = backend().arrays, grids.wide_pupil
     start, size = grids.offset[1 - axis], field.shape[axis]
     positive = (count + 1) // 2
@@ -171,22 +162,8 @@ def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
     return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))
 
 
-def require_plane(plane: Any) -> str:
-    """Return the name of a plane, or refuse it."""
-    return require_choice("plane", plane, PLANES)
-
-
-def check_amplitudes(amplitudes: Any, count: int) -> NDArray[np.complex64]:
-    """Return amplitudes as a complex array (n,); refuse anything else."""
-    return _complex("amplitudes", amplitudes, (count,), "one complex number for each point")
-
-
-def check_samples(samples: Any, shape: tuple[int, int], plane: str) -> NDArray[np.complex64]:
-    """Return samples of a field in a plane as a complex array; refuse a wrong shape."""
-    return _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
-
-
-def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+def complex_array(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+    """Return values as a complex array of a shape; refuse anything else."""
     try:
         array = np.asarray(values, np.complex64)
     except (TypeError, ValueError, OverflowError):

@@ -1,44 +1,35 @@
-"""The part of a `CaptureOperator` that concerns mutually coherent points: complex fields and their adjoint."""
+"""Complex fields of mutually coherent points, and their adjoints, as a part of `CaptureOperator`."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import require_choice
 from ..optics import guards
 from ..runtime.backend import backend, one_at_a_time
 from .arrival import SampledField
-from .coherent import CoherentFields, check_amplitudes, check_samples, require_plane
+from .coherent import PLANES, complex_array
 
 
-class CoherentPoints(ABC):
-    """Points whose light may add as fields."""
+class CoherentPoints:
+    """Points whose light may add coherently, as fields, which `coherent_fields` computes together."""
 
     points: NDArray[np.float64]
-
-    @abstractmethod
-    def _coherent_fields(self) -> CoherentFields:
-        """Return the plan of the points' fields; refuse points whose fields cannot be computed together."""
-
-    @cached_property
-    def coherent_fields(self) -> CoherentFields:
-        """The fields of the points at the operator's only wavelength."""
-        return self._coherent_fields()
+    coherent_fields: Any
 
     @one_at_a_time
     def field(self, amplitudes: Any, *, plane: str = "detector") -> SampledField:
-        r"""Add the complex fields of all points, which are mutually coherent, each with an amplitude.
+        r"""Return the sum of the complex fields of all points, which are mutually coherent, each with an amplitude.
 
         .. math:: U(p) = \sum_r a_r \, u_r(p)
 
-        where the point spread of `forward` is the integral of :math:`|u_r|^2` over a pixel, before the light that the
-        method "patch" leaves out. The phase of an amplitude is that of the point's field at the centre of the pupil.
-        Points of similar distance are propagated together: the time depends little on their count. The main lens must
-        be thin, and there must be one wavelength and no `pupil_weights`.
+        where the point spread of `forward` is the integral of :math:`|u_r|^2` over a pixel, apart from the light that
+        the method "patch" leaves out. The phase of an amplitude is the phase of the point's field at the centre of the
+        pupil. Points of similar distance are propagated together: the time depends little on their number. The main
+        lens must be thin, and there must be one wavelength and no `pupil_weights`.
 
         Parameters
         ----------
@@ -71,9 +62,9 @@ class CoherentPoints(ABC):
         >>> operator.field_adjoint(field.samples, plane="array").shape
         (2,)
         """
-        given = check_amplitudes(amplitudes, len(self.points))
+        given = complex_array("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
         with guards.watch():
-            found = self.coherent_fields.at(given, require_plane(plane))
+            found = self.coherent_fields.at(given, require_choice("plane", plane, PLANES))
         return SampledField(backend().to_host(found.samples), found.origin, found.pitch)
 
     @one_at_a_time
@@ -98,5 +89,6 @@ class CoherentPoints(ABC):
             As for `field`.
         """
         fields = self.coherent_fields
-        given = check_samples(samples, fields.shape(require_plane(plane)), plane)
+        shape = fields.shape(require_choice("plane", plane, PLANES))
+        given = complex_array("samples", samples, shape, f"the samples of a field in the plane {plane}")
         return fields.adjoint(given, plane)

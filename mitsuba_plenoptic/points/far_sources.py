@@ -1,6 +1,6 @@
 """Sources at infinity as points with weights for `CaptureOperator`: stars, binaries, and discs from pictures.
 
-Directions are angles in arcseconds in the camera frame: +x is to the left of the picture that the camera takes, +y up.
+Directions are angles in arcseconds in the camera frame: +x is to the left in the camera's picture, +y up.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
     points : float64 array (1, 3)
         The star as a point of `CaptureOperator`.
     weights : float64 array (1,)
-        Its weight for `CaptureOperator.forward`.
+        Weight of the star for `CaptureOperator.forward`.
 
     Raises
     ------
@@ -61,12 +61,12 @@ def star(direction: tuple[float, float] = (0.0, 0.0), *, weight: float = 1.0) ->
 def binary(
     separation: float, *, angle: float = 0.0, ratio: float = 1.0, direction: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Points, Points]:
-    """Return two stars, the brighter one first, which together have the power 1.
+    """Return the points and weights of two stars, the brighter one first, with a total power of 1.
 
     Parameters
     ----------
     separation : float
-        Angle between them in arcseconds.
+        Angle between the stars in arcseconds.
     angle : float
         Direction of the second star from the first, in degrees from +x towards +y.
     ratio : float
@@ -79,7 +79,7 @@ def binary(
     points : float64 array (2, 3)
         The stars as points of `CaptureOperator`.
     weights : float64 array (2,)
-        Their weights.
+        Weights of the two stars.
 
     Raises
     ------
@@ -97,8 +97,7 @@ def binary(
 def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.0, 0.0)) -> tuple[Points, Points]:
     """Return points and weights of an extended source, one point for each bright pixel of a picture.
 
-    Pixels should be narrower than the telescope resolves, wavelength / 2 diameter. The points together have the power
-    1.
+    Pixels should be narrower than the telescope resolves, wavelength / 2 diameter. The total power is 1.
 
     Parameters
     ----------
@@ -107,14 +106,14 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
     width : float
         Angle across the columns in arcseconds; pixels are square.
     direction : (float, float)
-        Angles from the axis to its middle along x and y in arcseconds.
+        Angles from the axis to the source's middle along x and y in arcseconds.
 
     Returns
     -------
     points : float64 array (n, 3)
         The points of `CaptureOperator`.
     weights : float64 array (n,)
-        Their weights.
+        Weights of the points.
 
     Raises
     ------

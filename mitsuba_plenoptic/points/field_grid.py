@@ -1,8 +1,8 @@
-"""Sampling of point spreads: the common grid, and the size and position of each patch.
+"""Sampling of point spreads: the common detector grid, and the size and position of each patch.
 
-All intensities are sampled on one grid of the detector, so that they can be added and integrated over the pixels once,
-at the end. The grid lies in the frame that is rotated with the microlens lattice about the axis. An integer number of
-its samples separates neighbouring micro-images, so that a point spread can be moved from lens to lens.
+All intensities are sampled on one grid of the detector, so that they can be added and, at the end, integrated once over
+the pixels. The grid lies in the frame rotated with the microlens lattice about the axis. Neighbouring micro-images are
+an integer number of samples apart, so that a point spread can be moved from lens to lens.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Grid:
-    """The grid of the detector on which intensities are sampled, and the data common to patches on it."""
+    """The detector grid on which intensities are sampled, with data common to the patches on it."""
 
     camera: PlenopticCamera  # in the frame of its lattice
     lens: MainLens  # for wave propagation from the points
@@ -74,7 +74,7 @@ class Grid:
 
     @property
     def lens_samples(self) -> NDArray[np.int64]:
-        """Samples along x and y (columns) between adjacent micro-images along either lattice vector (rows)."""
+        """Number of samples along x and y (columns) between adjacent micro-images along each lattice vector (rows)."""
         camera = self.camera
         growth = camera.micro_image_pitch / camera.mla_pitch
         return np.rint(np.array(camera.lattice.basis) * growth / self.pitch).astype(np.int64)
@@ -87,10 +87,10 @@ class Grid:
         positions: NDArray[np.float64],
         together: int = 1,
     ) -> Grid:
-        """Choose the grid of a camera for some scene points.
+        """Return the grid of a camera for some scene points.
 
-        Its pitch represents the directions of the band, and an integer number of samples, a multiple of `together`,
-        lies between neighbouring micro-images along both axes.
+        The pitch represents the directions of the band. Neighbouring micro-images along both axes are an integer number
+        of samples apart, a multiple of `together`.
         """
         rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)
@@ -118,14 +118,14 @@ class Grid:
         )
 
     def merged(self, together: int) -> Grid:
-        """Return the grid of the means of `together` x `together` samples."""
+        """Return the grid of means over `together` x `together` samples."""
         if together == 1:
             return self
         origin = self.origin + (together - 1) / 2 * self.pitch
         return replace(self, pitch=self.pitch * together, origin=origin, means=True)
 
     def to_frame(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transform scene points (n, 3) from the camera frame to the frame of the lattice."""
+        """Return scene points (n, 3) in the lattice frame, from those in the camera frame."""
         if self.rotation == 0:
             return positions
         return np.column_stack([*turn(positions[:, 0], positions[:, 1], -self.rotation), positions[:, 2]])
@@ -133,7 +133,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Placement:
-    """Sizes and positions of patches. Arrays have the shape (n,) or, for x and y, (n, 2)."""
+    """Sizes and positions of patches, as arrays of shape (n,) or, for x and y, (n, 2)."""
 
     samples: NDArray[np.int64]  # across each patch, on the detector and of its spectrum
     corner: NDArray[np.int64]  # index of each patch's first sample on the grid
@@ -147,7 +147,7 @@ class Placement:
 
 
 def place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
-    """Choose the size and position of the patches of points in the frame of the lattice."""
+    """Return the size and position of the patches of points given in the lattice frame."""
     # Rays are traced for a limited number of points at a time, which limits the memory.
     starts = range(0, max(1, len(positions)), _BLOCK)
     parts = [_place(grid, positions[start : start + _BLOCK]) for start in starts]
@@ -188,7 +188,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 
 def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return sample counts rounded up to one of few fast FFT lengths, so that points share lengths."""
+    """Return sample counts rounded up to a few fast FFT lengths, so that many points share one length."""
     counts = [fast_length(16)]
     while counts[-1] < minimum.max(initial=0):
         length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))

@@ -4,15 +4,15 @@ Behind the main lens, at the pupil point P, a point source at X has the field
 
 .. math:: U(P) = \frac{g}{|P - X|^2} \exp\left(i k \left(|P - X| + \Phi(P)\right)\right)
 
-(the first Rayleigh-Sommerfeld solution of a point source, and the phase of the lens: Goodman, "Introduction to
-Fourier Optics", sections 3.5 and 5.1; `lenses.thin` states :math:`\Phi` for both models of a thin lens). It goes to
-the MLA by its angular spectrum, through the microlenses by
-:math:`\exp(-i \pi |m - c|^2 / \lambda f_2)` in each cell, and to the detector by its angular spectrum.
+(the first Rayleigh-Sommerfeld solution of a point source, and the phase of the lens: Goodman, "Introduction to Fourier
+Optics", sections 3.5 and 5.1; `lenses.thin` states :math:`\Phi` for both models of a thin lens). The field propagates
+to the MLA by its angular spectrum, through the microlenses by :math:`\exp(-i \pi |m - c|^2 / \lambda f_2)` in each
+cell, and to the detector by its angular spectrum.
 
-Sampling: while the half widths of pupil and destination together fit the window, no band limit but the
-evanescent one is needed (Matsushima and Shimobaba 2009, "Band-limited angular spectrum method"). The pitch holds
-the steepest rays. The intensity has twice the field's bandwidth, so the grid is doubled before squaring; a
-pixel's integral is the intensity's spectrum times the sinc of the pixel.
+Sampling: while the half widths of pupil and destination together fit the window, no band limit but the evanescent one
+is needed (Matsushima and Shimobaba 2009, "Band-limited angular spectrum method"). The pitch represents the steepest
+rays. The intensity has twice the field's bandwidth, so the grid is doubled before squaring; a pixel's integral is the
+intensity's spectrum times the sinc of the pixel.
 """
 
 from __future__ import annotations
@@ -58,7 +58,17 @@ _FINER = 6
 
 @dataclass(frozen=True)
 class PointFields:
-    """Fields of one scene point in the planes of the camera: behind the pupil, before the MLA, on the detector."""
+    """Fields of one scene point in the planes of the camera.
+
+    Attributes
+    ----------
+    pupil : SampledField
+        The field behind the pupil.
+    mla : SampledField
+        The field before the microlens array.
+    detector : SampledField
+        The field on the detector.
+    """
 
     pupil: SampledField
     mla: SampledField
@@ -76,12 +86,12 @@ def full_field(
     grids: FieldGrids | None = None,
     incident: SampledField | None = None,
 ) -> NDArray[np.float32]:
-    """Integrate one scene point's intensity over the recorded pixels.
+    """Return one scene point's intensity integrated over each recorded pixel.
 
-    `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence;
-    `grids` may be those of a camera that hardly differs, so that differences are free of the grids'. `incident` is a
+    `refinement` and `growth` are factors on the sampling density and on the window's margins, to test convergence.
+    `grids` may be taken from a nearly equal camera, so that differences contain no effect of the grids. `incident` is a
     field on the pupil of a thin lens or a collimator that replaces a far point's light, with its own aperture. It may
-    be the light of many far points, to which an ideal thin lens is a parabola in paraxial propagation to the array.
+    be the light of many far points, for which an ideal thin lens is a parabola in paraxial propagation to the array.
     """
     grids = grids or field_grids(system, position, refinement, growth)
     paraxial = incident is not None and is_paraxial(system.camera)
@@ -94,7 +104,7 @@ def full_field(
 
 
 def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
-    """Propagate one scene point's field, as `full_field` does, and return it at every plane."""
+    """Return one scene point's field at every plane, propagated as by `full_field`."""
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, mla = _arrival(system, position, grids)
     spectrum = detector_spectrum(system, grids, mla.samples.copy(), microlenses)
@@ -112,7 +122,7 @@ def _arrival(
     incident: SampledField | None = None,
     paraxial: bool = False,
 ) -> tuple[SampledField, SampledField]:
-    """Return the field behind the pupil, and that before the MLA."""
+    """Return the field behind the pupil, and the field before the MLA."""
     lens = system.lens
     if isinstance(lens, (TelecentricLens, CollimatedLens)) and system.camera.lens_data.images_stop:
         return stop_image_arrival(lens, position, system.wavelength, grids, weights, incident)
@@ -123,7 +133,7 @@ def _arrival(
 
 
 def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
-    """Spectrum on the detector of the field that reaches the MLA, whose memory is used."""
+    """Return the spectrum, on the detector, of the field that reaches the MLA, whose memory is reused."""
     if microlenses:
         before = _passed_power(system, grids, samples)
         pass_microlenses(system, grids, samples)
@@ -137,7 +147,7 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
-    """Multiply a field just before the array in place by the transmission of the microlenses."""
+    """Multiply a field directly before the array, in place, by the transmission of the microlenses."""
     if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
         samples *= _irregular(system, grids)
         return
@@ -154,7 +164,7 @@ def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -
 
 
 def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
-    """Return the transmission of an irregular array, which has no orders, without directions that the grid aliases."""
+    """Return the transmission of an irregular array, without the directions that the grid would alias."""
     types, (columns, rows) = backend().types, grids.count
     pitch, shape = grids.pitch / _FINER, (_FINER * rows, _FINER * columns)
     check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
@@ -172,7 +182,7 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
 
 
 def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: Field) -> float:
-    """Return the power, in units of a sample, of the part of a field that is within the microlenses' apertures."""
+    """Return the power, in units of a sample, of the part of a field within the microlenses' apertures."""
     if system.lattice.fills:
         return power(samples)
     total, cosine = 0.0, in_millimetres(system.wavelength) / (2 * grids.pitch)
@@ -196,7 +206,7 @@ def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
 
 
 def pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
-    """Integrate the intensity over the recorded pixels, exactly for the band-limited field."""
+    """Return the intensity integrated over each recorded pixel, exactly for the band-limited field."""
     arrays = backend().arrays
     height, width = camera.shape
     with resting_drjit():
@@ -214,7 +224,7 @@ def pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids)
 
 
 def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
-    """Integrate rows of the doubled grid over the recorded pixels: multiply their spectrum by the pixel's sinc."""
+    """Return rows of the doubled grid integrated over the recorded pixels: their spectrum times the pixel's sinc."""
     size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
     spectrum = rfft(intensity, axis=1)
     pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
@@ -226,7 +236,7 @@ def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int)
 
 @dataclass(frozen=True)
 class _FullField:
-    """One point, as a batch."""
+    """The full field of one point, as a batch."""
 
     system: OpticalSystem
     position: NDArray[np.float64]
@@ -246,12 +256,12 @@ class _FullField:
 
 
 def recorded_pixels(camera: PlenopticCamera) -> Box:
-    """Return the recorded pixels as a box of the detector's."""
+    """Return the recorded pixels as a box within the detector's pixels."""
     return Box(*camera.crop_offset, *camera.crop_size)
 
 
 class FullFieldPlan:
-    """Operator by full fields, with the parameters of `PatchPlan`; `accuracy` is not used."""
+    """Captures of points by full fields, with the parameters of `PatchPlan`; `accuracy` is not used."""
 
     def __init__(
         self,
@@ -263,7 +273,7 @@ class FullFieldPlan:
         self._system, self._camera, self._points, self._pupil_weights = system, system.camera, points, pupil_weights
 
     def sum(self, weights: NDArray[np.float64]) -> FullFieldSum:
-        """Return the uncomputed sum of the point spreads with given weights, (n, channels)."""
+        """Return the sum, not yet computed, of the point spreads with given weights, (n, channels)."""
         return FullFieldSum(self, weights)
 
     def batch(self, point: int, factors: NDArray[np.float32]) -> _FullField:
@@ -277,14 +287,14 @@ class FullFieldPlan:
         return recorded_pixels(self._camera)
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return the inner product of an image with every point's spread; see `PatchPlan.gather`."""
+        """Return each point spread's inner product with an image; see `PatchPlan.gather`."""
         one, count = np.ones(1, np.float32), len(self._points)
         batches = (self.batch(point, one) for point in range(count))
         spreads = (part.sums[0] for part in job.each(batches, [1] * count, done, total))
         return np.array([np.tensordot(psf, image, 2) for psf in spreads], np.float64).reshape(-1, image.shape[2])
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes of the image; refuse too many. Fields are checked point by point."""
+        """Return the bytes of the image; refuse too many. The memory of fields is checked point by point."""
         memory = 8.0 * channels * math.prod(self._camera.shape)
         check_memory(memory, f"image of {self._camera.shape[1]} x {self._camera.shape[0]} pixels")
         return memory

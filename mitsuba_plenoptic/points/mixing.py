@@ -1,4 +1,4 @@
-"""Weights of points for each wavelength, the image channels that record them, and the plans for all wavelengths."""
+"""Weights of points at each wavelength, the image channels that record them, and the plans of all wavelengths."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _LEFT_OUT, _ROUNDING = 0.1, 1e-6
 
 @dataclass(frozen=True)
 class SpectralSum:
-    """Sum of point spreads at one wavelength; several such sums make an image."""
+    """A sum of point spreads at one wavelength, of which several make an image."""
 
     wavelength: float  # in nanometres
     before: NDArray[np.float64]  # factors on the columns of the weights, (columns, k)
     after: NDArray[np.float32]  # factors from the sum's channels to those of the image, (channels, k)
 
     def reduced(self, weights: NDArray[np.float64], errors: NDArray[np.float64]) -> SpectralSum:
-        """Return the sum with the fewest columns that determine the weights of points: one if all have one spectrum.
+        """Return the sum with the fewest columns of weights; one column if all points have one spectrum.
 
-        Spectra that change little between nodes give channels with weights that are nearly proportional, and every
-        column costs one addition for each copy.
+        Spectra that change little between nodes give channels with nearly proportional weights, while every column
+        costs one addition for each copy.
 
         `errors` are the allowed root sum square errors of the weights in each channel of the image.
         """
@@ -48,7 +48,7 @@ class SpectralSum:
 
 
 class WeightChannels:
-    """The wavelengths of columns of weights, from one wavelength or a spectrum, and the channels of the image."""
+    """Wavelengths of the columns of weights, from one wavelength or a spectrum, and the image channels."""
 
     def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
         self._wavelength, self.spectrum = wavelength, spectrum
@@ -64,13 +64,13 @@ class WeightChannels:
         return 1 if self.spectrum is None else len(self.spectrum.nodes or set(self.spectrum.wavelengths))
 
     def mixing(self, columns: int) -> tuple[tuple[float, ...], NDArray[np.float32]]:
-        """Return the wavelength of each column of weights, and the matrix (channels, columns) to image channels."""
+        """Return each weight column's wavelength, and the matrix (channels, columns) from columns to channels."""
         if self.spectrum is None:
             return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
         return self.spectrum.wavelengths, self.spectrum.matrix()
 
     def parts(self, columns: int) -> Iterator[SpectralSum]:
-        """Yield the sums that make an image, for `columns` columns of weights (channels without a spectrum)."""
+        """Yield the sums that make an image, for `columns` columns of weights (the channels, without a spectrum)."""
         wavelengths, matrix = self.mixing(columns)
         if self.spectrum is None or not self.spectrum.nodes:
             for wavelength, some in groups(wavelengths):
@@ -140,7 +140,7 @@ class WavelengthPlans:
         self._plans: dict[float, Any] = {}
 
     def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
-        """Return plans of another kind for the same points."""
+        """Return the plans made by another function for the same points."""
         return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
 
     def system_at(self, wavelength: float) -> OpticalSystem:

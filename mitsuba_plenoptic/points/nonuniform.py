@@ -2,12 +2,12 @@ r"""Sums of plane waves of any directions on a regular grid, and the adjoint: a 
 
 .. math:: F(k_y, k_x) = \sum_j c_j \, e^{2 \pi i (k_x x_j + k_y y_j)}
 
-for integers :math:`k = -\lfloor N/2 \rfloor, \ldots` and frequencies :math:`|x_j|, |y_j| < 1/2` in cycles per sample.
-Each plane wave is spread over neighbouring frequencies of a grid that is twice as fine as that of the transform, by a
-Kaiser-Bessel function; the transform of that grid is divided by the function's own transform (Beatty, Nishimura and
-Pauly, "Rapid gridding reconstruction with a minimal oversampling ratio", 2005, for the function's parameter). Only the
-frequencies that occur are stored and transformed: laser spots occupy some tenth of them along each axis, for which
-FINUFFT 2.5, at the same error, takes 2.6 to 5 times the processor time of a sum.
+for integers :math:`k = -\lfloor N/2 \rfloor, \ldots` and frequencies :math:`|x_j|, |y_j| < 1/2` in cycles per sample. A
+Kaiser-Bessel function spreads each plane wave over neighbouring frequencies of a grid twice as fine as that of the
+transform; the transform of the fine grid is divided by the function's transform (Beatty, Nishimura and Pauly, "Rapid
+gridding reconstruction with a minimal oversampling ratio", 2005, for the function's parameter). Only the frequencies
+that occur are stored and transformed: laser spots occupy some tenth of them along each axis, for which FINUFFT 2.5, at
+the same error, takes 2.6 to 5 times the processor time of a sum.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ POINT_BYTES = 8.0 * _WIDTH**2 + 80
 
 
 class PlaneWaves:
-    """Plane waves of frequencies (n, 2), n > 0, x and y in cycles per sample, on `count` x `count` samples."""
+    """Plane waves of frequencies (n, 2) in cycles per sample, x and y, on a grid of `count` x `count` samples."""
 
     def __init__(self, frequencies: NDArray[np.float64], count: int) -> None:
         self.count = count
@@ -46,7 +46,10 @@ class PlaneWaves:
         low, high = first.min(0), first.max(0) + _WIDTH
         self._low, self._shape = low, (int(high[1] - low[1]), int(high[0] - low[0]))
         steps = np.arange(_WIDTH)
-        weights = [_bessel(place[:, axis, None] - (first[:, axis, None] + steps)) for axis in (0, 1)]
+        distances = (place[:, axis, None] - (first[:, axis, None] + steps) for axis in (0, 1))
+        inside = (np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2)) for distance in distances)
+        i0 = scipy.special.i0
+        weights = [(i0(_SHAPE * root) / i0(_SHAPE)).astype(np.float32) for root in inside]
         index = [first[:, axis, None] - low[axis] + steps for axis in (0, 1)]
         values = weights[1][:, :, None] * weights[0][:, None, :]
         columns = index[1][:, :, None] * self._shape[1] + index[0][:, None, :]
@@ -56,13 +59,15 @@ class PlaneWaves:
             shape=(n, self._shape[0] * self._shape[1]),
         )
         order = np.arange(count) - count // 2
-        self._correction = (1 / _bessel_transform(order / self._length)).astype(np.float32)
+        # The Fourier transform of the Kaiser-Bessel function.
+        root = np.sqrt(_SHAPE**2 - (math.pi * _WIDTH * (order / self._length)) ** 2)
+        self._correction = (1 / (_WIDTH * np.sinh(root) / root / i0(_SHAPE))).astype(np.float32)
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
-        """Return an upper bound in bytes of the memory of the sums, without the memory of each plane wave.
+        """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the waves.
 
-        `band` is the part of the frequencies from -1/2 to 1/2, along each axis, that occurs.
+        `band` is the occupied part, along each axis, of the frequencies from -1/2 to 1/2.
         """
         held = band * length(count) + 2 * _WIDTH
         return 8.0 * held * (2.0 * count + held)
@@ -76,7 +81,7 @@ class PlaneWaves:
             yield rows, _to_samples(tall[rows], self._low[0], self._length, self.count, 1) * self._correction
 
     def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
-        """Return the inner product of each plane wave with samples, which come in blocks of rows."""
+        """Return each plane wave's inner product with samples, which come in blocks of rows."""
         tall = np.empty((self.count, self._shape[1]), np.complex64)
         for rows, block in samples:
             given = block * self._correction
@@ -88,44 +93,28 @@ class PlaneWaves:
 
 
 def length(count: int) -> int:
-    """Return the length of the transforms for some samples."""
+    """Return the length of the transforms for a number of samples."""
     return fast_length(_OVERSAMPLING * count + 2 * _WIDTH)
 
 
 def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return `count` samples about the origin along an axis, from frequencies that begin at index `first`."""
-    shape = list(spectrum.shape)
-    shape[axis] = size
-    padded = np.zeros(shape, np.complex64)
-    _put(padded, (first + np.arange(spectrum.shape[axis])) % size, spectrum, axis)
+    padded = _embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
     whole = fft(padded, axis=axis, inverse=True, norm="forward")
     return np.take(whole, (np.arange(count) - count // 2) % size, axis)
 
 
 def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
-    shape = list(samples.shape)
-    shape[axis] = size
-    padded = np.zeros(shape, np.complex64)
-    _put(padded, (np.arange(samples.shape[axis]) - samples.shape[axis] // 2) % size, samples, axis)
+    padded = _embedded(samples, np.arange(samples.shape[axis]) - samples.shape[axis] // 2, size, axis)
     whole = fft(padded, axis=axis)
     return np.take(whole, (first + np.arange(count)) % size, axis)
 
 
-def _put(array: Field, index: NDArray[np.int64], values: Field, axis: int) -> None:
-    if axis == 0:
-        array[index] = values
-    else:
-        array[:, index] = values
-
-
-def _bessel(distance: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the Kaiser-Bessel function at distances in samples of the fine grid."""
-    inside = np.sqrt(np.maximum(0, 1 - (2 * distance / _WIDTH) ** 2))
-    return (scipy.special.i0(_SHAPE * inside) / scipy.special.i0(_SHAPE)).astype(np.float32)
-
-
-def _bessel_transform(frequency: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the Fourier transform of `_bessel` at frequencies in cycles per sample of the fine grid."""
-    root = np.sqrt(_SHAPE**2 - (math.pi * _WIDTH * frequency) ** 2)
-    return np.asarray(_WIDTH * np.sinh(root) / root / scipy.special.i0(_SHAPE))
+def _embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
+    """Return values at an index, modulo `size`, along an axis of zeros."""
+    shape = list(values.shape)
+    shape[axis] = size
+    padded = np.zeros(shape, np.complex64)
+    padded[(slice(None),) * axis + (index % size,)] = values
+    return padded

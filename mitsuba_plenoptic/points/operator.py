@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -42,12 +42,12 @@ METHODS = tuple(PLANS)
 
 
 class CaptureOperator(CoherentPoints):
-    r"""Image that a camera's detector records from incoherent point sources, as a linear function of their weights.
+    r"""The image that a camera records of incoherent point sources, as a linear function of the points' weights.
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
     where psf is the fraction of the power through the visible pupil that falls on the pixel p. All data that do not
-    depend on the weights are planned on first use, and cached.
+    depend on the weights are computed on first use, and cached.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ class CaptureOperator(CoherentPoints):
         the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
         own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
     pupil_weights : array (n, m, m), optional
-        For each point its relative power over the square around the pupil, cut into m x m cells: rows along y, columns
-        along x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread
-        still sums to its weight.
+        Relative power of each point over the square around the pupil, cut into m x m cells: rows along y, columns along
+        x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread still
+        sums to its weight.
     virtual : bool
         Whether points with g < 0 are allowed: images behind the main lens to which light converges in front of it, as
         after a lens of the scene.
@@ -138,8 +138,9 @@ class CaptureOperator(CoherentPoints):
         self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
         self._differentials: Differentials | None = None
 
-    def _coherent_fields(self) -> CoherentFields:
-        """Return the plan of the points' fields at the operator's only wavelength; refuse several wavelengths."""
+    @cached_property
+    def coherent_fields(self) -> CoherentFields:
+        """The fields of the points at the operator's only wavelength; several wavelengths are refused."""
         wavelengths = [part.wavelength for part in self._channels.parts(1)]
         refuse_if(len(wavelengths) > 1, f"spectrum of {len(wavelengths)} wavelengths: a coherent field has one")
         refuse_if(
@@ -151,9 +152,9 @@ class CaptureOperator(CoherentPoints):
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
-        """Add the point spreads of all points, each with a weight.
+        """Return the image: the sum of the point spreads of all points, each with a weight.
 
-        The bits of the result do not depend on the number of threads or workers, or on whether the sum was resumed.
+        The bits of the result depend neither on the number of threads or workers, nor on whether the sum was resumed.
 
         Parameters
         ----------
@@ -165,8 +166,8 @@ class CaptureOperator(CoherentPoints):
 
         Returns
         -------
-        float32 array (rows, columns) or (rows, columns, channels)
-            Integrals over the recorded pixels.
+        array (rows, columns) or (rows, columns, channels)
+            Integrals over the recorded pixels, float32 or of the ``dtype`` of a `StoredOperator`.
 
         Raises
         ------
@@ -175,17 +176,31 @@ class CaptureOperator(CoherentPoints):
         PhysicsError
             If too much of the light is lost (see `optics.guards`).
         """
-        factors = self._check(weights)
-        _, matrix = self._channels.mixing(factors.shape[1])
-        job = job or Job()
         with guards.watch():
-            shape, items = (*self.camera.shape, len(matrix)), self._items
-            image = job.run(self.tasks(factors, job), shape, items, lambda: self._facts(factors))
-        return image[..., 0] if np.ndim(weights) == 1 and len(matrix) == 1 else image
+            image = self._image(self._check(weights), job or Job())
+        return image[..., 0] if np.ndim(weights) == 1 and image.shape[2] == 1 else image
+
+    def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
+        """Return the image (rows, columns, channels) of checked weights (n, columns)."""
+        _, matrix = self._channels.mixing(weights.shape[1])
+        pupils = self._pupil_weights
+
+        def facts() -> dict[str, Any]:
+            arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
+            return {
+                "camera": self.camera.to_dict(),
+                "spectrum": self._channels.light,
+                "method": self._method,
+                "accuracy": self._accuracy,
+                "points_digest": digest(self.points, weights, *arrays),
+            }
+
+        shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
+        return job.run(self.tasks(weights, job), shape, items, facts)
 
     @one_at_a_time
     def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
-        """Return the inner product of an image with the point spread of every point, the transpose of `forward`.
+        """Return each point spread's inner product with an image: the transpose of `forward` applied to the image.
 
         Parameters
         ----------
@@ -204,27 +219,33 @@ class CaptureOperator(CoherentPoints):
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        channels = self._channels.check_image(image, self.camera.shape)
+        channels = self._channels.check_image(image, self.camera.shape, self._dtype)
         wavelengths, _ = self._channels.mixing(channels.shape[2])
-        job = job or Job()
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
-            done = 0
-            for part in self._channels.parts(channels.shape[2]):
-                given = mix(channels, part.after.T)
-                plan = self._plans.checked(part.wavelength, job, given.shape[2])
-                result += plan.gather(given, job, done, self._items) @ part.before.T
-                done += len(self.points)
+            parts = self._channels.parts(channels.shape[2])
+            for part, products in self._products(channels, parts, job or Job()):
+                result += products @ part.before.T
         return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+
+    def _products(
+        self, image: NDArray[Any], parts: Iterator[SpectralSum], job: Job
+    ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
+        """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
+        count = len(self.points)
+        for number, part in enumerate(parts):
+            given = mix(image, part.after.T)
+            plan = self._plans.checked(part.wavelength, job, given.shape[2])
+            yield part, plan.gather(given, job, number * count, self.sums * count)
 
     @one_at_a_time
     def derivative(self, weights: Any, changes: dict[str, Any], *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the derivative of `forward` along changes of the camera's parameters.
 
-        Points, weights, the relative power over each pupil and the total power through it are fixed. Behind a real main
-        lens, for up to 512 points, or at accuracies below 0.004, each point has a spread of its own; otherwise points
-        share spreads as in `forward`, and each copy includes the changes by its own lenses. The method must be "patch",
-        and cameras with an objective are not supported.
+        Points, weights, the relative power over each pupil and the total power through it are fixed. Each point has its
+        own spread behind a real main lens, for up to 512 points, and at accuracies below 0.004; otherwise points share
+        spreads as in `forward`, and each copy includes the changes in its lenses. The method must be "patch", and
+        cameras with an objective are not supported.
 
         Parameters
         ----------
@@ -256,14 +277,14 @@ class CaptureOperator(CoherentPoints):
     def jacobian(
         self, weights: Any, directions: Sequence[dict[str, Any]], *, job: Job | None = None
     ) -> NDArray[np.float32]:
-        """Return the derivatives of `forward` in several directions; the fields are computed once for all of them.
+        """Return the derivatives of `forward` in several directions, with the fields computed once for all.
 
         Parameters
         ----------
         weights, job
             As for `derivative`.
         directions : sequence of dict
-            For each direction the changes of the camera's parameters, as for `derivative`.
+            Changes of the camera's parameters in each direction, as for `derivative`.
 
         Returns
         -------
@@ -287,9 +308,9 @@ class CaptureOperator(CoherentPoints):
     def gradient(
         self, weights: Any, image_gradient: Any, names: Iterable[str] | None = None, *, job: Job | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradient by camera parameters of a scalar with a given gradient by the image.
+        """Return a scalar's gradient with respect to camera parameters, from its gradient with respect to the image.
 
-        All parameters together take one reverse pass through all point spreads.
+        One reverse pass through all point spreads serves all parameters.
 
         Parameters
         ----------
@@ -357,12 +378,12 @@ class CaptureOperator(CoherentPoints):
         return Cost(self.sums * cost.points, self.sums * cost.patterns, self.sums * cost.seconds, cost.memory)
 
     def as_linear_operator(self) -> Any:
-        """Return the operator of one channel for SciPy's solvers, between flat arrays.
+        """Return the operator of one channel, between flat arrays, for SciPy's solvers.
 
         Returns
         -------
         scipy.sparse.linalg.LinearOperator
-            Of shape (pixels, n), of the type of the images. Without a spectrum several columns are multiplied at once.
+            The operator, (pixels, n), of the images' type. Without a spectrum several columns are multiplied at once.
 
         Raises
         ------
@@ -392,7 +413,7 @@ class CaptureOperator(CoherentPoints):
 
     @property
     def sums(self) -> int:
-        """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
+        """Number of sums of point spreads in an image: one for each distinct wavelength, or for each node."""
         return self._channels.sums
 
     def tasks(self, weights: NDArray[np.float64], job: Job) -> Iterator[SumTask]:
@@ -404,23 +425,6 @@ class CaptureOperator(CoherentPoints):
                 return self._plans.checked(part.wavelength, job, given.shape[1]).sum(given)
 
             yield SumTask(len(self.points), plan, partial(mix, matrix=part.after))
-
-    @property
-    def _items(self) -> int:
-        """Number of point spreads in all sums."""
-        return self.sums * len(self.points)
-
-    def _facts(self, factors: NDArray[np.float64]) -> dict[str, Any]:
-        """Return the data that identify a sum."""
-        pupils = self._pupil_weights
-        arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
-        return {
-            "camera": self.camera.to_dict(),
-            "spectrum": self._channels.light,
-            "method": self._method,
-            "accuracy": self._accuracy,
-            "points_digest": digest(self.points, factors, *arrays),
-        }
 
     def _check(self, weights: Any) -> NDArray[np.float64]:
         """Return weights as an array (n, columns); refuse anything else."""

@@ -1,6 +1,6 @@
-r"""Fields of many points together, each on a patch of the detector.
+r"""Fields of many points, computed together, each on a patch of the detector.
 
-A scene point lights a small patch of the MLA. There its field is a sum of plane waves, one for each direction
+A scene point lights a small patch of the MLA. There the point's field is a sum of plane waves, one for each direction
 cosine s from a pupil point P to the centre Mc of the patch, times a common curvature (the Debye integral with its
 quadratic term retained; Born and Wolf, "Principles of Optics", section 8.8):
 
@@ -9,14 +9,14 @@ quadratic term retained; Born and Wolf, "Principles of Optics", section 8.8):
           \qquad P = M_c - R s, \quad R = \frac{b}{\sqrt{1 - s^2}}
 
 with the lens's phase :math:`\Phi` and :math:`A = \mathrm{pupil}(P) \, g R^2 / (|P - X|^2 b)`, so that :math:`\sum |A|^2
-ds^2` is the power through the pupil. The sum is an inverse FFT of which few inputs are not zero. Curvature and, on
-square lattices, the transmission of the microlenses are products of a function of x and one of y, so the transforms to
-the MLA and back to the spectrum are done axis by axis, and rows outside the pupil are omitted. Behind other microlenses
-the field is on the MLA along both axes at once, which costs about twice the time. The transfer function to the detector
-is that of the angular spectrum.
+ds^2` is the power through the pupil. The sum is an inverse FFT with few nonzero inputs. Curvature and, on square
+lattices, the transmission of the microlenses are products of a function of x and one of y, so the transforms to the MLA
+and back to the spectrum are done axis by axis, and rows outside the pupil are omitted. Behind other microlenses both
+axes are transformed at once, which costs about twice the time. The transfer function to the detector is that of the
+angular spectrum.
 
-All of this is done in the frame that is turned with the microlens lattice about the axis, in which the main lens is
-the same.
+All computations are done in the frame that is turned with the microlens lattice about the axis, in which the main lens
+is the same.
 
 The tilt of the chief ray is rounded to an integer number of frequency samples and omitted: it shifts the spectrum,
 without an effect on the intensity. The pitch must therefore represent only the cone of the pupil and the microlens, and
@@ -47,9 +47,9 @@ from .patch_factors import Fields, PatchFactors
 
 
 class _Sizes(NamedTuple):
-    """Numbers of samples for fields that are transformed together, and for a block of one field.
+    """Numbers of samples in fields that are transformed together, and in a block of one field.
 
-    A block fits into a core's own cache; on CUDA there is nothing to gain from blocks.
+    A block fits into a core's own cache; on CUDA blocks bring no gain.
     """
 
     group: int
@@ -61,7 +61,7 @@ _CUDA = _Sizes(group=2**25, block=2**31)
 
 
 class PatchWorkspace:
-    """Memory for the transforms of a batch's points."""
+    """Memory for the transforms of the points of a batch."""
 
     def __init__(self, batch: PatchBatch) -> None:
         arrays, count, m = batch.libraries.arrays, batch.together, batch.mla_samples
@@ -74,7 +74,7 @@ class PatchWorkspace:
 
 
 class PatchBatch:
-    """The fields of points whose patches have one size, with some amplitudes, ready to be transformed.
+    """The fields of points with patches of one size, with given amplitudes, ready to be transformed.
 
     `parts` are the factors on the fields, as `PatchFactors` has them: pupil, microlens array, transfer function.
     """
@@ -90,7 +90,7 @@ class PatchBatch:
 
     @property
     def pupil(self) -> Field:
-        """Plane waves from the pupil, (n, along y, along x)."""
+        """Plane waves from the pupil, (points, along y, along x)."""
         return self.parts[0]
 
     @property
@@ -111,9 +111,9 @@ class PatchBatch:
     def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[int, slice, Field]]:
         """Yield the fields of points start ... stop on the detector, at most `together` at a time.
 
-        Everything is done on blocks that fit into a core's own cache. Yields points, by their index in the batch, with
-        parts of their fields, (samples along x, some samples along y), and where these lie along y; the memory of a
-        part and of `work` is used again.
+        Fields are computed in blocks that fit into a core's own cache. Yielded are a slice of points, by index in the
+        batch, part of their fields (samples along x, some samples along y), and the part's position along y; the memory
+        of a part and of `work` is reused.
         """
         n, count = self.samples, stop - start
         through = self._through_axes if self.is_separable else self._through_plane
@@ -157,7 +157,7 @@ class PatchBatch:
 
 
 def _to_array(spectra: Field, work: Field) -> Field:
-    """Return fields on the array, in the memory of `work`, from lines of spectra that are padded with zeros."""
+    """Return fields on the array, in the memory of `work`, from lines of spectra padded with zeros."""
     count = spectra.shape[2]
     work[..., :count], work[..., count:] = spectra, 0
     return inverse_along(work, axis=2)
@@ -183,8 +183,8 @@ def inverse_along(field: Field, axis: int) -> Field:
 class Memory:
     """Memory for the fields of one point after another, by their shapes.
 
-    Fields of some MiB that are made and dropped go back to the system each time, and clearing them anew for the next
-    point takes longer than their transforms.
+    Fields of some MiB that are allocated and freed are returned to the system each time, and clearing new memory for
+    the next point takes longer than the transforms.
     """
 
     def __init__(self, arrays: Any = np) -> None:
@@ -193,12 +193,12 @@ class Memory:
         self._used: Counter[tuple[int, ...]] = Counter()
 
     def restart(self) -> None:
-        """Make all of the memory available to the next point."""
+        """Make all memory available for the next point."""
         self._used.clear()
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """Release the memory taken in the context at its end: few reused fields stay in the processor's cache."""
+        """Release the memory taken in the context at its end, since few reused fields stay in the processor's cache."""
         used = self._used.copy()
         yield
         self._used = used
@@ -244,9 +244,9 @@ _Factor = tuple[tuple[int, ...], Field]
 class FieldChain:
     """A field from the pupil to the detector, with its intermediate results.
 
-    `factors` are those of `PatchFactors` for one point, `axes` the axes of those of the array. The `field` on the
-    detector has `finer` (1 or 2) times the samples of the patch along each axis. All of it lies in `memory`, and is
-    lost when this restarts. `returning` is the conjugate of the transfer function, which vector-Jacobian products take.
+    `factors` are those of `PatchFactors` for one point, `axes` the axes of the array's factors. The `field` on the
+    detector has `finer` (1 or 2) times the samples of the patch along each axis. All data lie in `memory`, and are lost
+    when it restarts. `returning` is the conjugate of the transfer function, for vector-Jacobian products.
     """
 
     def __init__(
@@ -286,7 +286,7 @@ class FieldChain:
         return None if spectrum is None else self._intensity_change(spectrum)
 
     def spectrum_jvp(self, changes: Parts) -> Field:
-        """Return the change of the spectrum that goes to the detector with changes of all factors before free space."""
+        """Return the change of the spectrum that enters free space, for changes of the factors before free space."""
         result = self._memory.take(self._transfer.shape)
         with self._memory.lent():
             moved = self._moved(changes)
@@ -294,14 +294,14 @@ class FieldChain:
         return result
 
     def jvp_of_spectrum(self, change: Field) -> Any:
-        """Return the change of the intensity with one of the spectrum that goes to the detector."""
+        """Return the change of the intensity for a change of the spectrum that enters free space."""
         with self._memory.lent():
             return self._intensity_change(self._memory.product(change, self._transfer))
 
     def vjp(self, gradient: Any, varies: Sequence[bool]) -> Parts:
-        """Return the cotangents of the factors that vary, from half the gradient with respect to the intensity.
+        """Return the cotangents of the varying factors, from half the gradient with respect to the intensity.
 
-        The fields in between are used up.
+        Intermediate fields are overwritten.
         """
         memory, arrays, spectrum = self._memory, self._arrays, self._from_detector(gradient)
         parts: list[Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
@@ -317,12 +317,12 @@ class FieldChain:
         return [field if varies[0] else None, *parts[::-1]]
 
     def products(self, gradient: Any, changes: list[Field]) -> list[float]:
-        """Multiply half the gradient with respect to the intensity with changes of the spectrum."""
+        """Return the products of half the gradient, with respect to the intensity, with changes of the spectrum."""
         spectrum = self._before_space(self._from_detector(gradient))
         return [float(self._arrays.vdot(spectrum, change).real) for change in changes]
 
     def _moved(self, changes: Parts) -> Field | None:
-        """Return the change of the spectrum with changes of all factors before free space."""
+        """Return the change of the spectrum for changes of all factors before free space."""
         moved, own = changes[0], list(changes[1:-1])
         for (axes, factors), before in zip(self._stages, self._before, strict=True):
             total = None if moved is None else self._product(self._inverse(moved, self._size, axes), factors)
@@ -335,7 +335,7 @@ class FieldChain:
         return moved
 
     def _product(self, field: Field, factors: list[_Factor]) -> Field:
-        """Multiply a field on the array by factors."""
+        """Return a field on the array multiplied by factors."""
         for _, factor in factors:
             field = self._memory.product(field, factor)
         return field
@@ -349,7 +349,7 @@ class FieldChain:
         return product.sum(axes[0]) if len(axes) == 1 else product
 
     def _intensity_change(self, spectrum: Field) -> Any:
-        """Return the change of the intensity with one of the spectrum on the detector, whose memory is used."""
+        """Return the change of the intensity for a change of the spectrum on the detector, whose memory is reused."""
         change = self._to_detector(spectrum)
         return 2 * (self.field.real * change.real + self.field.imag * change.imag)
 
@@ -380,7 +380,7 @@ class FieldChain:
 
 
 def _total(one: Field | None, other: Field | None) -> Field | None:
-    """Add two changes, in the memory of the first."""
+    """Return the sum of two changes, in the memory of the first."""
     if one is None or other is None:
         return other if one is None else one
     one += other

@@ -1,7 +1,7 @@
 """The factors of fields on a patch, from pupil to detector: pupil, microlens array with curvature, free space.
 
-Besides these, a field depends only on Fourier transforms of fixed sizes (see `patch`). The camera parameters that enter
-the factors may be floats or Dr.Jit arrays with gradients, while grids and positions are fixed.
+Apart from these factors, a field depends only on Fourier transforms of fixed sizes (see `patch`). The camera parameters
+that enter the factors may be floats or Dr.Jit arrays with gradients, while grids and positions are fixed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .pupil_weights import PupilWeights
 
 @dataclass(frozen=True)
 class Elements:
-    """The optical elements that a field passes, with float parameters or Dr.Jit arrays, which may carry gradients.
+    """The optical elements that a field passes, with parameters as floats or Dr.Jit arrays with gradients.
 
     A Dr.Jit array has one entry for each parameter, or one for each lane of the factor that depends on it. The lens and
     the array are functions, since not every factor depends on them.
@@ -66,7 +66,7 @@ class Fields:
 class PatchFactors:
     """The factors of fields on patches of one size, in the order in which the fields pass them.
 
-    These are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on the
+    They are the pupil, (n, directions along y, along x); the curvature of the light and the microlens array, on the
     array's samples along their `axes`; and the transfer function to the detector, for the directions of all points.
     """
 
@@ -105,13 +105,13 @@ class PatchFactors:
 
     @functools.cached_property
     def _own(self) -> Elements:
-        """Optical elements of the camera whose grid this is."""
+        """Optical elements of the camera to which the grid belongs."""
         grid = self._grid
         lens = functools.cache(lambda: grid.lens.opaque(self._constant))
         return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
 
     def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
-        """Return one point's part of each factor, or of data of the same layout; None where a factor is None."""
+        """Return one point's part of each factor, or of data of equal layout; None where a factor is None."""
         *own, transfer = parts
         mine = [None if part is None else part[point] for part in own]
         return [*mine, None if transfer is None else transfer[self.directions_of(point)]]
@@ -126,7 +126,11 @@ class PatchFactors:
         pupil, power = self._pupil(self._elements(self.shapes[0]))
         dr.schedule(power)  # together with the pupil, since it is a sum over it
         yield pupil
-        scale = self._scale(self._elements(self.shapes[0][:1]), power)
+        # The factor on each field that makes its intensity a density of the fraction of the power.
+        lit, wavelength = power > 0, self._elements(self.shapes[0][:1]).wavelength
+        steps, lam = self._constant(math.prod(self._steps)), self._constant(in_millimetres(wavelength))
+        scale = drjit_array(self._types.Float64, self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
+        scale = dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
         for axes, shape in zip(self.axes, self.shapes[1:-1], strict=True):
             elements = self._elements(shape)
             yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
@@ -138,7 +142,7 @@ class PatchFactors:
 
     @property
     def _steps(self) -> list[float]:
-        """Distances of directions along x and y."""
+        """Distances between neighbouring direction cosines along x and y."""
         return (in_millimetres(self._grid.wavelength) / (self.samples * self._grid.pitch)).tolist()
 
     def _constant(self, value: Any) -> Any:
@@ -197,7 +201,7 @@ class PatchFactors:
         pupil: tuple[Any, Any],
         point: tuple[Any, Any, Any],
     ) -> Any:
-        """Return the path from points to the pupil in waves; both are given in the frame of the lattice."""
+        """Return the path in waves from points to the pupil, both given in the lattice frame."""
         if is_round and elements.aberration is None:
             return light.path(pupil, point, elements.wavelength)
         in_camera = self._in_camera(elements, *pupil)
@@ -211,17 +215,9 @@ class PatchFactors:
         return waves + elements.aberration(*in_camera) / self._constant(in_millimetres(elements.wavelength))
 
     def _in_camera(self, elements: Elements, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return the components of a vector in the camera's frame, from those in the frame of the lattice."""
+        """Return the camera-frame components of a vector given in the lattice frame."""
         angle = self._grid.rotation + elements.turned
         return (x, y) if is_zero(angle) else turn(x, y, self._constant(angle))
-
-    def _scale(self, elements: Elements, power: Any) -> Any:
-        """Return the factor on each field that makes its intensity a density of the fraction of the power."""
-        lit = power > 0
-        steps = self._constant(math.prod(self._steps))
-        lam = self._constant(in_millimetres(elements.wavelength))
-        scale = drjit_array(self._types.Float64, self._amplitudes) * steps / dr.sqrt(dr.select(lit, power, 1))
-        return dr.select(lit, scale / (lam * self._constant(float(self.mla_samples) ** 2)), 0)
 
     def _position(self, patch: Any, sample: Any, axis: int) -> Any:
         """Return the coordinate on the MLA of samples of points."""

@@ -1,4 +1,4 @@
-"""Plan of the point spreads to compute for some points: their batches, and the shifts of their copies."""
+"""The plan of the point spreads of some points: their batches, and the shifts of their copies."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ _JUDGED = 16
 
 
 class PatchPlan:
-    """Points grouped into patterns, and patterns into chunks of one patch size and neighbourhood.
+    """Points grouped into patterns, and patterns grouped into chunks of one patch size and neighbourhood.
 
-    A pattern is a point spread that several points share; each point has a copy at its own position. Each chunk is a
-    batch, which is added into a tile of its own, in the order of its patterns.
+    A pattern is a point spread shared by several points; each point has a copy at its own position. Each chunk is a
+    batch, whose patterns are added in order into the chunk's tile.
 
     Unless `shared` is false, points may share patterns within the allowed error `accuracy`; the default `band` is that
     of images for this error.
@@ -119,9 +119,9 @@ class PatchPlan:
         return PatchSum(self, weights)
 
     def scatter(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Scatter:
-        """Return the data of a chunk's fields: scaled by their largest weights, with copies weighted relative to these.
+        """Return the data of a chunk's fields, scaled by the largest weights of their copies.
 
-        Patterns without weight are omitted, but not those whose weights cancel, so that a batch is never empty.
+        Copies are weighted relative to these. Patterns without weight are omitted, but not those whose weights cancel.
         """
         used, amplitudes, copies = [], [], []
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
@@ -134,7 +134,7 @@ class PatchPlan:
     def _lit_copies(
         self, chunk: NDArray[np.int64], weights: NDArray[np.float64]
     ) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-        """Yield the patterns of a chunk with nonzero weights, and the shifts and summed weights of their copies."""
+        """Yield each pattern of a chunk that has nonzero weights, with the shifts and summed weights of its copies."""
         for pattern in chunk.tolist():
             members = slice(self._first[pattern], self._last[pattern])
             given = weights[self._order[members]]
@@ -148,11 +148,11 @@ class PatchPlan:
 
     @cached_property
     def gain(self) -> float:
-        """Factor on all power that compensates for light diffracted beyond the patches.
+        """Factor on the total power that compensates for light diffracted beyond the patches.
 
         In sums of many points that light is a uniform background, exchanged between neighbouring patches. The factor is
-        that of open pupils, since it differs little from pattern to pattern. It is 1 where bands for few points or high
-        accuracy are used.
+        computed for open pupils, since it differs little from pattern to pattern. It is 1 for few points or high
+        accuracy.
         """
         if math.isinf(self._grid.band.beyond) or not self._camera.lattice.fills or not len(self._positions):
             return 1.0
@@ -181,9 +181,9 @@ class PatchPlan:
         return chunks, np.array([members[chunk].sum() for chunk in chunks], np.int64)
 
     def loss(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64], arrived: float) -> float | None:
-        """Return the fraction of the power behind the microlenses' apertures that falls outside the patches.
+        """Return the fraction of the power through the microlenses' apertures that falls outside the patches.
 
-        If there are gaps between the apertures, it is estimated from a few patterns.
+        If there are gaps between the apertures, the fraction is estimated from a few patterns.
 
         `arrived` is the sum of all samples, without the `gain`. The result is None if there is nothing to sum or a
         weight is negative.
@@ -198,12 +198,12 @@ class PatchPlan:
         return 1 - arrived / sent if sent else None
 
     def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
-        """Return the part of a chunk, computed at once in this thread."""
+        """Return the part of the sum due to a chunk, computed at once in this thread."""
         with resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
     def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
-        """Return the part of a chunk, and the seconds that computing it took."""
+        """Return the part of the sum due to a chunk, and the seconds that its computation took."""
         backend().synchronize()
         start = time.perf_counter()
         part = self._sum_of(chunk, weights)
@@ -211,7 +211,7 @@ class PatchPlan:
         return part, time.perf_counter() - start
 
     def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
-        """Return the sum of all samples for the case that all power behind the apertures falls on the patches."""
+        """Return the sum of all samples if all power through the apertures fell on the patches."""
         power = weights[self._order].sum(1)
         if self._pupil_weights is not None:
             power = power * self._pupil_weights.lit()[self._order]
@@ -224,7 +224,7 @@ class PatchPlan:
     # -- adjoint ---------------------------------------------------------------------------------------
 
     def gather(self, image: NDArray[np.float32], job: Job, done: int, total: int) -> NDArray[np.float64]:
-        """Return the inner product of an image with every point's spread.
+        """Return each point spread's inner product with an image.
 
         `done` of the `total` points of a job are already complete.
         """
@@ -235,24 +235,20 @@ class PatchPlan:
             [np.unique(self._shifts[self._first[p] : self._last[p]], axis=0, return_inverse=True) for p in chunk]
             for chunk in self._chunks
         ]
-        batches = (
-            self._gather(chunk, [shifts for shifts, _ in some], samples)
-            for chunk, some in zip(self._chunks, copies, strict=True)
-        )
+
+        def batches() -> Iterator[Gather]:
+            for chunk, some in zip(self._chunks, copies, strict=True):
+                fields = self._fields(chunk)
+                moved = [Copies(shifts, np.ones((len(shifts), 1), np.float32)) for shifts, _ in some]
+                box = reached(fields.placement.corner, int(fields.placement.samples[0]), moved)
+                yield Gather(fields, moved, self._tile(samples, box))
+
         members = [int((self._last - self._first)[chunk].sum()) for chunk in self._chunks]
-        results = job.each(batches, members, done + self._count - sum(members), total)
+        results = job.each(batches(), members, done + self._count - sum(members), total)
         for chunk, some, products in zip(self._chunks, copies, results, strict=True):
             for pattern, (_, copy), product in zip(chunk, some, products, strict=True):
                 result[self._order[self._first[pattern] : self._last[pattern]]] = gain * product[copy.reshape(-1)]
         return result
-
-    def _gather(self, chunk: NDArray[np.int64], shifts: list[NDArray[np.int64]], samples: Any) -> Gather:
-        """Return a chunk with the samples of its tile; samples outside the recorded area are zero."""
-        fields = self._fields(chunk)
-        placement = fields.placement
-        copies = [Copies(shift, np.ones((len(shift), 1), np.float32)) for shift in shifts]
-        box = reached(placement.corner, int(placement.samples[0]), copies)
-        return Gather(fields, copies, self._tile(samples, box))
 
     def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
         """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros."""
@@ -281,7 +277,7 @@ class PatchPlan:
         return channels * self._recorder.memory + tiles * tile + fields
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
-        """Return the bytes of a sum; refuse too many."""
+        """Return the bytes of a sum; refuse sums too large for the memory."""
         memory = self.memory(batch_map, channels)
         largest, patterns = int(self._placement.samples.max(initial=0)), len(self._positions)
         what = f"{self._count} points by patches of {largest} x {largest} samples"
@@ -295,7 +291,7 @@ class PatchPlan:
         return memory
 
     def cost(self, batch_map: BatchMap) -> Cost:
-        """Estimate the cost of a sum from a few patterns of each patch size."""
+        """Return the estimated cost of a sum, from a few patterns of each patch size."""
         memory = self.check_memory(batch_map)
         samples = self._placement.samples
         ones = np.ones((self._count, 1))
@@ -317,17 +313,17 @@ class PatchPlan:
 
 
 def _areas(samples: Any) -> Any:
-    """Return the width in samples of the region of patch corners that are added into one tile, by patch size."""
+    """Return, by patch size, the width in samples of the region whose patch corners are added into one tile."""
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 
 def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of `count` patterns at regular intervals, each as an array of one index."""
+    """Return a few of `count` patterns at regular intervals, each as an array with one index."""
     return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
 
 
 class PatchSum:
-    """A sum of point spreads, batch by batch, with the interface of `runtime.batches.LongSum`."""
+    """A sum of point spreads, computed batch by batch, with the interface of `runtime.batches.LongSum`."""
 
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights
@@ -340,7 +336,7 @@ class PatchSum:
         return (self._plan.scatter(chunk, self._weights) for chunk in self._chunks[first:])
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Check the fraction of light that has arrived, and integrate the sum over the recorded pixels."""
+        """Return the sum integrated over the recorded pixels, after a check of the fraction of light that arrived."""
         loss = self._plan.loss(self._chunks, self._weights, total.arrived / self._plan.gain)
         if loss is not None:
             guards.check(guards.PATCH, loss)

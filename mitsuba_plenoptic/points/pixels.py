@@ -46,13 +46,10 @@ class PixelAxis:
     @cached_property
     def weights(self) -> scipy.sparse.csr_array:
         """Weights of the integrals over the pixels."""
-        return self._integrals_of_means() if self.means else self._integrals(moment=False)
-
-    def _integrals_of_means(self) -> scipy.sparse.csr_array:
-        """Return the weights of integrals up to edges, interpolated from integrals up to the borders of samples.
-
-        Between six borders a polynomial is taken.
-        """
+        if not self.means:
+            return self._integrals(moment=False)
+        # Integrals up to edges are interpolated from integrals up to the borders of samples, by a polynomial between
+        # six borders.
         edges = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch + 0.5
         first = np.floor(edges).astype(np.int64) - (_BORDERS // 2 - 1)
         at, places = edges - first, np.arange(_BORDERS)
@@ -89,7 +86,7 @@ class PixelAxis:
         return _interpolation(position, node_weights, self.samples)
 
     def at_edges(self, speed: NDArray[np.float64]) -> scipy.sparse.csr_array:
-        """Return the weights of the intensity at each pixel's last edge minus its first edge, times edge speeds."""
+        """Return the weights of the intensity at each pixel's two edges, last minus first, times the edges' speeds."""
         position = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
         both = np.stack([position[:-1], position[1:]], -1)
         return _interpolation(both, np.stack([-speed[:-1], speed[1:]], -1), self.samples)
@@ -100,7 +97,7 @@ class PixelAxis:
 
 
 def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], samples: int) -> scipy.sparse.csr_array:
-    """Return the weights (rows, samples) of sums along rows of interpolated values at positions, times factors."""
+    """Return the weights (rows, samples) of sums along rows: interpolated values at positions, times factors."""
     below = np.floor(position).astype(np.int64)
     pixel = np.broadcast_to(np.arange(len(position))[:, None], position.shape)
     entries = []
@@ -113,7 +110,7 @@ def _interpolation(position: NDArray[np.float64], factors: NDArray[np.float64], 
 def _matrix(
     values: NDArray[np.float64], rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
 ) -> scipy.sparse.csr_array:
-    """Return the sparse matrix of values; values at one place are added."""
+    """Return a sparse matrix of values; values at the same place are added."""
     held = (columns >= 0) & (columns < shape[1])
     matrix = scipy.sparse.coo_array((values[held], (rows[held], columns[held])), shape=shape)
     return matrix.tocsr().astype(np.float32)
@@ -127,7 +124,7 @@ def windowed_sinc(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class PixelIntegrals:
-    """A sum of products of weights along y and x: integrals over pixels, or their derivatives as the pixels move."""
+    """A sum of products of weights along y and x: integrals over pixels, or derivatives as pixels move."""
 
     def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[tuple[Any, Any]] | None = None) -> None:
         self._axes = along_x, along_y
@@ -146,8 +143,8 @@ class PixelIntegrals:
     ) -> PixelIntegrals:
         """Return the integrals over square pixels; `samples` and `shape` are (rows, columns) of samples and of pixels.
 
-        `origin` is the first sample and `first_edge` the outer corner of the first pixel, both (x, y), as is `pitch`.
-        With `means` samples are those over their cells.
+        `origin` is the first sample and `first_edge` the outer corner of the first pixel, both (x, y), like `pitch`.
+        With `means` the samples are means over their cells.
         """
         along_x, along_y = (
             PixelAxis(pixels, pixel_size, first_edge[axis] - origin[axis], first_edge[axis], pitch[axis], count, means)
@@ -156,14 +153,14 @@ class PixelIntegrals:
         return cls(along_x, along_y)
 
     def shifted(self, axis: int) -> PixelIntegrals:
-        """Return the derivatives by a motion of all pixels along x (axis 0) or y."""
+        """Return the derivatives with respect to a motion of all pixels along x (axis 0) or y."""
         along_x, along_y = self._axes
         speed = np.ones(self._axes[axis].count + 1)
         moved = (along_y.weights, along_x.at_edges(speed)) if axis == 0 else (along_y.at_edges(speed), along_x.weights)
         return PixelIntegrals(*self._axes, [moved])
 
     def widened(self, middle: tuple[float, float], width: float) -> PixelIntegrals:
-        """Return the derivatives by the width of the detector, which grows about its middle."""
+        """Return the derivatives with respect to the width of the detector, which grows about its middle."""
         along_x, along_y = self._axes
         edges_x, edges_y = (
             axis.at_edges(axis.edges_from(centre) / width) for axis, centre in zip(self._axes, middle, strict=True)
@@ -171,7 +168,7 @@ class PixelIntegrals:
         return PixelIntegrals(*self._axes, [(along_y.weights, edges_x), (edges_y, along_x.weights)])
 
     def shrunk(self, middle: tuple[float, float], scale: float) -> PixelIntegrals:
-        """Return the derivatives by `scale`, by which sample distances from the middle grow, at fixed values."""
+        """Return the derivatives with respect to `scale`, a factor on sample distances, at fixed sample values."""
         along_x, along_y = self._axes
         growth = along_y.weights, along_x.weights * np.float32(2 / scale)
         return PixelIntegrals(*self._axes, [*self.widened(middle, -scale)._terms, growth])
@@ -198,7 +195,7 @@ class PixelIntegrals:
 
 
 def _sum_of_products(terms: list[tuple[Any, Any]], values: Any) -> Any:
-    """Multiply values (rows, columns) by sparse weights along y and x, and sum the products of all terms."""
+    """Return the sum over terms of values (rows, columns) multiplied by sparse weights along y and x."""
     libraries, total = backend_of(values), None
     for along_y, along_x in terms:
         if libraries.is_cuda:
@@ -216,10 +213,10 @@ _BLOCK = 2**22
 
 
 class TurnedSamples:
-    """Samples of an intensity on a new grid, relative to which the intensity's grid is rotated counter-clockwise.
+    """Samples of an intensity on a new grid; the intensity's grid is turned counter-clockwise relative to it.
 
-    `samples` and `shape` are the rows and columns of the intensity's own samples and of the new ones; `pitch` and
-    `origin` (x, y) are those of its own samples in their own frame. Outside its own samples the intensity is zero.
+    `samples` and `shape` are the rows and columns of the intensity's samples and of the new ones; `pitch` and `origin`
+    (x, y) are those of the intensity's samples, in their frame. Outside its samples the intensity is zero.
     """
 
     def __init__(
@@ -258,7 +255,7 @@ class TurnedSamples:
         return result
 
     def adjoint(self, samples: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the adjoint: for each sample of the intensity, the new samples weighted by its contributions.
+        """Return the adjoint: for each sample of the intensity, the new samples weighted by the sample's contributions.
 
         The rounding of the result depends on the order in which threads add.
         """
@@ -283,7 +280,7 @@ class TurnedSamples:
     def _visited(
         self, libraries: Backend
     ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
-        """Yield lines of the new grid with a mask of samples, weights across, and a loop over the rows around."""
+        """Yield lines of the new grid, with a mask of samples, weights across, and a loop over neighbouring rows."""
         types = libraries.types
         table = drjit_array(types.Float, self._weights)
         rows, columns = self._samples

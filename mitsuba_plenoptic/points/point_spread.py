@@ -1,4 +1,4 @@
-"""Point spread of one scene point through the camera, and its fields at the planes in between."""
+"""Point spread of one scene point through the camera, and its fields in the planes on the way."""
 
 from __future__ import annotations
 
@@ -66,7 +66,17 @@ def point_spread_function(
 
 @one_at_a_time
 def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -> PointFields:
-    """Return the complex field of one scene point at the pupil, the MLA and the detector."""
+    """Return the complex field of one scene point at the pupil, the MLA and the detector.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    position : (float, float, float)
+        The point (X, Y, g) in the camera's frame, in millimetres.
+    wavelength : float
+        Wavelength in nanometres.
+    """
     with guards.watch():
         wavelength = require_wavelength(wavelength)
         point = _check(camera, position)

@@ -4,14 +4,14 @@ At the point P of the pupil, the field of the point X is the amplitude of X time
 
 .. math:: B(P, X) \, e^{2 \pi i p(P, X)}, \qquad p(P, X) = p_0(P) + c(P, X) + r(P, X)
 
-with the path p in waves as in `lenses`, that to the pupil's centre being 0. :math:`p_0` is common to a layer, and c are
-waves of which sums over points are convolutions or transforms (see `carriers`): spheres of one radius behind an ideal
-main lens, tilts behind a parabolic one. What is left, r, is small and smooth: the defocus within the layer and, with
-tilts, the non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a
-few products of a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and
-a singular value decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier
-integral operators", 2009, use the same separation). The cost is one convolution or transform for each of these
-products, whatever the count of points, and no step is paraxial.
+with the path p in waves as in `lenses`, 0 to the pupil's centre. :math:`p_0` is common to a layer, and c are waves of
+which sums over points are convolutions or transforms (see `carriers`): spheres of one radius behind an ideal main lens,
+tilts behind a parabolic one. The remainder r is small and smooth: the defocus within the layer and, with tilts, the
+non-paraxial change of the wavefront across the field. Therefore :math:`B \exp(2 \pi i r)` is a sum of a few products of
+a function of P and one of X, which are found by interpolation between Chebyshev nodes of the pupil and a singular value
+decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the computation of Fourier integral operators",
+2009, use the same separation). The cost is one convolution or transform for each of these products, for any number of
+points, and no step is paraxial.
 """
 
 from __future__ import annotations
@@ -45,6 +45,12 @@ _NODES = range(6, 49, 2)
 _TRIED = 64
 """Points of a layer for which the interpolation is tried, and positions on the pupil."""
 
+_DIAGONALS = np.array(
+    [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)],
+    np.float64,
+)
+"""Directions in the tilt along x and y, and nearness, of a layer's points."""
+
 _BASIS = 2048
 """Largest number of points of a layer from which its products are found."""
 
@@ -65,7 +71,7 @@ _RINGS, _SPOKES = 8, 24
 
 
 class Layer:
-    """Points of similar distance, (n, 3), with unit power each through the pupil, on the samples of a grid."""
+    """Points (n, 3) of similar distance, each with unit power through the pupil, on the samples of a grid."""
 
     def __init__(self, system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> None:
         self._lens, self._wavelength, self._grid = lens, system.wavelength, grid
@@ -75,7 +81,10 @@ class Layer:
         self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
         x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
-        basis = _principal(self._remainder(x, y, points, some))
+        # Orthonormal functions that represent the factors of some points within the tolerance.
+        basis, strength, _ = np.linalg.svd(self._remainder(x, y, points, some), full_matrices=False)
+        tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
+        basis = basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))]
         parts = []
         step = max(1, _TOGETHER // len(x))
         for first in range(0, len(points), step):
@@ -113,7 +122,7 @@ class Layer:
 
     @property
     def _half(self) -> float:
-        """Half the side of the square between whose nodes the fields are interpolated."""
+        """Half the side, in mm, of the square of nodes between which the fields are interpolated."""
         return self._grid.pitch * (self._grid.count // 2 + 1)
 
     def _common(self) -> Field:
@@ -130,13 +139,17 @@ class Layer:
         return as_field(pack(light), (grid.count, grid.count))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
-        """Return a function of P at rows of the samples, interpolated from values at the nodes."""
+        """Return values on the pupil at rows of the samples, interpolated from the values at the nodes."""
         along_x, along_y = self._interpolation
         return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
 
     def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return as many Chebyshev nodes between -1 and 1 as the layer needs."""
-        some = _extremes(points)
+        """Return the Chebyshev nodes between -1 and 1 that the layer needs."""
+        # Points on the edges of the layer along all of its diagonals, and some between.
+        values = np.column_stack([points[:, :2] / points[:, 2:], 1 / points[:, 2]])
+        along = ((values - values.mean(0)) / np.maximum(np.ptp(values, axis=0), 1e-300)) @ _DIAGONALS.T
+        between = np.linspace(0, len(points) - 1, min(len(points), _TRIED)).astype(np.int64)
+        some = np.unique(np.concatenate([along.argmin(0), along.argmax(0), between]))
         radius = np.sqrt((np.arange(_TRIED) + 0.5) / _TRIED)
         # A sunflower's pattern covers the pupil evenly.
         angle = np.arange(_TRIED) * (math.pi * (3 - math.sqrt(5)))
@@ -160,7 +173,7 @@ class Layer:
     def _remainder(
         self, x: NDArray[np.float64], y: NDArray[np.float64], points: NDArray[np.float64], which: Any
     ) -> NDArray[np.complex128]:
-        """Return B exp(2 pi i r) at m positions on the pupil for some of the points, (m, n)."""
+        """Return the factor B exp(2 pi i r) of the field at m pupil positions for some points, (m, n)."""
         point = tuple(points[which].T)
         waves = self._lens.path((x[:, None], y[:, None]), point, self._wavelength)
         waves = self._carrier.remainder(waves, x, y, which)
@@ -170,7 +183,7 @@ class Layer:
 
 
 def carrier_type(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> type[Spheres | Tilts]:
-    """Return the kind of waves from which the points' fields differ least: spheres behind an ideal lens, else tilts."""
+    """Return the kind of carrier waves that leaves the smallest remainder: spheres behind an ideal lens, else tilts."""
     spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
     return Spheres if spheres else Tilts
 
@@ -185,13 +198,8 @@ def layers(system: OpticalSystem, lens: ThinLens, points: NDArray[np.float64]) -
     return np.split(order, np.flatnonzero(np.diff(which)) + 1)
 
 
-def memory(lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
-    """Return an upper bound in bytes of the memory of the field of points (n, 3), without the memory of each point."""
-    return carrier_type(lens, points, grid).memory(lens, points, grid)
-
-
 def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the integral (n,) over the pupil of the squared amplitude of each point's light."""
+    """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
     nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
     radius = lens.pupil_radius * np.sqrt((nodes + 1) / 2)
     angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
@@ -201,19 +209,12 @@ def passed_power(lens: ThinLens, points: NDArray[np.float64]) -> NDArray[np.floa
     return np.asarray(np.repeat(weights / 2, _SPOKES) @ amplitude**2 * (area / _SPOKES))
 
 
-def _principal(factors: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the orthonormal functions (m, k) that represent some factors (m, n) within the tolerance."""
-    basis, strength, _ = np.linalg.svd(factors, full_matrices=False)
-    tail = np.sqrt(np.cumsum(strength[::-1] ** 2)[::-1] / np.sum(strength**2))
-    return np.asarray(basis[:, : max(1, int(np.count_nonzero(tail > _TOLERANCE)))])
-
-
 def _completed(
     basis: NDArray[np.complex128], factors: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return a basis extended by functions that factors (m, n) need, and the factors' coefficients.
 
-    Points that are far from most others have such factors.
+    Points far from most others need such functions.
     """
     power = _squares(factors)
     while True:
@@ -233,16 +234,6 @@ def _completed(
 def _squares(columns: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Return the squared norm of each column."""
     return np.asarray((columns.real**2 + columns.imag**2).sum(0))
-
-
-def _extremes(points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the indices of points on the edges of the layer along all of its diagonals."""
-    tilt = points[:, :2] / points[:, 2:]
-    directions = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
-    values = np.column_stack([tilt, 1 / points[:, 2]])
-    along = ((values - values.mean(0)) / np.maximum(np.ptp(values, axis=0), 1e-300)) @ directions.T
-    some = np.linspace(0, len(points) - 1, min(len(points), _TRIED)).astype(np.int64)
-    return np.unique(np.concatenate([along.argmin(0), along.argmax(0), some]))
 
 
 def _interpolation(nodes: NDArray[np.float64], at: NDArray[np.float64], kind: type = np.float32) -> NDArray[Any]:

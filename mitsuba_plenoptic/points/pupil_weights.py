@@ -13,13 +13,6 @@ from numpy.typing import NDArray
 from ..errors import refuse_if
 from ..runtime.backend import drjit_array
 
-
-def spline_parts(position: Any) -> tuple[Any, Any, Any, Any]:
-    """Return the cubic B-splines of the four nearest knots, at positions from 0 to 1 between the middle two."""
-    left = 1 - position
-    return left**3 / 6, 2 / 3 - position**2 + position**3 / 2, 2 / 3 - left**2 + left**3 / 2, position**3 / 6
-
-
 STEEPEST = 0.98
 """Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden."""
 
@@ -41,7 +34,7 @@ class PupilWeights:
 
     @classmethod
     def of(cls, weights: Any, count: int) -> PupilWeights | None:
-        """Return the pupil weights of `count` points, None if all points see the whole pupil alike.
+        """Return the pupil weights of `count` points, None if the whole pupil is open to all points alike.
 
         The weights have the shape (points, m, m): relative power, or booleans for the visible part. None means uniform
         power.
@@ -70,7 +63,7 @@ class PupilWeights:
 
     @classmethod
     def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:
-        """Collect masks of cells x cells booleans, each packed into a row of bits."""
+        """Return pupil weights from masks of cells x cells booleans, each packed into a row of bits."""
         rows, index = np.unique(bits, axis=0, return_inverse=True)
         table = np.unpackbits(rows, axis=1, count=cells * cells).astype(np.float32)
         return cls(table.reshape(-1, cells, cells), index.reshape(-1), np.zeros((len(bits), 2)))
@@ -81,14 +74,14 @@ class PupilWeights:
         return replace(self, table=self.table[used], index=index.reshape(-1), slant=self.slant[which])
 
     def lit(self) -> NDArray[np.bool_]:
-        """Return for each point whether any light passes its pupil."""
+        """Return, for each point, whether any light passes the pupil."""
         return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
-        """Return the weights, and their square roots, averaged over samples of the pupil.
+        """Return the weights, and their square roots, averaged over each sample of the pupil.
 
-        The steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider than a
-        cell are treated as one cell wide.
+        Otherwise the steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider
+        than a cell are treated as one cell wide.
         """
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
@@ -98,7 +91,13 @@ class PupilWeights:
         sides = []
         for P in (Px, Py):
             position = (P + radius) * (cells / (2 * radius))
-            near = _splines(position) if self.sampled else _border(position, half, cells)
+            if self.sampled:
+                near = _splines(position)
+            else:
+                # The two cells that a sample overlaps, and the fraction of it beyond the border between them.
+                low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
+                beyond = dr.clip((position + half - high) / (2 * half), 0, 1)
+                near = [(low, 1 - beyond), (high, beyond)]
             sides.append([(UInt32(dr.clip(cell, 0, cells - 1)), Float(part)) for cell, part in near])
         table = drjit_array(Float, self.table)
         power, amplitude = dr.zeros(Float), dr.zeros(Float)
@@ -129,18 +128,12 @@ class PupilWeights:
         return np.asarray(flat + self.slant[:, 0] * along_x + self.slant[:, 1] * along_y)
 
 
-def _border(position: Any, half: Any, cells: int) -> list[tuple[Any, Any]]:
-    """Return the two cells that a sample of some half width overlaps, and the fraction of the sample on each."""
-    low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
-    # The fraction of the sample beyond the border between the two cells.
-    beyond = dr.clip((position + half - high) / (2 * half), 0, 1)
-    return [(low, 1 - beyond), (high, beyond)]
-
-
 def _splines(position: Any) -> list[tuple[Any, Any]]:
     """Return the four cells around a position, and the values of the cubic B-splines centred on these cells."""
     before = np.floor(position - 0.5) if isinstance(position, np.ndarray) else dr.floor(position - 0.5)
-    parts = spline_parts(position - 0.5 - before)
+    right = position - 0.5 - before
+    left = 1 - right
+    parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6
     return [(before + step, part) for step, part in zip(range(-1, 3), parts, strict=True)]
 
 

@@ -1,4 +1,4 @@
-"""From samples of the intensity on a grid to the recorded pixels, and back."""
+"""Conversion of intensity samples on a grid to the recorded pixels, and back."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _EDGE = 8
 
 
 class Recorder:
-    """The recorded pixels that some patches reach, and the samples that these pixels feel: `box`, on a grid.
+    """The recorded pixels that some patches reach, and the `box` of grid samples on which these pixels depend.
 
     `low` and `high`, (n, 2), are the first sample of each patch along x and y, and the one after its last. `whole` is a
-    recorder of these patches and others, whose data are used.
+    recorder for these and other patches, whose data are reused.
     """
 
     def __init__(
@@ -72,12 +72,12 @@ class Recorder:
         return image + (12.0 * self.box.rows * self.box.columns if self._grid.rotation != 0 else 0)
 
     def record(self, sums: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Return integrals of the box's samples over pixels, or the change of the integrals as the pixels move.
+        """Return the box's samples integrated over pixels, or the change of these integrals as the pixels move.
 
-        `sums` (channels, rows, columns) are per square millimetre, the result (rows, columns, channels) is of all
-        recorded pixels. `move` is what changes by 1 while the samples are fixed: "detector_width", "mla_rotation" (the
-        detector's angle against the lattice), "wavelength" (with which the samples' distances grow), or "x" or "y" (the
-        detector's position).
+        `sums` (channels, rows, columns) are per square millimetre; the result (rows, columns, channels) has all
+        recorded pixels. `move` names a quantity that grows by 1 while the samples are fixed: "detector_width",
+        "mla_rotation" (the detector's angle against the lattice), "wavelength" (with which the samples' distances
+        grow), or "x" or "y" (the detector's position).
         """
         image = np.zeros((*self._camera.shape, len(sums)), np.float32)
         target = image[self.window]
@@ -86,12 +86,12 @@ class Recorder:
         return image
 
     def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Return the integrals of one channel, as `record` has them, over the pixels in `window` alone."""
+        """Return the integrals of one channel over the pixels in `window`, as `record` does."""
         upright = samples if self._upright is None else self._upright.forward(samples)
         return backend().to_host(self._pixels_of(move).forward(upright))
 
     def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
-        """Return the adjoint of `record`: samples from an image."""
+        """Return the adjoint of `record`: grid samples from an image."""
         arrays = backend().arrays
         channels = []
         for channel in np.moveaxis(image[self.window], -1, 0):
@@ -148,7 +148,7 @@ class Recorder:
 
     @cached_property
     def _upright(self) -> TurnedSamples | None:
-        """Samples in the camera's frame of an intensity in the lattice's frame; None if both frames are equal."""
+        """Resampling from the lattice frame to the camera frame; None if both frames are equal."""
         grid = self._grid
         if grid.rotation == 0:
             return None
@@ -178,6 +178,6 @@ class Recorder:
 
 
 def _slices(part: Box, whole: Box) -> tuple[slice, slice]:
-    """Return the rows and columns of a rectangle within another."""
+    """Return a rectangle's rows and columns within another rectangle."""
     top, left = part.top - whole.top, part.left - whole.left
     return slice(top, top + part.rows), slice(left, left + part.columns)

@@ -1,8 +1,8 @@
-r"""Incoherent points on a scene's surfaces where the camera's rays first hit; the reference method adds up their light.
+r"""Incoherent points on a scene's surfaces where the camera's rays first hit, for the reference method.
 
 A ray through a point q of the microlens array and a point P of the pupil hits a surface at X, where the child
-integrator finds the radiance L. The surface is taken to radiate evenly in all directions; shadow rays find the parts of
-the pupil that can see it. With n such rays from each lens, all pixels together record from a point
+integrator finds the radiance L. The surface is assumed to radiate uniformly in all directions; shadow rays find the
+parts of the pupil that it lights. With n such rays from each lens, all pixels together record from a point
 
 .. math:: L \, \frac{A_c}{n} \frac{A_{pupil} z^2}{b^2 A_{lens} A_{pixel} f}
 
@@ -33,7 +33,7 @@ from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import drjit_array
 from ..runtime.batches import Job
-from ..runtime.limits import largest_fitting, require_memory
+from ..runtime.limits import require_memory_for
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
 from .units import radiance_weight
@@ -59,7 +59,7 @@ _EVEN = 1e-3
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """Points that emit or reflect light, in the camera frame."""
+    """Points that emit or reflect light, in the camera frame, with their radiance."""
 
     # Positions (x, y, z), an array (n, 3).
     positions: NDArray[np.float64]
@@ -118,7 +118,9 @@ def find_points(
     require_ideal(camera)
     system = OpticalSystem.by_design(camera)
     window = LensWindow.of(system)
-    _require_memory(count, len(window.index))
+    lenses = len(window.index)
+    what = f"spp = {count}: {count} points in each of {lenses} lenses"
+    require_memory_for(lambda number: float(_POINT_BYTES) * number * lenses, count, what, "spp = {}".format)
     pairs = sample_pairs(count, seed)
     finder = _Finder(lights, system, window, pairs, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))
@@ -142,20 +144,9 @@ def find_points(
     return ScenePoints(positions, radiance * scale[:, None], weights)
 
 
-def _require_memory(count: int, lenses: int) -> None:
-    def memory(number: int) -> float:
-        return float(_POINT_BYTES) * number * lenses
-
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, count)
-        return f"spp = {largest}" if largest else None
-
-    require_memory(memory(count), f"spp = {count}: {count} points in each of {lenses} lenses", fitting)
-
-
 @dataclass(frozen=True)
 class _Finder:
-    """Traces rays, which are indexed lens by lens."""
+    """Tracer of rays that are numbered lens by lens."""
 
     lights: Sequence[SceneLight]
     system: OpticalSystem
@@ -164,10 +155,10 @@ class _Finder:
     paths: int
 
     def find(self, numbers: NDArray[np.int64], seed: int) -> tuple[NDArray[Any], ...]:
-        """Return the points at which traced rays of the given indices meet the scene.
+        """Return the points where traced rays, given by their numbers, meet the scene.
 
-        Return the positions, radiance, slants, visible pupil cells as bits, and lenses of the lit points that rays
-        hit, and the lenses of all rays that pass the main lens.
+        For lit points that rays hit, the positions, radiance, slants, visible pupil cells as bits, and lenses are
+        returned; also the lenses of all rays that pass the main lens.
         """
         cell, pair = np.divmod(numbers, len(self.pairs))
         u, v, s, t = self.pairs[pair].T
@@ -218,7 +209,7 @@ class _Finder:
         return radiance
 
     def _visible(self, hit: Any, entrances: Entrances, radius: float) -> NDArray[np.uint8]:
-        """Return, as bits (n, bytes), the pupil cells that see points; the cell of a point's ray always does."""
+        """Return the pupil cells that see points as bits (n, bytes); the cell of the point's own ray always does."""
         x, y = _MIDDLES
         # Cells whose centre is outside the pupil are sampled at the nearest point inside.
         inward = np.minimum(1, 0.999 / np.hypot(x, y)) * radius
@@ -266,7 +257,7 @@ def _landing(
 
 @dataclass(frozen=True)
 class PointsCapture:
-    """A capture by method ``points``: the camera, the light, the spectrum and the accuracy."""
+    """A capture by method ``points``: camera, light, spectrum, and accuracy."""
 
     camera: PlenopticCamera
     # Radiance along rays; the channels of the light are those of all entries, one after another.
@@ -279,28 +270,31 @@ class PointsCapture:
     accuracy: float
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Return the capture of the scene.
-
-        The result has the shape (rows, columns, channels).
-        """
+        """Return the capture of the scene, an array (rows, columns, channels)."""
         refuse_if(noise, "noise: method = points does not state it; compare seeds, or use signed_rays")
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warn("plenoptic_wave: no ray from the pupil meets anything that shines")
-        operator = self._operator(points)
-        image = job.run(
-            operator.tasks(self._weights(points), job),
-            (*self.camera.shape, self.spectrum.channels),
-            len(points.positions) * operator.sums,
-            lambda: self._facts(points),
-        )
+        operator, pupil = self._operator(points), points.pupil_weights
+        weights = points.weights if self.upsampling is None else points.weights @ self.upsampling
+
+        def facts() -> dict[str, Any]:
+            masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
+            return {
+                "points": len(points.positions),
+                "scene_digest": digest(points.positions, points.weights, *masks),
+                "responses": self.spectrum.responses,
+            }
+
+        shape, items = (*self.camera.shape, self.spectrum.channels), len(points.positions) * operator.sums
+        image = job.run(operator.tasks(weights, job), shape, items, facts)
         if np.min(self.spectrum.responses) >= 0:
             # Negative values are errors of interpolation, unless responses are negative (colours outside of a gamut).
             np.maximum(image, 0, out=image)
         return image
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Return the estimated cost of `compute` without ray tracing, from all points and some of their spreads."""
+        """Return the estimated cost of `compute`, from all points and some of their point spreads."""
         points = find_points(self.lights, self.camera, spp, seed=seed, paths=1)
         return replace(self._operator(points).estimate(job), points=len(points.positions))
 
@@ -313,16 +307,3 @@ class PointsCapture:
             accuracy=self.accuracy,
             pupil_weights=points.pupil_weights,
         )
-
-    def _weights(self, points: ScenePoints) -> NDArray[np.float64]:
-        return points.weights if self.upsampling is None else points.weights @ self.upsampling
-
-    def _facts(self, points: ScenePoints) -> dict[str, Any]:
-        """Return the data by which a checkpoint recognises the same capture."""
-        pupil = points.pupil_weights
-        masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
-        return {
-            "points": len(points.positions),
-            "scene_digest": digest(points.positions, points.weights, *masks),
-            "responses": self.spectrum.responses,
-        }

@@ -1,4 +1,4 @@
-"""At how many wavelengths the spreads of points must be computed, for light of a band."""
+"""Number of wavelengths at which point spreads must be computed for light of a band."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def with_enough_nodes(
 ) -> Spectrum:
     """Return a spectrum with as few nodes as accurate point spreads need.
 
-    The number of nodes is raised in steps until images of each point, by every channel, change by no more than half
-    of the error; the other half allows for the error that remains.
+    The number is raised in steps until images of each point, in every channel, change by no more than half of the
+    error; the other half allows for the remaining error.
 
     `points` are a few representative points; `error` is relative (L2) and applies to the image of each channel.
     """
@@ -53,8 +53,7 @@ def with_enough_nodes(
     counts = [count for count in _COUNTS if count < most] + [most] * (most <= _COUNTS[-1])
     last = images(counts[0], camera)
     # What the points light is a small part of a large detector.
-    rows, columns = _lit(last)
-    recorded = _cropped(camera, rows, columns)
+    recorded, rows, columns = _recording(camera, last)
     last = [image[rows, columns] for image in last]
     for count, more in itertools.pairwise(counts):
         finer = images(more, recorded)
@@ -64,25 +63,21 @@ def with_enough_nodes(
     return spectrum.interpolated(counts[-1])
 
 
-def _lit(images: list[NDArray[np.float32]]) -> tuple[slice, slice]:
-    """Return the ranges of rows and columns that hold all light of images; the full ranges if there is no light."""
+def _recording(camera: PlenopticCamera, images: list[NDArray[np.float32]]) -> tuple[PlenopticCamera, slice, slice]:
+    """Return the camera that records only the rows and columns that hold all light of images, and these."""
     lit = np.any([image.any(2) for image in images], axis=0)
     found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
-    rows, columns = (slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(None) for some in found)
-    return rows, columns
-
-
-def _cropped(camera: PlenopticCamera, rows: slice, columns: slice) -> PlenopticCamera:
-    """Return the camera that records only the given rows and columns of its image."""
-    (left, right, _), (top, bottom, _) = (
-        some.indices(count) for some, count in zip((columns, rows), camera.crop_size, strict=True)
+    rows, columns = (
+        slice(int(some[0]), int(some[-1]) + 1) if len(some) else slice(0, size)
+        for some, size in zip(found, camera.shape, strict=True)
     )
-    offset = camera.crop_offset[0] + left, camera.crop_offset[1] + top
-    return camera.replace(crop_offset=offset, crop_size=(right - left, bottom - top))
+    offset = camera.crop_offset[0] + columns.start, camera.crop_offset[1] + rows.start
+    size = columns.stop - columns.start, rows.stop - rows.start
+    return camera.replace(crop_offset=offset, crop_size=size), rows, columns
 
 
 def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
-    """Return the relative difference (L2) of the channel that differs most."""
+    """Return the relative difference (L2) between images, of the channel with the largest one."""
     norms = np.sqrt(np.sum(np.square(reference, dtype=np.float64), axis=(0, 1)))
     change = np.sqrt(np.sum(np.square(image - reference, dtype=np.float64), axis=(0, 1)))
     return float(np.max(change[norms > 0] / norms[norms > 0], initial=0.0))

@@ -1,4 +1,4 @@
-"""Point spreads one by one, in the pixels that each of them reaches."""
+"""Point spreads one by one, each in the pixels that it reaches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TOGETHER_BYTES = 2**26
 
 @dataclass(frozen=True)
 class Spread:
-    """The point spread that some points share, in the pixels of a window of the image."""
+    """A point spread shared by some points, in the pixels of a window of the image."""
 
     points: NDArray[np.int64]
     window: tuple[slice, slice]
@@ -45,10 +45,25 @@ class PatchSpreads(PatchPlan):
 
         `done` of the `total` points of a job are already complete.
         """
-        parts = [part for chunk in self._chunks for part in self._few(chunk)]
+        parts = []
+        for chunk in self._chunks:
+            # As many of its patterns as fit into memory together, each with a channel.
+            corner, across = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
+            tile = 4.0 * float((np.ptp(corner, axis=0) + across).prod())
+            size = max(1, int(_TOGETHER_BYTES // tile))
+            parts += [chunk[first : first + size] for first in range(0, len(chunk), size)]
+        own = np.zeros((1, 2), np.int64)
+        batches = (
+            Scatter(
+                self._fields(part),
+                np.full(len(part), self.gain**0.5),
+                [Copies(own, channel[None]) for channel in np.eye(len(part), dtype=np.float32)],
+            )
+            for part in parts
+        )
         members, arrived = self._last - self._first, 0.0
         items = [int(members[part].sum()) for part in parts]
-        results = job.each(map(self._apart, parts), items, done + self._count - sum(items), total)
+        results = job.each(batches, items, done + self._count - sum(items), total)
         for part, made in zip(parts, results, strict=True):
             for pattern, sums in zip(part.tolist(), made.sums, strict=True):
                 arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
@@ -62,21 +77,8 @@ class PatchSpreads(PatchPlan):
         if loss is not None:
             guards.check(guards.PATCH, loss)
 
-    def _few(self, chunk: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """Return parts of a chunk whose patterns fit into memory together."""
-        corner, samples = self._placement.corner[chunk], int(self._placement.samples[chunk[0]])
-        tile = 4.0 * float((np.ptp(corner, axis=0) + samples).prod())
-        size = max(1, int(_TOGETHER_BYTES // tile))
-        return [chunk[first : first + size] for first in range(0, len(chunk), size)]
-
-    def _apart(self, patterns: NDArray[np.int64]) -> Scatter:
-        """Return the data of patterns with one channel for each."""
-        channels = np.eye(len(patterns), dtype=np.float32)
-        copies = [Copies(np.zeros((1, 2), np.int64), channel[None]) for channel in channels]
-        return Scatter(self._fields(patterns), np.full(len(patterns), self.gain**0.5), copies)
-
     def _recorded(self, pattern: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Recorder]]:
-        """Yield the points, the shift and the pixels of each copy of a pattern that reaches any."""
+        """Yield points, shift and pixels of each copy of a pattern that reaches recorded pixels."""
         members = slice(self._first[pattern], self._last[pattern])
         shifts, copy = np.unique(self._shifts[members], axis=0, return_inverse=True)
         for index, shift in enumerate(shifts):

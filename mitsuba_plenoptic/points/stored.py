@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Job
 from ..runtime.limits import check_memory
-from .mixing import mix
+from .mixing import SpectralSum, mix
 from .operator import CaptureOperator
 from .spreads import FullFieldSpreads, PatchSpreads
 
@@ -26,8 +27,8 @@ class StoredOperator(CaptureOperator):
     """`CaptureOperator` that computes its point spreads once and stores them, one set per wavelength.
 
     `forward` and `adjoint` are then products with a sparse matrix, for any number of columns of weights or channels of
-    an image. Spreads are computed at the first product. The derivatives by the camera's parameters compute their fields
-    anew, as those of `CaptureOperator` do.
+    an image. Point spreads are computed at the first product, by the executor of its `job`; checkpoints are not
+    written. Derivatives by camera parameters compute the fields anew, as in `CaptureOperator`.
 
     Parameters
     ----------
@@ -43,7 +44,8 @@ class StoredOperator(CaptureOperator):
     Raises
     ------
     InputError
-        If an input has a wrong shape or value.
+        If an input has a wrong shape or value, or at the first product, if the spreads take more memory than the
+        budget.
 
     Examples
     --------
@@ -63,65 +65,22 @@ class StoredOperator(CaptureOperator):
         self._dtype = np.dtype(dtype)
         self._matrices: dict[float, Any] = {}
 
-    @one_at_a_time
-    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[Any]:
-        """Add the point spreads of all points, each with a weight.
-
-        Parameters
-        ----------
-        weights : array (n,) or (n, channels)
-            As for `CaptureOperator.forward`.
-        job : Job, optional
-            Executor of the computation of the spreads, and its progress report. Checkpoints are not written.
-
-        Returns
-        -------
-        array (rows, columns) or (rows, columns, channels)
-            Integrals over the recorded pixels, of the type `dtype`.
-
-        Raises
-        ------
-        InputError
-            If the weights have a wrong shape or value, or the spreads take more memory than the budget.
-        PhysicsError
-            If too much of the light is lost (see `optics.guards`).
-        """
-        factors, matrices = self._check(weights), self._computed(job)
-        _, matrix = self._channels.mixing(factors.shape[1])
+    def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
+        """Return the image (rows, columns, channels) of checked weights (n, columns)."""
+        matrices = self._computed(job)
+        _, matrix = self._channels.mixing(weights.shape[1])
         pixels = np.zeros((math.prod(self.camera.shape), len(matrix)), self._dtype)
-        for part in self._channels.parts(factors.shape[1]):
-            pixels += mix(matrices[part.wavelength] @ (factors @ part.before).astype(self._dtype), part.after)
-        flat = np.ndim(weights) == 1 and len(matrix) == 1
-        return pixels.reshape(self.camera.shape if flat else (*self.camera.shape, -1))
+        for part in self._channels.parts(weights.shape[1]):
+            pixels += mix(matrices[part.wavelength] @ (weights @ part.before).astype(self._dtype), part.after)
+        return pixels.reshape(*self.camera.shape, -1)
 
-    @one_at_a_time
-    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
-        """Return the inner product of an image with the point spread of every point, the transpose of `forward`.
-
-        Parameters
-        ----------
-        image : array (rows, columns) or (rows, columns, channels)
-            Values of the recorded pixels.
-        job : Job, optional
-            As for `forward`.
-
-        Returns
-        -------
-        float64 array (n,) or (n, channels)
-            Products with the point spreads; with a spectrum of several wavelengths one column for each of them.
-
-        Raises
-        ------
-        InputError
-            If the image has another shape or is not finite, or the spreads take more memory than the budget.
-        """
-        channels, matrices = self._channels.check_image(image, self.camera.shape, self._dtype), self._computed(job)
-        wavelengths, _ = self._channels.mixing(channels.shape[2])
-        pixels = channels.reshape(-1, channels.shape[2])
-        result = np.zeros((len(self.points), len(wavelengths)))
-        for part in self._channels.parts(channels.shape[2]):
-            result += (matrices[part.wavelength].T @ mix(pixels, part.after.T)) @ part.before.T
-        return result[:, 0] if np.ndim(image) == 2 and len(wavelengths) == 1 else result
+    def _products(
+        self, image: NDArray[Any], parts: Iterator[SpectralSum], job: Job
+    ) -> Iterator[tuple[SpectralSum, NDArray[Any]]]:
+        """Yield the products (n, k) of an image (rows, columns, channels) with the point spreads of each sum."""
+        matrices, pixels = self._computed(job), image.reshape(-1, image.shape[2])
+        for part in parts:
+            yield part, matrices[part.wavelength].T @ mix(pixels, part.after.T)
 
     @one_at_a_time
     def to_sparse(self, *, job: Job | None = None) -> Any:
@@ -135,9 +94,9 @@ class StoredOperator(CaptureOperator):
         Returns
         -------
         scipy.sparse.csc_array
-            Of shape (pixels, n). With a spectrum (pixels * channels, n * wavelengths), whose rows are the entries of
-            an image (rows, columns, channels), and whose columns are those of weights (n, wavelengths). Changes of the
-            matrix do not change the operator.
+            The matrix, (pixels, n). With a spectrum it is (pixels * channels, n * wavelengths): rows are the entries of
+            an image (rows, columns, channels), columns those of weights (n, wavelengths). Changes of the matrix do not
+            change the operator.
 
         Raises
         ------
@@ -157,7 +116,7 @@ class StoredOperator(CaptureOperator):
 
     @one_at_a_time
     def to_dense(self, *, job: Job | None = None) -> NDArray[Any]:
-        """Return the operator as an array between flat arrays.
+        """Return the operator as a dense matrix between flat arrays.
 
         Parameters
         ----------
@@ -200,7 +159,7 @@ class StoredOperator(CaptureOperator):
         return self._matrices
 
     def _matrix(self, spreads: Any) -> Any:
-        """Collect spreads as the columns of a matrix (pixels, n)."""
+        """Return a matrix (pixels, n) with point spreads as its columns."""
         index = np.arange(math.prod(self.camera.shape), dtype=np.int32).reshape(self.camera.shape)
         empty = np.zeros(0, np.int32), np.zeros(0, self._dtype)
         columns = [empty] * len(self.points)

@@ -1,8 +1,8 @@
-"""Sums of many copies of patterns, each moved by whole lenses, as products with a sparse matrix.
+"""Sums of many copies of patterns, each shifted by whole lenses, as products with a sparse matrix.
 
-If all copies are moved by multiples of some width, patterns and their sum are divided into cells of that width. Each
-copy then adds whole cells, with the same weights for all samples of a cell. The sum is a product of a sparse matrix,
-each row of which is a cell of the sum, with the cells of the patterns.
+If all copies are shifted by multiples of some width, patterns and their sum are divided into cells of that width. Each
+copy then adds whole cells, with equal weights for all samples of a cell. The sum is the product of a sparse matrix,
+with one row per cell of the sum, with the cells of the patterns.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class CopyCells:
 
     @classmethod
     def of(cls, shifts: list[NDArray[np.int64]], samples: int) -> CopyCells | None:
-        """Return cells for patterns of `samples` x `samples` and the shifts of their copies; None if cells are slower.
+        """Return cells for patterns of `samples` x `samples` and shifts of their copies; None if cells are slower.
 
         `shifts` has an array (copies, 2) for each pattern, along x and y.
         """
@@ -87,31 +87,28 @@ class CellSum:
         self._entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
 
     def plane(self, pattern: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
-        """Return the buffer for the intensity of a pattern, along x and y, with some samples to spare.
+        """Return the buffer for a pattern's intensity, along x and y, with some samples to spare.
 
-        `places` are the first samples of each copy along x and y. When another part of the pattern is written, its
+        `positions` are the first samples of each copy along x and y. When another part of the pattern is written, its
         index identifies it.
         """
         if pattern not in self._held:
-            self._held[pattern] = len(self._held)
-            self._enter(self._held[pattern], positions // self._cells.width, weights)
+            self._held[pattern] = number = len(self._held)
+            # The copies of the plane in the matrix.
+            inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
+            x, y = (positions // self._cells.width).T[..., None] + inner[:, None]
+            copy, channel = np.nonzero(weights)
+            # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
+            rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
+            columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
+            values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
+            self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
         x, y = (positions[0] % self._cells.width).tolist()
         return self._planes[self._held[pattern], x:, y:]
 
-    def _enter(self, number: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> None:
-        """Add the copies of a plane to the matrix."""
-        inner = np.indices(self._cells.count.tolist()).reshape(2, -1)
-        x, y = positions.T[..., None] + inner[:, None]
-        copy, channel = np.nonzero(weights)
-        # The channels of a cell are adjacent, so that the cell they are added from stays in the processor's cache.
-        rows = (x[copy] * self._shape[1] + y[copy]) * self._channels + channel[:, None]
-        columns = np.broadcast_to(number * inner.shape[1] + np.arange(inner.shape[1]), rows.shape)
-        values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
-        self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
-
     @property
     def free(self) -> int:
-        """Number of patterns that can be written before the next `add`."""
+        """Number of patterns that can be buffered before the next `add`."""
         return len(self._planes) - len(self._held)
 
     def add(self) -> None:
@@ -139,14 +136,14 @@ class CellSum:
 
 @dataclass(frozen=True)
 class Copies:
-    """Shifts and weights with which the intensity of one point spread is added several times."""
+    """Shifts and weights of the copies in which one point spread's intensity is added."""
 
     shifts: NDArray[np.int64]  # samples along x and y by which each copy is moved, (copies, 2)
     weights: NDArray[np.float32]  # factors on the intensity, (copies, channels)
 
 
 class CopySum:
-    """Weighted sum of copies of patterns of one size, by cells where these are faster, else copy by copy.
+    """Weighted sum of copies of patterns of one size, by cells where this is faster, otherwise copy by copy.
 
     `places` are the first samples of each pattern's copies along both axes of the sum. Parts of `together` patterns may
     be added alternately.
@@ -215,7 +212,7 @@ class PatchTile:
         return Part(self.box, sums.total().transpose(0, 2, 1))
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
-        """Multiply each copy's intensity with the samples of the tile, and sum the products, (copies, channels)."""
+        """Return the products, (copies, channels), of each copy's intensity with the samples of the tile, summed."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
         products = [np.zeros((len(positions), len(turned))) for positions in self._places]
         for point, along_x, along_y, intensity, _ in self._intensities():
@@ -245,7 +242,7 @@ class PatchTile:
 
 
 def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
-    """Return the box, on a grid `finer` than the patches by a factor, that patches and their copies cover."""
+    """Return the box that patches and their copies cover, on a grid `finer` than the patches by a factor."""
     corners = np.concatenate([position + copy.shifts for position, copy in zip(corner, copies, strict=True)])
     return Box.between(finer * corners.min(0), finer * (corners.max(0) + samples))
 
@@ -264,26 +261,26 @@ class FieldBatch:
 
 @dataclass(frozen=True)
 class Scatter(FieldBatch):
-    """Point spreads to be added, with factors on the field and on the copies of each."""
+    """Point spreads to be added, with factors on each field and on the copies."""
 
     amplitudes: NDArray[np.float64]
     copies: list[Copies]
 
     def prepare(self) -> Callable[[], Part]:
-        """Return the function that adds the intensities, after computing the factors of the fields."""
+        """Return the function that adds the intensities, after the factors of the fields are computed."""
         batch = PatchBatch(self.fields, self.amplitudes)
         return lambda: PatchTile(batch, self.copies).sum()
 
 
 @dataclass(frozen=True)
 class Gather(FieldBatch):
-    """Point spreads to be multiplied with samples of the tile that they cover."""
+    """Point spreads to be multiplied by the samples of the tile that they cover."""
 
     copies: list[Copies]
     tile: NDArray[np.float32]
 
     def prepare(self) -> Callable[[], list[NDArray[np.float64]]]:
-        """Return the function that multiplies intensities with the tile, after computing the factors of the fields."""
+        """Return the function that multiplies intensities by the tile, after the factors of the fields are computed."""
         batch = PatchBatch(self.fields, np.ones(len(self.copies)))
         return lambda: PatchTile(batch, self.copies).products(self.tile)
 

@@ -14,24 +14,37 @@ from ..light.optical_system import OpticalSystem
 
 
 def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_size: Any) -> Any:
-    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`, the camera's part of a point's weight.
+    r"""Return the camera's factor in a point's weight, :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})`.
 
-    The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that it represents.
+    The other factors are the point's radiance and the solid angle :math:`A_c / b^2` that the point represents.
     """
     pupil = math.pi * pupil_radius**2
     return pupil * reduced_distance**2 / (lattice.lens_area * pixel_size**2)
 
 
 def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
-    """Return the `brightness` of a camera with its main lens."""
+    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})` of a camera with its main lens.
+
+    A point's weight in `CaptureOperator` is this number times its radiance and the solid angle :math:`A_c / b^2`.
+    """
     return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 
 def brightness_at(system: OpticalSystem, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `brightness` with the part of the pupil that is open to each of some points, (n,)."""
+    """Return `brightness_of` a system with the open part of the pupil for each point, (n,)."""
     return brightness_of(system.camera, system.lens) * system.waves_of(points).open_part(points)
 
 
 def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> float:
-    r"""Return the total signal of a small area of radiance 1 in all pixels: `brightness` times :math:`A_c / b^2`."""
+    r"""Return the total signal of a small area of radiance 1 in all pixels: `brightness_of` times :math:`A_c / b^2`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    lens : MainLens
+        Its main lens, such as ``OpticalSystem(camera, wavelength).lens``.
+    area : float
+        The area's image in the plane of the microlenses, in square millimetres.
+    """
     return area / lens.pupil_distance**2 * brightness_of(camera, lens)

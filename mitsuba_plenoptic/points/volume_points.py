@@ -44,7 +44,13 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
         grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all(),
         f"values of shape {grid.shape}: it must be finite and (planes, rows, columns), of one channel",
     )
-    (low, high) = (_corner(name, corner) for name, corner in (("lower", lower), ("upper", upper)))
+    corners = []
+    for name, value in (("lower", lower), ("upper", upper)):
+        rule = f"{name} = {short_repr(value)}: it must be three numbers (x, y, z)"
+        with refusing(rule, *NO_ARRAY):
+            corners.append(np.array(value, np.float64))
+        refuse_if(corners[-1].shape != (3,) or not np.isfinite(corners[-1]).all(), rule)
+    low, high = corners
     refuse_if(
         not (low < high).all(),
         f"upper = {short_repr(upper)}: it must be greater than lower = {short_repr(lower)} along each axis",
@@ -52,15 +58,3 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
     size = (high - low) / np.array(grid.shape[::-1])
     lit = np.argwhere(grid != 0)
     return low + (lit[:, ::-1] + 0.5) * size, grid[tuple(lit.T)] * size.prod()
-
-
-def _corner(name: str, value: Any) -> NDArray[np.float64]:
-    try:
-        corner = np.array(value, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        corner = np.empty(0)
-    refuse_if(
-        corner.shape != (3,) or not np.isfinite(corner).all(),
-        f"{name} = {short_repr(value)}: it must be three numbers (x, y, z)",
-    )
-    return corner

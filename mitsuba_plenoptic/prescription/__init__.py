@@ -1,4 +1,4 @@
-"""Prescriptions of real main lenses: surfaces and glasses, their paraxial quantities, and the lenses that are bundled.
+"""Prescriptions of real main lenses: surfaces and glasses, paraxial quantities, and the bundled lenses.
 
 A `Prescription` is plain data. `LensSystem`, in `mitsuba_plenoptic.lenses.lens_system`, follows rays through it.
 """

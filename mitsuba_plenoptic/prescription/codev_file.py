@@ -193,7 +193,7 @@ class _CodevReader:
         return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
 
     def _only_value(self, line: Line, index: int = 1) -> float:
-        """Return the number that ends a surface's command, which must stand there only once."""
+        """Return the number at the end of a surface's command, which may be given only once."""
         keyword = line.words[0].upper()
         line.refuse_if(keyword in self.taken, f"{keyword} is given twice")
         self.taken.add(keyword)

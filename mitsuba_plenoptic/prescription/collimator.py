@@ -19,10 +19,10 @@ class Collimator(LensData):
     camera is a Shack-Hartmann wavefront sensor (Platt and Shack 2001, "History and principles of Shack-Hartmann
     wavefront sensing"). With the camera's `focal_length` :math:`f_1` and the collimator's :math:`f_c`, the collimator
     stands :math:`f_1 + f_c` behind the objective, which is the pupil, and the array :math:`f_c (1 + f_c / f_1)` behind
-    the collimator, which gives `mla_distance`. There the pupil is imaged upside down with the magnification
-    :math:`f_c / f_1` (Goodman, "Introduction to Fourier Optics", section 5.3); the quadratic phases of both lenses
-    cancel. Both are ideal and the collimator is wide enough for all light. Cameras with it are simulated by
-    `CaptureOperator` with the method ``full_field``.
+    the collimator, which gives `mla_distance`. There the pupil is imaged upside down with the magnification :math:`f_c
+    / f_1` (Goodman, "Introduction to Fourier Optics", section 5.3); the quadratic phases of both lenses cancel. Both
+    lenses are ideal, and the collimator is wide enough for all light. `CaptureOperator` simulates cameras with a
+    collimator by the method ``full_field``.
 
     Parameters
     ----------
@@ -47,15 +47,15 @@ class Collimator(LensData):
 
     @property
     def images_stop(self) -> bool:
-        """True: the array stands in the image of the pupil."""
+        """True, as the array stands in the image of the pupil."""
         return True
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of a thin objective."""
+        """Return focal length and radius of a thin objective in mm."""
         return THIN.own_numbers(focal_length)
 
     def magnification(self, focal_length: float) -> float:
-        """Return the ratio of the pupil's image to the pupil.
+        """Return the size of the pupil's image divided by the size of the pupil.
 
         Parameters
         ----------
@@ -65,11 +65,11 @@ class Collimator(LensData):
         return self.collimator_focal_length / focal_length
 
     def array_distance(self) -> float:
-        """Return NaN: the distance follows from both focal lengths, see `settled`."""
+        """Return NaN, as the distance follows from both focal lengths, see `settled`."""
         return math.nan
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
-        """Fill in the distance of the pupil's image, or refuse another one."""
+        """Return the parameters completed by the distance of the pupil's image; refuse another distance."""
         length, collimator = given["focal_length"], self.collimator_focal_length
         own = length + collimator + collimator * (1 + self.magnification(length))
         if not math.isnan(given["mla_distance"]):
@@ -77,7 +77,7 @@ class Collimator(LensData):
         return given | {"mla_distance": own}
 
     def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse a plane in focus, which is always infinity."""
+        """Refuse any given plane in focus, which is always infinity."""
         refuse_if(
             True,
             f"focus_distance = {focus_distance:g}: a telescope with a collimator is focused at infinity; leave it out",
@@ -96,11 +96,11 @@ class Collimator(LensData):
         )
 
     def require_distance(self, camera: Any, distance: float) -> None:
-        """Refuse all distances: no object plane is imaged onto the array."""
+        """Refuse all object distances, as no object plane is imaged onto the array."""
         refuse_if(True, f"distance = {distance:g}: behind a collimator the array is in the image of the pupil")
 
     def image_blur(self, camera: Any, distance: float) -> float:
-        """Return the diameter of the pupil's image."""
+        """Return the diameter in mm of the pupil's image on the array."""
         return float(camera.aperture_diameter * self.magnification(camera.focal_length))
 
     def to_plain(self) -> dict[str, Any]:
@@ -119,7 +119,7 @@ class Collimator(LensData):
         Raises
         ------
         InputError
-            If it is missing or out of range, or there are other names.
+            If the focal length is missing or out of range, or there are other names.
         """
         refuse_if(not isinstance(value, dict), f"main_lens = {short_repr(value)}: it must be a dictionary")
         require_known("main_lens: ", value, [cls.mark])

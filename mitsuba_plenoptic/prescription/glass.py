@@ -1,4 +1,4 @@
-"""Refractive indices of glasses, by the formulas of their makers' catalogues, by two numbers, or by a table."""
+"""Refractive indices of glasses, by makers' catalogue formulas, by two numbers, or by a table."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Glass:
         return float(np.sqrt(value)) if value > 0 else float("nan")
 
     def focal_ratio(self, wavelength: float) -> float:
-        r"""Return the focal length of a thin lens of this glass over its focal length at the line d.
+        r"""Return the ratio of a thin lens's focal length in this glass to its focal length at the d line (587.6 nm).
 
         :math:`f(\lambda) / f_d = (n_d - 1) / (n(\lambda) - 1)`, the lensmaker's equation (Born and Wolf, "Principles of
         Optics", section 4.7).
@@ -137,7 +137,7 @@ class Glass:
         Raises
         ------
         InputError
-            If it has no index there or at the line d, or bends no light.
+            If the glass has no index there or at the line d, or bends no light.
         """
         bends = self.at(LINE_D) - 1, self.at(wavelength) - 1
         if min(bends) <= 0:
@@ -165,12 +165,12 @@ class Glass:
             An index; a name in a catalogue, for which the extra ``lenses`` must be installed; or a dictionary with
             ``index``, with ``index`` and ``abbe``, or with one of ``sellmeier``, ``schott``, ``table``, and ``name``.
         where : str
-            What messages call it.
+            Name of the glass in messages.
 
         Raises
         ------
         InputError
-            If it is not one of these, a value is out of range, or no catalogue has the name.
+            If the data describe no glass, a value is out of range, or no catalogue has the name.
         """
         if isinstance(value, str):
             return catalogue_glass(value, where)
@@ -211,8 +211,8 @@ def catalogue_glass(
 ) -> Glass:
     """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
-    The catalogues are those of refractiveindex.info that come with Optiland, the extra ``lenses``. Only a glass of just
-    that name is taken, in capitals or not.
+    The catalogues are those of refractiveindex.info included in Optiland, the extra ``lenses``. The name must match
+    exactly, except for capitals.
     """
     maker, _, own = name.rpartition(":")
     if maker:
@@ -272,7 +272,7 @@ class _Entry(NamedTuple):
 def _catalogued() -> tuple[_Entry, ...]:
     """Return all materials of Optiland's catalogues.
 
-    They are looked up here, since Optiland itself finds N-SF5 by the name SF5, and names that are alike.
+    They are searched here, since Optiland itself finds N-SF5 by the name SF5, and similar names.
     """
     text = (resources.files("optiland.database") / "catalog_nk.csv").read_text(encoding="utf-8")
     found = {}

@@ -1,4 +1,4 @@
-"""The thin-lens formula, and the plain data of a main lens: the interface of all kinds, with a thin lens's answers."""
+"""The thin-lens formula, and the plain data of a main lens: the common interface, with a thin lens's answers."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from ..errors import LONGEST, InputError, refuse_if, short_repr
 
 
 def vergence(focal_length: Any, distance: Any) -> Any:
-    """Return the reciprocal of the image distance of a plane, :math:`1/g' = 1/f - 1/g`; zero for the focal plane."""
+    """Return the reciprocal of an image distance, :math:`1/g' = 1/f - 1/g`, in 1/mm; zero for the focal plane."""
     return 1 / focal_length - 1 / distance
 
 
 def defocus_factor(distance: Any, mla_distance: Any, focal_length: Any) -> Any:
-    r"""Return the fraction of a pupil coordinate by which a ray misses its object point's image on the MLA.
+    r"""Return the ratio of a ray's miss distance on the MLA, from its object point's image, to its pupil coordinate.
 
-    :math:`1 + b/g - b/f_1`, so written that it is exactly zero in focus.
+    :math:`1 + b/g - b/f_1`, in a form that is exactly zero in focus.
     """
     return 1 + mla_distance / distance - mla_distance / focal_length
 
 
 def conjugate_distance(focal_length: float, distance: float) -> float:
-    """Return the distance of the plane that a thin lens images to one at `distance`, :math:`1/x + 1/d = 1/f`.
+    """Return the distance of the plane that a thin lens images to a plane at `distance`, :math:`1/x + 1/d = 1/f`.
 
-    Infinite for the focal plane, negative for planes within it, zero for the lens's own plane.
+    The result is infinite for the focal plane, negative for planes within it, and zero for the lens's plane.
     """
     if distance == 0:
         return 0.0
@@ -58,7 +58,7 @@ _MLA_DISTANCE = 120.0
 
 
 class LensData:
-    """Plain data of a main lens, here a thin one; real lenses derive their data from this class.
+    """Plain data of a main lens, here a thin one; classes of other lenses derive from it.
 
     Attributes
     ----------
@@ -97,12 +97,12 @@ class LensData:
 
     @property
     def nearest(self) -> float | None:
-        """The z in the camera frame beyond which all scene points lie; None: in front of the main lens."""
+        """The z in the camera frame beyond which all scene points lie; None means in front of the main lens."""
         return None
 
     @property
     def disperses(self) -> bool:
-        """Whether the lens's glasses refract light of different wavelengths differently."""
+        """Whether the lens's glasses have a refractive index that depends on the wavelength."""
         return False
 
     @property
@@ -111,15 +111,15 @@ class LensData:
         return self.name or type(self).__name__.lower()
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the open entrance pupil, scaled to a given focal length."""
+        """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         return _THIN_LENS
 
     def array_distance(self) -> float:
-        """Return the distance to the array for a lens without a given distance or plane in focus."""
+        """Return the distance to the array in mm if neither it nor a plane in focus is given."""
         return _MLA_DISTANCE
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
-        """Return the camera's parameters of the main lens, completed from given ones; refuse contradictions."""
+        """Return the camera's main lens parameters, completed from given ones; refuse contradictions."""
         return given
 
     def require_focusable(self, focus_distance: Any) -> None:
@@ -133,9 +133,9 @@ class LensData:
         image_distance(camera.focal_length, distance)
 
     def exit_pupil(self, focal_length: float) -> tuple[float, float]:
-        """Return the exit pupil's distance before the rear principal plane, and its radius over the entrance pupil's.
+        """Return the exit pupil's distance from the rear principal plane, and its radius over the entrance pupil's.
 
-        A thin lens is its own pupil. That of an objective is infinitely far, and the values are those of a thin lens.
+        A thin lens is its own pupil. An objective's pupil is infinitely far, and the values are those of a thin lens.
 
         Parameters
         ----------
@@ -145,29 +145,29 @@ class LensData:
         return 0.0, 1.0
 
     def focus_distance(self, focal_length: float, mla_distance: float) -> float:
-        """Return the distance of the object plane that is in focus on the array."""
+        """Return the distance in mm of the object plane in focus on the array."""
         return conjugate_distance(focal_length, mla_distance)
 
     def image_blur(self, camera: Any, distance: float) -> float:
-        """Return the diameter on the array of the image of a point at a distance, by rays."""
+        """Return the diameter in mm, on the array, of the image of a point at a distance, by rays."""
         return float(camera.aperture_diameter * abs(camera.defocus(distance)))
 
     def bin_count(self, camera: Any) -> tuple[int, int]:
-        """Return the bins across a reconstruction and down it."""
+        """Return the number of bins across and down a reconstruction."""
         pitch = camera.mla_pitch
         return even_count(camera.detector_width, pitch), even_count(camera.detector_height, pitch)
 
     def bin_size(self, camera: Any, distance: float) -> float:
-        """Return the width in the object plane of one bin of a reconstruction."""
+        """Return the width in mm of one bin of a reconstruction, in the object plane."""
         return float(camera.mla_pitch * distance / camera.mla_distance)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
+        """Return the lens as numbers, strings, lists and dictionaries, for `from_plain`, files and headers."""
         raise NotImplementedError
 
     @classmethod
     def from_plain(cls, value: Any) -> Self:
-        """Return the lens that `to_plain` described, after its checks."""
+        """Return the lens described by `to_plain`, after its checks."""
         raise NotImplementedError
 
 
@@ -176,12 +176,12 @@ THIN = LensData()
 
 
 def even_count(width: float, step: float) -> int:
-    """Return the number of steps that fit a width, as the nearest even number."""
+    """Return the even number nearest to the number of steps that fit a width."""
     return 2 * max(1, round(width / (2 * step)))
 
 
 def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
-    """Return the class of plain data by the entry that marks it."""
+    """Return the class of plain data by the entry that marks it, otherwise `default`."""
     if isinstance(value, dict):
         for kind in LensData.kinds:
             if kind.mark and kind.mark in value:
@@ -190,12 +190,12 @@ def known_kind(value: Any, default: type[LensData]) -> type[LensData]:
 
 
 def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: float) -> dict[str, float]:
-    """Return the parameters of a lens; refuse given ones that differ.
+    """Return a lens's own parameters; refuse given parameters that differ.
 
     Parameters
     ----------
     given, own : dict
-        Values by name: those that are given, and those of the lens.
+        Values by name: the given ones, and the lens's.
     tolerance : float
         Allowed relative difference.
 
@@ -213,7 +213,7 @@ def require_unscaled(given: dict[str, float], own: dict[str, float], tolerance: 
 
 
 def require_alone(camera: Any) -> None:
-    """Refuse parameters of a camera that a real main lens replaces."""
+    """Refuse camera parameters that a real main lens replaces."""
     for name, values in (("distortion", camera.distortion), ("wavefront", camera.wavefront)):
         refuse_if(any(values), f"{name} = {values}: a main_lens brings its own; leave it out")
     refuse_if(

@@ -1,7 +1,7 @@
-"""Common parts of the readers of other programs' lens files: their lines, and the `Prescription` made of them.
+"""Common parts of the readers of other programs' lens files: their lines, and the resulting `Prescription`.
 
-Both readers know the keywords that they understand and those that do not change the light's path through the lens.
-Anything else is refused by file, line and rule, so that no lens is read as another one.
+Both readers know the keywords that they support and those that do not change the path of light. Anything else is
+refused by file, line and rule, so that no lens is read as a different one.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Line:
         return self.words[index]
 
     def value(self, index: int, default: float | None = None) -> float:
-        """Return a word of the command as a finite number."""
+        """Return a word of the command as a finite number, or `default` if the word is missing."""
         if index >= len(self.words) and default is not None:
             return default
         word, value = self.word(index), math.nan
@@ -91,7 +91,7 @@ def read_text(path: str | Path) -> tuple[Path, str]:
 def to_prescription(
     path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
 ) -> Prescription:
-    """Return the prescription of a file's surfaces, object and image left out."""
+    """Return the prescription of a file's surfaces, without object and image."""
     plain = []
     for number, surface in enumerate(surfaces, start=1):
         refuse_if(

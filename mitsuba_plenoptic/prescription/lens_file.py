@@ -1,4 +1,4 @@
-"""Main lenses as files: YAML or JSON of `Prescription.to_plain`, and what other programs write."""
+"""Main lenses as files: YAML or JSON of `Prescription.to_plain`, and the formats of other programs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
 
 
 def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:
-    """Return a main lens: a prescription, or an objective from a file or the text of a JSON file.
+    """Return a main lens, a prescription or an objective, from a file or a JSON text.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A microscope's objective and tube lens as plain data: the part of them that a camera stores."""
+"""A microscope's objective and tube lens as the plain data that a camera stores."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _WIDEST = 0.1
 class Objective(LensData):
     r"""An infinity-corrected objective with its tube lens, the main lens of a light-field microscope.
 
-    It obeys Abbe's sine condition, and its stop lies in its back focal plane, one focal length before the tube lens:
-    the microscope is telecentric on both sides. Its focal length is :math:`f = f_T / M` and the radius of the stop
-    :math:`f \, NA` (Gu, "Advanced Optical Imaging Theory", chapter 6). The camera's `focal_length`, `aperture_radius`
-    and `mla_distance` follow from it.
+    The objective obeys Abbe's sine condition, and its stop lies in its back focal plane, one focal length before the
+    tube lens: the microscope is telecentric on both sides. The objective's focal length is :math:`f = f_T / M` and the
+    radius of the stop :math:`f \, NA` (Gu, "Advanced Optical Imaging Theory", chapter 6). They determine the camera's
+    `focal_length`, `aperture_radius` and `mla_distance`.
 
     Parameters
     ----------
@@ -109,12 +109,12 @@ class Objective(LensData):
 
     @property
     def focal_length(self) -> float:
-        """Focal length :math:`f_T / M` of the objective on the side of the tube lens."""
+        """Focal length :math:`f_T / M` of the objective on the tube lens's side, in mm."""
         return self.tube_focal_length / self.magnification
 
     @property
     def stop_radius(self) -> float:
-        """Radius of the stop in the back focal plane."""
+        """Radius in mm of the stop in the back focal plane."""
         return self.focal_length * self.numerical_aperture
 
     @property
@@ -129,7 +129,7 @@ class Objective(LensData):
 
     @property
     def last_focal_length(self) -> float:
-        """Focal length of the lens before the array, which stands at this distance behind it."""
+        """Focal length in mm of the last lens before the array; the array stands at this distance behind it."""
         return self.tube_focal_length if self.fourier_focal_length is None else self.fourier_focal_length
 
     @property
@@ -138,7 +138,7 @@ class Objective(LensData):
         return self.arrangement == "fourier"
 
     def view_scale(self, detector_distance: float) -> float:
-        """Scale :math:`z M / f_F` of the picture of the object that a lens of the Fourier arrangement makes.
+        """Return the scale :math:`z M / f_F` of the object's picture under a lens of the Fourier arrangement.
 
         Parameters
         ----------
@@ -154,11 +154,11 @@ class Objective(LensData):
 
     @property
     def nearest(self) -> float:
-        """The z of the front principal plane."""
+        """The z of the front principal plane, in mm in the camera frame."""
         return -self.immersion * self.focal_length
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return the focal length and the radius of the stop; a given focal length changes neither."""
+        """Return the focal length and the radius of the stop, in mm; a given focal length changes neither."""
         return self.focal_length, self.stop_radius
 
     def array_distance(self) -> float:
@@ -166,7 +166,7 @@ class Objective(LensData):
         return self.last_focal_length
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
-        """Return the parameters of the objective; refuse given ones that differ."""
+        """Return the parameters set by the objective; refuse given ones that differ."""
         own = {
             "focal_length": self.focal_length,
             "aperture_radius": self.stop_radius,
@@ -198,26 +198,26 @@ class Objective(LensData):
         return 0.0
 
     def bin_count(self, camera: Any) -> tuple[int, int]:
-        """Return the number of bins: that of the array or, in the Fourier arrangement, of pixels along a pitch."""
+        """Return the number of bins: as for the array or, in the Fourier arrangement, of pixels along a pitch."""
         if not self.is_fourier:
             return super().bin_count(camera)
         across, down = camera.mla_pitches
         return even_count(across, camera.pixel_size), even_count(down, camera.pixel_size)
 
     def bin_size(self, camera: Any, distance: float) -> float:
-        """Return the width of a lens, or in the Fourier arrangement of a pixel, in the object; equal at all depths."""
+        """Return the object-side width in mm of a lens, or of a pixel in the Fourier arrangement, at all depths."""
         if self.is_fourier:
             return float(camera.pixel_size / self.view_scale(camera.reduced_distance))
         return float(camera.mla_pitch / self.magnification)
 
     def image_blur(self, camera: Any, distance: float) -> float:
-        """Return the diameter of the blur on the array, as `blur_diameter`."""
+        """Return the diameter in mm of the blur on the array, as `blur_diameter`."""
         return self.blur_diameter(distance)
 
     def blur_diameter(self, distance: float) -> float:
         r"""Diameter on the array of the light of a point on the axis, by rays.
 
-        :math:`2 M |d| \tan\alpha` in the native image plane, and that of the stop's image in the Fourier arrangement.
+        :math:`2 M |d| \tan\alpha` in the native image plane; in the Fourier arrangement the stop's image's diameter.
 
         Parameters
         ----------

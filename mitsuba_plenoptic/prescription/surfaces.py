@@ -50,7 +50,7 @@ _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "
 
 @dataclass(frozen=True)
 class Surface:
-    r"""A surface of a lens, of the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
+    r"""A surface of a lens with the height :math:`c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + \sum a_i r^{2 i}`.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Surface:
 
     @property
     def curvature(self) -> float:
-        """Reciprocal of the radius."""
+        """Reciprocal of the radius, in 1/mm."""
         return 1 / self.radius
 
     def to_plain(self) -> dict[str, Any]:
@@ -105,7 +105,7 @@ class Surface:
             Any of ``radius`` (a plane without it), ``thickness``, ``glass``, ``conic``, ``asphere``, ``stop``, and
             ``semi_aperture``.
         where : str
-            What messages call it.
+            Name of the surface in messages.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Paraxial:
-    """Numbers of paraxial optics, in millimetres; positions are counted along the axis towards the array.
+    """Paraxial quantities of a lens in millimetres; positions are counted along the axis towards the array.
 
     Parameters
     ----------
@@ -182,13 +182,13 @@ class Prescription(LensData):
     Parameters
     ----------
     surfaces : tuple of Surface
-        From the scene's side to the array's; there is air before the first and behind the last.
+        Surfaces from the scene's side to the array's; there is air before the first and behind the last.
     stop : int
         Index of the surface that is the aperture stop; it opens to its semi-aperture at most.
     name : str
         Name of the lens.
     source : str
-        Where it is published.
+        Where the lens is published.
     wavelength : float
         Wavelength in nanometres at which rays are traced and focal length and pupils are given; the line d by default.
     """
@@ -214,11 +214,11 @@ class Prescription(LensData):
 
     @property
     def paraxial(self) -> Paraxial:
-        """Its paraxial numbers at its own wavelength."""
+        """Paraxial quantities of the lens at the prescription's wavelength."""
         return paraxial(self)
 
     def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
-        """Return focal length and radius of the open entrance pupil, scaled to a given focal length."""
+        """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         numbers = self.paraxial
         given = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
         return given, numbers.entrance_radius * given / numbers.focal_length
@@ -246,7 +246,7 @@ class Prescription(LensData):
         )
 
     def image_blur(self, camera: Any, distance: float) -> float:
-        """Return the diameter on the array of the cone from the exit pupil to the image of a point."""
+        """Return the diameter in mm, on the array, of the cone from the exit pupil to a point's image."""
         power = vergence(camera.focal_length, distance)
         # So far the image lies before the array.
         gap = camera.mla_distance - (math.inf if power == 0 else 1 / power)
@@ -319,7 +319,7 @@ class Prescription(LensData):
         return [1.0 if surface.glass is None else surface.glass.at(wavelength) for surface in self.surfaces]
 
     def clipped(self) -> Prescription:
-        """Return the lens with surfaces ending where they cross their neighbours, with a warning.
+        """Return the lens with surfaces cut off where they cross their neighbours, and warn of the cut.
 
         Published prescriptions list semi-apertures for drawings, which may reach beyond the edge where surfaces meet.
         """
@@ -340,14 +340,14 @@ class Prescription(LensData):
         return lens
 
     def require_apart(self) -> None:
-        """Refuse a lens in which neighbouring refracting surfaces cross where light may pass both."""
+        """Refuse a lens in which neighbouring refracting surfaces cross within the area that light passes."""
         if crossing := self._crossing():
             first, second, _, text = crossing
             edge = min(self.surfaces[first].semi_aperture, self.surfaces[second].semi_aperture)
             raise InputError(f"{text}: they must stay apart within the smaller of their semi-apertures, {edge:.4g}")
 
     def _crossing(self) -> tuple[int, int, float, str] | None:
-        """Return the first refracting surfaces that cross where light may pass both: indices, distance, and words."""
+        """Return the first refracting surfaces that cross where light passes both: indices, distance, and words."""
         glasses = [None, *(surface.glass for surface in self.surfaces)]
         indices = [index for index, (before, after) in enumerate(itertools.pairwise(glasses)) if before != after]
         for first, second in itertools.pairwise(indices):
@@ -363,7 +363,7 @@ class Prescription(LensData):
 # Checks, pupils and distances of cameras of one prescription ask for it again and again; a result is a few floats.
 @functools.lru_cache(maxsize=256)
 def paraxial(prescription: Prescription, wavelength: float | None = None) -> Paraxial:
-    """Return focal length, principal planes and pupils of a lens, by matrices of rays near the axis.
+    """Return a lens's focal length, principal planes and pupils, from matrices of paraxial rays.
 
     Heights and reduced angles n u pass a surface of power P by (y, n u - P y), and a thickness t of index n by
     (y + t/n n u, n u) (Born and Wolf, "Principles of Optics", section 4.4; Kingslake and Johnson, "Lens Design
@@ -417,7 +417,7 @@ def paraxial(prescription: Prescription, wavelength: float | None = None) -> Par
 
 
 def height(surface: Any, square: Any) -> Any:
-    """Return the height of a surface over the plane of its vertex."""
+    """Return the height in mm of a surface above the plane of its vertex."""
     c = surface.curvature
     height = c * square / (1 + safe_sqrt(1 - (1 + surface.conic) * c * c * square, LEAST))
     power = square * square
@@ -428,7 +428,7 @@ def height(surface: Any, square: Any) -> Any:
 
 
 def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
-    """Return the distance from the axis at which two surfaces cross within their areas, None if they do not."""
+    """Return the distance in mm from the axis at which two surfaces cross within their areas, otherwise None."""
     edge = min(front.semi_aperture, back.semi_aperture)
 
     def gap(square: Any) -> Any:

@@ -89,13 +89,6 @@ class _ZemaxReader:
         own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
         line.refuse_if(own in self.taken, f"{' '.join(own)} is given twice")
         self.taken.add(own)
-        if keyword in _HEADERS:
-            self._take_header(keyword, line)
-        else:
-            self._take_of_surface(keyword, line, self.surfaces[-1])
-
-    def _take_header(self, keyword: str, line: Line) -> None:
-        """Take a line of the whole file, or one that begins a surface."""
         match keyword:
             case "MODE":
                 line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
@@ -128,33 +121,29 @@ class _ZemaxReader:
                 self.kinds.append("STANDARD")
                 self.parameters.append([])
                 self.taken.clear()
-
-    def _take_of_surface(self, keyword: str, line: Line, surface: DesignSurface) -> None:
-        """Take a line of the last surface."""
-        match keyword:
             case "TYPE":
                 rule = f"only surfaces of the types {' and '.join(_SURFACES)} are read"
                 line.refuse_if(line.word(1) not in _SURFACES, rule)
                 self.kinds[-1] = line.word(1)
             case "CURV":
-                surface.curvature = line.value(1)
+                self.surfaces[-1].curvature = line.value(1)
             case "DISZ":
                 if line.word(1) != "INFINITY" or len(self.surfaces) > 1:
-                    surface.thickness = line.value(1)
+                    self.surfaces[-1].thickness = line.value(1)
             case "CONI":
-                surface.conic = line.value(1)
+                self.surfaces[-1].conic = line.value(1)
             case "PARM":
                 self.parameters[-1].append(line)
             case "GLAS":
                 self.glasses[len(self.surfaces) - 1] = line
             case "STOP":
-                surface.stop = True
+                self.surfaces[-1].stop = True
             case "DIAM":
                 # An aperture, which cuts rays off, outranks the semi-diameter, whichever is written first.
-                surface.semi_aperture = surface.semi_aperture or line.value(1)
+                self.surfaces[-1].semi_aperture = self.surfaces[-1].semi_aperture or line.value(1)
             case "CLAP" | "FLAP":
                 line.refuse_if(line.value(1), "obscurations are not read: the inner radius of the aperture must be 0")
-                surface.semi_aperture = line.value(2)
+                self.surfaces[-1].semi_aperture = line.value(2)
             case "OBDC":
                 line.require_zero("decentred apertures are not read")
 

@@ -1,4 +1,4 @@
-"""Reconstruction of refocused images from one capture, with the ray model and the wave model.
+"""Reconstruction of refocused images from one capture, by the ray model and by the wave model.
 
 A new method is a new module with a function that `methods.method` registers, imported here.
 """

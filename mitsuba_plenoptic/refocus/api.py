@@ -1,4 +1,4 @@
-"""`reconstruct`: the steps that all methods have in common, from the capture to the results."""
+"""`reconstruct`: the steps common to all methods, from the capture to the results."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from .displacement import is_known
 from .methods import (
     METHODS,
     Found,
+    RegisteredMethod,
     Task,
     as_capture,
     portion,
@@ -57,7 +58,7 @@ _LONG = 30.0
 
 
 class ReconstructOptions(MethodOptions, total=False):
-    """Arguments of `reconstruct` beside capture and distance."""
+    """Arguments of `reconstruct` other than capture and distance."""
 
     method: str
     camera: PlenopticCamera | None
@@ -96,8 +97,8 @@ def reconstruct(
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
-    With every method images are in units of radiance: each bin is divided by the light that it gets from a white scene,
-    also at the borders. Bins that get less than 1 % of the rays of the best bin are NaN.
+    Images of all methods are in units of radiance: each bin is divided by the light that it receives from a white
+    scene, also at the borders. Bins that receive less than 1 % of the rays of the best bin are NaN.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def reconstruct(
     white : Capture or array, optional
         A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
-        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.scaled_white`). It is refocused by the
+        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.recorded_white`). It is refocused by the
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
         `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two
@@ -141,7 +142,7 @@ def reconstruct(
         For ``deconvolved``: computes the point spreads, for example `Cluster`. Default: threads of this
         process.
     **options
-        Of single methods: see `MethodOptions`.
+        Options of single methods: see `MethodOptions`.
 
     Returns
     -------
@@ -230,6 +231,9 @@ def reconstruct(
             forecast(step, _PROGRESS_STEPS)
 
     report(0)
+    recorded_at = None
+    if capture.model == "wave" and capture.wavelength is not None:
+        recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,
@@ -239,14 +243,12 @@ def reconstruct(
             wavelengths=wavelengths,
             white=reference,
             progress=report,
-            recorded=_recorded(capture, image.shape[2]),
+            recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
             checkpoint=used["checkpoint"],
             batch_map=used["batch_map"],
         )
-        # Methods that compare with computed captures ask for each wavelength's camera themselves.
-        parts = _by_wavelength(task) if waves and not chosen.as_it_is else [task]
-        images = _side_by_side([chosen.refocus(part, **settings) for part in parts])
+        images = _refocused(task, chosen, settings)
     settings |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     settings |= {"white": "capture"} if reference is not None else {}
     results = [
@@ -265,35 +267,28 @@ def reconstruct(
     return results[0] if np.ndim(distance) == 0 else results
 
 
-def _by_wavelength(task: Task) -> list[Task]:
-    """Return one task per channel with the camera of its wavelength, or one for all channels if these are equal."""
-    if task.camera.glass is None and task.camera.mla_glass is None:
-        return [task]
-    works = work_of(task.wavelengths)
-    return [
-        dataclasses.replace(
-            task,
-            progress=portion(task.progress, channel, works),
-            image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
-            camera=task.camera.at_wavelength(wavelength),
-            wavelengths=[wavelength],
-            recorded=None if task.recorded is None else task.recorded[channel : channel + 1],
-            white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
-        )
-        for channel, wavelength in enumerate(task.wavelengths)
+def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -> list[Found]:
+    """Return a method's results at each distance, by each channel's camera if the cameras of channels differ."""
+    tasks = [task]
+    # Methods that compare with computed captures ask for each wavelength's camera themselves.
+    if not chosen.as_it_is and (task.camera.glass is not None or task.camera.mla_glass is not None):
+        works = work_of(task.wavelengths)
+        tasks = [
+            dataclasses.replace(
+                task,
+                progress=portion(task.progress, channel, works),
+                image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
+                camera=task.camera.at_wavelength(wavelength),
+                wavelengths=[wavelength],
+                recorded=None if task.recorded is None else task.recorded[channel : channel + 1],
+                white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
+            )
+            for channel, wavelength in enumerate(task.wavelengths)
+        ] or tasks
+    found = [
+        [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(part, **settings)]
+        for part in tasks
     ]
-
-
-def _recorded(capture: Capture, channels: int) -> list[float] | None:
-    """Return the wavelengths at which the channels of a wave capture were recorded, or None."""
-    if capture.model != "wave" or capture.wavelength is None:
-        return None
-    return [float(light) for light in np.broadcast_to(capture.wavelength, channels)]
-
-
-def _side_by_side(parts: list[Any]) -> list[Found]:
-    """Return the results at each distance with the channels of all parts side by side."""
-    found = [[made if isinstance(made, Found) else Found(made) for made in part] for part in parts]
     if len(found) == 1:
         return found[0]
     return [

@@ -1,10 +1,10 @@
 r"""Propagation from the exit pupil to object planes: the path of waves from a point of the array to its conjugate.
 
 Waves are propagated back to the plane of the main lens's exit pupil. Only the factor at the pupil depends on the lens:
-the path from a scene point, and the part of the pupil that its light passes. Seen from behind, a real lens is a thin
-lens in its exit pupil. With the pupils' magnification m and the entrance pupil at :math:`z_E`, the paraxial image of a
-point at the distance g is that of a thin lens at the distance :math:`m^2 (g - z_E)` (Welford, "Aberrations of Optical
-Systems", section 2.6), so that everything up to the pupil is sampled as behind this thin lens, in directions of chief
+the path from a scene point, and the part of the pupil that the point's light passes. Seen from behind, a real lens is a
+thin lens in its exit pupil. With the pupils' magnification m and the entrance pupil at :math:`z_E`, the paraxial image
+of a point at the distance g is that of a thin lens at the distance :math:`m^2 (g - z_E)` (Welford, "Aberrations of
+Optical Systems", section 2.6), so that sampling up to the pupil is that behind this thin lens, in directions of chief
 rays. The real lens's aberrations are in the path and its vignetting in the edge; its distortion is corrected at the
 end, see `undistorted`.
 """
@@ -44,7 +44,7 @@ _ZONE_BLUR = 0.2
 
 @dataclass(frozen=True)
 class Conjugate:
-    """The passage through the exit pupil of the light of one point of the array, or of one point for each lane."""
+    """The passage through the exit pupil of light from one point of the array, or from one point per lane."""
 
     light: Any
     point: tuple[Any, Any, Any]
@@ -52,7 +52,7 @@ class Conjugate:
     tilt: tuple[float, float] = (0.0, 0.0)
 
     def path(self, pupil: Pair) -> Any:
-        """Return the path from the object plane in waves, less a tilt."""
+        """Return the path in waves from the object plane to pupil points, less a tilt."""
         waves = self.light.path(pupil, self.point, self.wavelength)
         if not any(self.tilt):
             return waves
@@ -65,10 +65,10 @@ class Conjugate:
 
 @dataclass(frozen=True)
 class FieldZone:
-    """Part of the field whose light passes the pupil like the light of its middle, less the tilt.
+    """Part of the field whose light passes the pupil like light at the part's middle, apart from a tilt.
 
-    `bounds` are the fractions of the width and of the height of the bins between which it lies; None is the whole
-    field. Where `is_cut`, light is ended by the conjugate's own edge, besides that of the circle around the pupil.
+    `bounds` are the part's limits as fractions of the bins' width and height; None is the whole field. If `is_cut`,
+    light is limited by the conjugate's own edge as well as by the circle around the pupil.
     """
 
     light: Conjugate
@@ -76,7 +76,7 @@ class FieldZone:
     is_cut: bool = False
 
     def part(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
-        """Return the rows and columns of bins that lie in it."""
+        """Return the slices of rows and columns of bins in the zone."""
         if self.bounds is None:
             return ()
         return tuple(
@@ -91,7 +91,7 @@ class ParaxialLight:
     lens: ThinLens
 
     def path(self, pupil: Pair, point: tuple[Any, Any, Any], wavelength: float) -> Any:
-        """Return the path in waves from pupil points to a point."""
+        """Return the path in waves from pupil points to a point at the distance of `point`."""
         return self.lens.paraxial_path(pupil, point[2], wavelength)
 
     def inside(self, pupil: Pair) -> Any:
@@ -111,16 +111,16 @@ class ThinConjugates:
         return self.system.camera
 
     def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
-        """Return the conjugates of the centres of some lenses, for an object plane before the thin lens of `camera`.
+        """Return the conjugates of some lenses' centres, for an object plane before the thin lens of `camera`.
 
-        Each lane has its lens's centre (x, y) and its index in `places`, the centres as a float64 array (n, 2).
+        Each lane has its lens's centre (x, y) and its index in `positions`, the centres as a float64 array (n, 2).
         """
         # Infinity is so far that nothing changes with the distance.
         b, g = (dr.opaque(type(x), length) for length in (self.camera.mla_distance, min(distance, FAR)))
         return self._light((-x * g / b, -y * g / b, g))
 
     def zones(self, distance: float) -> Iterator[FieldZone]:
-        """Yield the whole field as one zone; changes over it behind a parabolic lens are neglected."""
+        """Yield the whole field as one zone; behind a parabolic lens, changes over the field are neglected."""
         yield FieldZone(self._light((0.0, 0.0, distance)))
 
     def _light(self, point: tuple[Any, Any, Any]) -> Conjugate:
@@ -140,7 +140,7 @@ class RealConjugates:
 
     @classmethod
     def of(cls, system: OpticalSystem, distances: list[float], oversample: int) -> RealConjugates:
-        """Fit the main lens of a camera over its field, for object planes at some distances."""
+        """Return conjugates for object planes at some distances, with the main lens fitted over its field."""
         camera, real = system.camera, cast(RealLens, system.lens)
         pupils, front = Pupils.of(real), real.entrance.front
         for distance in distances:
@@ -157,22 +157,25 @@ class RealConjugates:
         lens = real.over_field(corner * max(fields), (min(inverse_distance), max(inverse_distance)))
         seen = behind_thin_lens(system)
         wider = max(1.0, *(float(lens.image_stretch(camera, distance).ratio.max()) for distance in distances))
+        # Pixels on each side that are not recorded.
         more = math.ceil((wider - 1) / 2 * max(seen.resolution) - 1e-6)
-        return cls(_widened(seen, more), lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
+        seen = seen.replace(
+            detector_width=seen.detector_width + 2 * more * seen.pixel_size,
+            resolution=tuple(size + 2 * more for size in seen.resolution),
+            crop_offset=tuple(first + more for first in seen.crop_offset),
+            crop_size=seen.crop_size,
+        )
+        return cls(seen, lens, system.wavelength, _ZONE_BLUR * camera.mla_pitch / oversample)
 
     def distance(self, distance: float) -> float:
-        """Return the distance of an object plane before the thin lens of `camera`."""
+        """Return the distance of an object plane from the thin lens of `camera`."""
         pupils = self.lens.fitted.pupils
         return math.inf if math.isinf(distance) else pupils.magnification**2 * (distance - pupils.entrance)
 
-    def _inverse_distance(self, distance: float) -> float:
-        return self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
-
     def _bound(self, positions: NDArray[np.float64], distance: float, which: Any = None) -> Light:
         """Return the light of the conjugates of points on the MLA; points beyond the field receive no light."""
-        points = self.lens.points(
-            self.lens.within(positions), np.full(len(positions), self._inverse_distance(distance))
-        )
+        inverse_distance = self.lens.fitted.pupils.magnification**2 / min(distance, FAR)
+        points = self.lens.points(self.lens.within(positions), np.full(len(positions), inverse_distance))
         return self.lens.bind(points, which)
 
     def at(self, x: Any, y: Any, positions: NDArray[np.float64], lens: Any, distance: float) -> Conjugate:
@@ -180,7 +183,7 @@ class RealConjugates:
         return Conjugate(self._bound(positions, distance, lens), _NO_POINT, self.wavelength)
 
     def zones(self, distance: float) -> Iterator[FieldZone]:
-        """Yield zones so small that the path of a zone's middle serves the whole zone."""
+        """Yield zones so small that the path of light at a zone's middle serves the whole zone."""
         bins = np.array(self.camera.bin_count) * self.camera.mla_pitch
         for count in range(1, _MOST_ZONES + 1):
             if self._blur(bins / count, count, distance) <= self.blur:
@@ -199,7 +202,7 @@ class RealConjugates:
             yield FieldZone(Conjugate(light, _NO_POINT, self.wavelength, (tilt[0], tilt[1])), bounds, is_cut=True)  # type: ignore[arg-type]
 
     def _blur(self, width: NDArray[np.float64], count: int, distance: float) -> float:
-        """Return the displacement on the MLA of rays from the corners of zones by the path of the zone's middle."""
+        """Return the displacement in mm, on the MLA, of zones' corner rays by the path of the zone's middle."""
         number = (np.arange(count) + 0.5) / count - 0.5
         x, y = (values.ravel() * count for values in np.meshgrid(number * width[0], number * width[1]))
         middles = np.stack([x, y], axis=-1)
@@ -213,7 +216,7 @@ class RealConjugates:
         return worst * self.camera.pupil_distance
 
     def _astray(self, positions: NDArray[np.float64], pupil: Any, distance: float) -> NDArray[np.float64]:
-        """Return the directions of rays from pupil points relative to the chief ray, an array (2, n, rays)."""
+        """Return the directions of rays from pupil points, relative to the chief ray, (2, n, rays)."""
         light = self._bound(positions, distance)
         rim, chief = (np.stack(light.cosines(where, _NO_POINT)) for where in (pupil, _MIDDLE))
         return np.asarray(rim - chief)
@@ -225,9 +228,9 @@ _MIDDLE, _NO_POINT = (np.zeros((1, 1)), np.zeros((1, 1))), (0.0, 0.0, 0.0)
 
 
 def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
-    """Return a camera with a thin main lens in the exit pupil, as the array sees the real one.
+    """Return a camera with a thin main lens in the exit pupil of the real one.
 
-    Its light moves by direction cosines, of which the path through a real lens is a function.
+    Its light propagates by direction cosines, as the path through a real lens is a function of them.
     """
     lens = cast(RealLens, system.lens)
     return system.camera.replace(
@@ -239,21 +242,10 @@ def behind_thin_lens(system: OpticalSystem) -> PlenopticCamera:
     )
 
 
-def _widened(camera: PlenopticCamera, more: int) -> PlenopticCamera:
-    """Return the camera with `more` pixels on each side, which it does not record."""
-    columns, rows = camera.resolution
-    return camera.replace(
-        detector_width=camera.detector_width + 2 * more * camera.pixel_size,
-        resolution=(columns + 2 * more, rows + 2 * more),
-        crop_offset=(camera.crop_offset[0] + more, camera.crop_offset[1] + more),
-        crop_size=camera.crop_size,
-    )
-
-
 def undistorted(
     power: NDArray[np.float64], conjugates: RealConjugates, camera: PlenopticCamera, distance: float, fine: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Move power from bins of chief rays on the array to bins of the object plane."""
+    """Return power moved from bins of chief rays on the array to bins of the object plane."""
     found = conjugates.lens.image_stretch(camera, distance)
     columns, rows = (count * fine for count in camera.bin_count)
     step = camera.mla_pitch / fine

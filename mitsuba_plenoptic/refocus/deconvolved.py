@@ -1,4 +1,4 @@
-"""Deconvolution: finds the planes whose capture by the camera is the recorded one."""
+"""Deconvolution: the planes whose simulated capture equals the recorded one."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..design import resolution_limit
 from ..errors import InputError, argument, refuse_if
 from ..io.checkpoints import digest
 from ..runtime.batches import Job
-from .deconvolution.fourier import FourierResponse
-from .deconvolution.response import Response
+from .deconvolution.fourier import response_of
 from .deconvolution.solver import Solved, State, Work, richardson_lucy
 from .deconvolution.variation import Noise
 from .methods import Found, Progress, Task, method, portion, work_of
@@ -28,23 +26,38 @@ LEAST_SEEN = 0.01
 
 @method("deconvolved", waves=True, as_it_is=True, long=True, white=False)
 def refocus(task: Task, **options: Any) -> list[Found]:
-    """Invert the response of the camera by Richardson's and Lucy's iteration (see `deconvolution.solver`).
+    """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
-    Either each plane alone explains the whole capture, or all planes do together as a volume. Light from other
-    distances is attributed to these planes.
+    Each plane alone explains the whole capture, or all planes together as a volume; light from other distances is
+    attributed to these planes. See `deconvolution.solver`.
 
     Returns
     -------
     list of Found
-        Radiance, and facts about it.
+        The radiance of each plane, with facts.
     """
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
+    groups = [[distance] for distance in task.distances]
     if options["volume"]:
-        _require_different(task.distances)
-    groups = [task.distances] if options["volume"] else [[distance] for distance in task.distances]
-    channels, planes = task.image.shape[2], len(task.distances)
-    work = Work.of((task.checkpoint and task.checkpoint.begin_arrays(**_inputs(task, options))) or {})
+        groups = [list(task.distances)]
+        for index, distance in enumerate(task.distances):
+            refuse_if(
+                distance in task.distances[:index],
+                f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
+            )
+    channels, planes, stored = task.image.shape[2], len(task.distances), None
+    if task.checkpoint:
+        stored = task.checkpoint.begin_arrays(
+            capture=digest(task.image),
+            camera=task.camera.to_dict(),
+            distances=list(task.distances),
+            oversample=task.oversample,
+            wavelengths=list(task.wavelengths),
+            exposure=task.exposure,
+            options=options,
+        )
+    work = Work.of(stored or {})
     count, done = channels * planes, len(work.solved)
     refuse_if(done > count or done % len(groups[0]), f"checkpoint: it is damaged: {done} planes are no part of {count}")
     works = np.repeat(work_of(task.wavelengths) or [1.0] * channels, len(groups)).tolist()
@@ -103,11 +116,6 @@ def _solve(
         yield Solved(visible, solution.iterations, solution.residual, solution.stopped)
 
 
-def response_of(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
-    """Return the kind of the response of a camera."""
-    return FourierResponse if camera.lens_data.images_stop else Response
-
-
 def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:
     """Return the facts about a plane that results state."""
     wavelengths: Sequence[float | None] = task.wavelengths or [None]
@@ -121,30 +129,8 @@ def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str,
     }
 
 
-def _inputs(task: Task, options: dict[str, Any]) -> dict[str, Any]:
-    """Return all inputs that determine the result, by which a checkpoint recognises the same run."""
-    return {
-        "capture": digest(task.image),
-        "camera": task.camera.to_dict(),
-        "distances": list(task.distances),
-        "oversample": task.oversample,
-        "wavelengths": list(task.wavelengths),
-        "exposure": task.exposure,
-        "options": options,
-    }
-
-
-def _require_different(distances: Sequence[float]) -> None:
-    """Refuse a volume with coinciding planes, between which the light is undetermined."""
-    for index, distance in enumerate(distances):
-        refuse_if(
-            distance in distances[:index],
-            f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
-        )
-
-
 def _require_light(image: NDArray[np.float32], noise: Noise | None) -> None:
-    """Refuse a capture that no light can have produced."""
+    """Refuse a capture that no light can have produced, as its sum is not positive."""
     refuse_if(not (image > 0).any(), "capture: none of its pixels is lit: there is nothing to deconvolve")
     negative = int(np.count_nonzero(image < 0))
     if negative and noise is None:

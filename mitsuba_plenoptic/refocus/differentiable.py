@@ -1,7 +1,7 @@
-r"""Refocusing as a function of the capture that Dr.Jit, and through it PyTorch, can differentiate.
+r"""Refocusing as a function of the capture, differentiable by Dr.Jit and through it by PyTorch.
 
-Deconvolution is a given count of Richardson's and Lucy's steps. A step :math:`x' = x \, w \, A^T r` with
-:math:`r = (y + \beta) / (A x + \beta)` has the transposed derivative
+Deconvolution is a given number of Richardson and Lucy's steps. A step :math:`x' = x \, w \, A^T r` with :math:`r = (y +
+\beta) / (A x + \beta)` has the transposed derivative
 
 .. math::
     \bar r = A (x w \bar x'), \quad \bar y \mathrel{+}= \bar r / (A x + \beta), \quad
@@ -35,8 +35,9 @@ from ..runtime.backend import backend, drjit_array, one_at_a_time
 from ..runtime.fft import resting_drjit
 from ..runtime.limits import check_memory
 from .conjugates import ThinConjugates
+from .deconvolution.fourier import response_of
 from .deconvolution.solver import RichardsonLucyStep, Values
-from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN, response_of
+from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from .lens_by_lens import fine_bins
 from .passages import BinSums
 from .planning import plan, require_feasible
@@ -46,10 +47,10 @@ from .wave_methods import BackwardFields, signed_parts
 
 
 class RayRefocus:
-    """Refocus captures of one camera to one distance with the ray model: a linear operator, with its transpose.
+    """Refocusing of one camera's captures to one distance by the ray model: a linear operator, with its transpose.
 
-    Called with an array of Dr.Jit it is differentiable, forward and in reverse; ``drjit.wrap("torch", "drjit")`` makes
-    it a function of PyTorch's tensors.
+    Called with a Dr.Jit array it is differentiable, forward and in reverse; ``drjit.wrap("torch", "drjit")`` makes it a
+    function of PyTorch tensors.
 
     Parameters
     ----------
@@ -125,18 +126,15 @@ class RayRefocus:
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
-        return dr.custom(_RefocusOp, capture, self)
-
-    def _linearised(self, capture: NDArray[Any]) -> tuple[Any, Any, Any]:
-        return self.forward(capture), self.forward, self.adjoint
+        return dr.custom(_RefocusOp, capture, lambda pixels: (self.forward(pixels), self.forward, self.adjoint))
 
 
 class _RefocusOp(dr.CustomOp):
-    """One use of a refocus as an operation of Dr.Jit."""
+    """One use of a refocus object as a Dr.Jit operation."""
 
-    def eval(self, capture: Any, refocus: RayRefocus | CoherentRefocus) -> Any:
-        """Return the refocused capture."""
-        image, self._jvp, self._vjp = refocus._linearised(capture.numpy())
+    def eval(self, capture: Any, linearised: Callable[[NDArray[Any]], tuple[Any, Any, Any]]) -> Any:
+        """Return the refocused capture, from a function that returns it with its jvp and its vjp."""
+        image, self._jvp, self._vjp = linearised(capture.numpy())
         self._kind = type(capture)
         return drjit_array(self._kind, image)
 
@@ -145,7 +143,7 @@ class _RefocusOp(dr.CustomOp):
         self.set_grad_out(drjit_array(self._kind, self._jvp(self.grad_in("capture").numpy())))
 
     def backward(self) -> None:
-        """Take the gradient back to the capture."""
+        """Propagate the gradient of the image to the capture."""
         self.set_grad_in("capture", drjit_array(self._kind, self._vjp(self.grad_out().numpy())))
 
     def name(self) -> str:
@@ -162,19 +160,19 @@ def as_channels(values: Any, shape: tuple[int, ...], name: str) -> NDArray[Any]:
 
 
 class Channel(Protocol):
-    """One refocused channel of a capture: its bins (rows, columns), and their derivatives by the pixels."""
+    """One refocused channel of a capture: bins (rows, columns), and their derivatives with respect to the pixels."""
 
     bins: NDArray[Any]
 
     def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
-        """Return the change of the bins with that of the pixels."""
+        """Return the change of the bins for a change of the pixels."""
 
     def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
-        """Return the gradient by the pixels of one by the bins."""
+        """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
 
 
 class RefocusedImage:
-    """A refocused capture, `image`, and the derivatives there; see `CoherentRefocus` and `DeconvolvedRefocus`."""
+    """A refocused capture, `image`, with derivatives there; see `CoherentRefocus` and `DeconvolvedRefocus`."""
 
     def __init__(
         self, refocus: CoherentRefocus | DeconvolvedRefocus, capture: Any, channel: Callable[[NDArray[Any]], Channel]
@@ -186,12 +184,12 @@ class RefocusedImage:
         self.image = self._stacked([each.bins for each in self._channels])
 
     def jvp(self, change: Any) -> NDArray[np.float32]:
-        """Return the change of the image with that of the capture, in whose shape it is given."""
+        """Return the change of the image for a change of the capture, of the capture's shape."""
         given = self._of_channels(change, self._pixels, "change")
         return self._stacked([channel.jvp(part) for channel, part in zip(self._channels, given, strict=True)])
 
     def vjp(self, image_gradient: Any) -> NDArray[np.float32]:
-        """Return the gradient by the capture of one by the image."""
+        """Return the gradient with respect to the capture, from the gradient with respect to the image."""
         given = self._of_channels(image_gradient, self._bins, "image_gradient")
         return self._stacked([channel.vjp(part) for channel, part in zip(self._channels, given, strict=True)])
 
@@ -207,11 +205,11 @@ class RefocusedImage:
 
 
 class CoherentRefocus:
-    """Refocus captures of one camera to one distance with the wave model, with derivatives by the pixels.
+    """Refocusing of one camera's captures to one distance by the wave model, differentiable in the pixels.
 
-    The wave's amplitude is the square root of a pixel, so that the image is no linear function of the capture:
-    `derivative` and `gradient` hold at one capture. Called with an array of Dr.Jit it is differentiable, forward and in
-    reverse; ``drjit.wrap("torch", "drjit")`` makes it a function of PyTorch's tensors.
+    The wave's amplitude is the square root of a pixel, so that the image is not linear in the capture: `derivative` and
+    `gradient` hold at one capture. Called with a Dr.Jit array it is differentiable, forward and in reverse;
+    ``drjit.wrap("torch", "drjit")`` makes it a function of PyTorch tensors.
 
     Parameters
     ----------
@@ -220,7 +218,7 @@ class CoherentRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float
-        In nanometres, of all channels.
+        Wavelength in nanometres, of all channels.
     interleave : int
         1: one coherent wave, as by ``method="coherent"``; else the period of the subsets of ``method="partial"``.
     oversample : int
@@ -291,30 +289,30 @@ class CoherentRefocus:
         Parameters
         ----------
         capture, change : array (rows, columns) or (rows, columns, channels)
-            Where a pixel is zero the image has no derivative by it, and 0 is taken.
+            Capture, and direction of the change. With respect to zero pixels the image has no derivative; 0 is taken.
 
         Returns
         -------
         float32 array
-            Of the shape of the image.
+            Change of the image, of the image's shape.
         """
         return self.at(capture).jvp(change)
 
     @one_at_a_time
     def gradient(self, capture: Any, image_gradient: Any) -> NDArray[np.float32]:
-        """Return the gradient by the capture from a gradient by the image, the transpose of `derivative`.
+        """Return the gradient with respect to the capture, given the image's gradient: the transpose of `derivative`.
 
         Parameters
         ----------
         capture : array (rows, columns) or (rows, columns, channels)
-            Where the image is differentiated.
+            Capture at which the image is differentiated.
         image_gradient : array
             Gradient with respect to the bins, with the shape of the image.
 
         Returns
         -------
         float32 array
-            Of the shape of the capture.
+            Gradient, of the shape of the capture.
         """
         return self.at(capture).vjp(image_gradient)
 
@@ -324,15 +322,11 @@ class CoherentRefocus:
 
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
-        return dr.custom(_RefocusOp, capture, self)
-
-    def _linearised(self, capture: NDArray[Any]) -> tuple[Any, Any, Any]:
-        at = self.at(capture)
-        return at.image, at.jvp, at.vjp
+        return dr.custom(_RefocusOp, capture, lambda pixels: ((at := self.at(pixels)).image, at.jvp, at.vjp))
 
 
 class _CoherentChannel:
-    """The bins of one channel: those of its pixels above zero less those of the others, over the light of white."""
+    """The bins of one channel: from positive pixels, minus those from negative ones, divided by the light of white."""
 
     def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32]) -> None:
         self._factor = refocus._factor
@@ -340,20 +334,20 @@ class _CoherentChannel:
         self.bins = self._factor * sum(sign * part.bins for sign, part in self._parts)
 
     def jvp(self, change: NDArray[Any]) -> NDArray[Any]:
-        """Return the change of the bins with that of the pixels."""
+        """Return the change of the bins for a change of the pixels."""
         # A bin of a part below zero is subtracted, and its capture is minus the pixels: the signs cancel.
         return np.asarray(self._factor * sum(part.jvp(change) for _, part in self._parts))
 
     def vjp(self, bins: NDArray[Any]) -> NDArray[Any]:
-        """Take the gradient by the bins back to the pixels."""
+        """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         return np.asarray(sum(part.vjp(self._factor * bins) for _, part in self._parts))
 
 
 class _BinnedPower:
-    """Power in bins from a capture without negative pixels, with its derivatives at this capture.
+    """Power in bins from a capture without negative pixels, with derivatives at this capture.
 
     With the field u at the directions of the object plane, and its change du, a bin changes by the sum of 2 Re(u* du)
-    over it. Where a pixel is zero the square root has no derivative, and 0 is taken.
+    over the bin. The square root has no derivative at zero pixels; 0 is used.
     """
 
     def __init__(self, refocus: CoherentRefocus, image: NDArray[np.float32], *, checked: bool) -> None:
@@ -371,7 +365,7 @@ class _BinnedPower:
         self.bins = np.where(self._lit, spread, 0)
 
     def _fields(self, amplitude: NDArray[np.float32]) -> tuple[list[Any], float]:
-        """Return the fields at the object plane's directions of all subsets, and the power that passed the pupil."""
+        """Return all subsets' fields at the object plane's directions, and the power that passed the pupil."""
         chain, step, found, passed = self._refocus._fields, self._refocus._step, [], 0.0
         with resting_drjit():
             for field in chain.at_pupil(amplitude):
@@ -389,7 +383,7 @@ class _BinnedPower:
         return np.where(self._lit, bins if self._refocus._spread is None else self._refocus._spread.forward(bins), 0)
 
     def vjp(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take the gradient by the bins back to the capture."""
+        """Return the gradient with respect to the capture, from the gradient with respect to the bins."""
         arrays, given, refocus = backend().arrays, np.where(self._lit, bins, 0), self._refocus
         power = self._sums.vjp(arrays.asarray(given if refocus._spread is None else refocus._spread.vjp(given)))
         with resting_drjit():
@@ -398,10 +392,10 @@ class _BinnedPower:
 
 
 class DeconvolvedRefocus:
-    """Deconvolution of captures of one camera and distance by a fixed number of steps, with derivatives by pixels.
+    """Deconvolution of one camera's captures at one distance by fixed steps, differentiable in the pixels.
 
-    The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The response of the
-    camera is computed once. The image is no linear function of the capture.
+    The steps are those of ``reconstruct(method="deconvolved", accelerate=False, iterations=...)``. The camera's
+    response is computed once. The image is not linear in the capture.
 
     Parameters
     ----------
@@ -410,9 +404,9 @@ class DeconvolvedRefocus:
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float, optional
-        In nanometres, of all channels. Default: the response of the ray model.
+        Wavelength in nanometres, of all channels. Default: the response of the ray model.
     iterations : int
-        Steps.
+        Number of steps.
     oversample : int
         Bins per lens along each axis.
 
@@ -489,7 +483,7 @@ class _Made:
 
 
 class _DeconvolvedChannel:
-    """The steps of one channel, and their derivatives."""
+    """The steps of deconvolving one channel, and their derivatives."""
 
     def __init__(self, refocus: DeconvolvedRefocus, image: NDArray[np.float32]) -> None:
         response = self._response = refocus.response
@@ -509,7 +503,7 @@ class _DeconvolvedChannel:
         return np.asarray(self._response.to_image(values, 0) * self._visible)
 
     def jvp(self, change: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the change of the bins with that of the pixels."""
+        """Return the change of the bins for a change of the pixels."""
         change = np.asarray(change, np.float32)
         step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
         lit, known = self._image > 0, self._image + self._step.shift > 0
@@ -525,7 +519,7 @@ class _DeconvolvedChannel:
         return self._to_image(moved)
 
     def vjp(self, bins: NDArray[Any]) -> NDArray[np.float64]:
-        """Take the gradient by the bins back to the pixels."""
+        """Return the gradient with respect to the pixels, from the gradient with respect to the bins."""
         felt = self._response.from_image(bins * self._visible, 0)
         step, (inside,), (weight,) = self._step, self._step.inside, self._step.weight
         lit, known = self._image > 0, self._image + self._step.shift > 0
@@ -541,5 +535,5 @@ class _DeconvolvedChannel:
         return total + lit * (float(felt[inside].sum(dtype=np.float64)) / step.sent + by_shift * step.shift_slope)
 
     def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the denominator of the ratio, and the ratio."""
+        """Return the denominator of the ratio of images, and the ratio."""
         return np.maximum(made.model, 0) + self._step.shift, self._step.ratio(made.model)

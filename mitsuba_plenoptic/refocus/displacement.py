@@ -1,20 +1,20 @@
-r"""Displacement: where the light of bins comes from beside their positions, and its correction to first order.
+r"""Displacement between bins and the positions from which their light comes, and its correction to first order.
 
-A bin gets light from around its position. By the microlenses' diffraction, light of one point of the pupil appears to
-come from another. In the middle of the field this averages out, but at the border of the pupil or the detector the
+A bin receives light from around its position. Due to diffraction at the microlenses, light of one pupil point appears
+to come from another. In the middle of the field this averages out, but at the border of the pupil or the detector the
 light comes from one side only. If lenses interfere, the phases of their fields weight the positions from which light
 comes. So, to first order, a bin at x that is divided by white reads a linear radiance at :math:`x + s`.
 
-The displacement s is the first moment of white. In a scene whose radiance rises linearly along the plane of the bins,
-the capture is the white capture times the radiance at the positions from which pixels get their light,
-:math:`W (1 + \epsilon u)`. Refocused by the same method and divided by white it reads :math:`1 + \epsilon (x + s)`.
-The position u of a pixel is the intersection of the bins' plane with the ray through the centre of its lens and the
+The displacement s is measured with the white capture. In a scene whose radiance rises linearly along the plane of the
+bins, the capture is the white capture times the radiance at the positions from which pixels receive their light,
+:math:`W (1 + \epsilon u)`. Refocused by the same method and divided by white it reads :math:`1 + \epsilon (x + s)`. The
+position u of a pixel is the intersection of the bins' plane with the ray through the centre of its lens and the
 centroid of the pixel's light in the pupil. With K, the spread of intensities over the pupil plane by diffraction, it is
 :math:`K * (P \, A) / K * A` over the pupil A (Goodman, "Introduction to Fourier Optics", sections 4.4 and 5.2).
 
-The image is then corrected to first order by the slope of a plane that is fitted to the bins around each bin, at the
-positions from which they get their light (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and
-Its Applications", section 3.1).
+The image is then corrected to first order by the slope of a plane fitted to the bins around each bin, at the positions
+from which they receive their light (a local linear regression: Fan and Gijbels, "Local Polynomial Modelling and Its
+Applications", section 3.1).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _LEAST_SAMPLES = 512
 
 
 class PupilCentroid:
-    """Centroid in the pupil of the light of a pixel, given the diffraction by its microlens."""
+    """Centroid in the pupil of a pixel's light, with the diffraction by the pixel's microlens."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         window = _PLANE * camera.aperture_radius
@@ -72,7 +72,7 @@ class PupilCentroid:
         ]
 
     def __call__(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return the centroids in millimetres, along x and y, of pixels that see (x, y) through their lens's centre."""
+        """Return the pupil centroids in mm, along x and y, of pixels that see (x, y) through their lens's centre."""
         at = [np.asarray(axis) / self._pitch - self._first for axis in (y, x)]
         return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
 
@@ -96,9 +96,10 @@ def is_known(camera: PlenopticCamera) -> bool:
 
 
 def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
-    """Return the relative rise of radiance per millimetre of the MLA plane, 1 on the axis, of scenes made of white.
+    """Return the relative rise of radiance per mm of the MLA plane, 1 on the axis, for the scenes of `rising`.
 
-    Return also the farthest position on the bins that counts, and a pixel's displacement there per pupil displacement.
+    The farthest position on the bins that counts, and a pixel's displacement there per pupil displacement, are also
+    returned.
     """
     at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
@@ -112,7 +113,7 @@ def rising(
     distances: Sequence[float],
     wavelengths: Sequence[float] | None,
 ) -> Iterator[tuple[NDArray[np.float32], list[float]]]:
-    """Yield for each distance two captures of scenes whose radiance rises along its bins, to the right and downwards.
+    """Yield, for each distance, two captures of scenes whose radiance rises along the bins: to the right and downwards.
 
     They are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave capture;
     None means a ray capture.
@@ -143,7 +144,7 @@ def rising(
 def displacements(
     tilted: Sequence[NDArray[np.float64]], slope: float, camera: PlenopticCamera, oversample: int
 ) -> list[NDArray[np.float64]]:
-    """Return the displacements, in bins, from which the light of bins comes, along x and y; 0 where nothing is read."""
+    """Return the displacements in bins, along x and y, from which bins' light comes; 0 without light."""
     found = []
     for axis, image in enumerate(tilted):
         count = image.shape[1 - axis]
@@ -157,7 +158,7 @@ def displacements(
 def brought_back(
     image: NDArray[np.float64], moved: Sequence[NDArray[np.float64]], weights: NDArray[np.float64], reach: int
 ) -> NDArray[np.float64]:
-    """Return an image drawn back by the displacements of its bins, by weighted fits to `reach` bins on each side."""
+    """Return an image corrected for the displacements of its bins, by weighted fits to `reach` bins on each side."""
     known = np.isfinite(image)
     values, light = np.where(known, image, 0.0), np.where(known, weights, 0.0)
     rows, columns = image.shape[:2]
@@ -185,5 +186,5 @@ def brought_back(
 
 
 def _mean_about(image: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Return the mean over the square of bins about each one; what lies outside of the image is 0."""
+    """Return the mean over the square of bins around each bin; bins outside the image count as 0."""
     return np.asarray(scipy.ndimage.uniform_filter(image, 2 * reach + 1, mode="constant", axes=(0, 1)))

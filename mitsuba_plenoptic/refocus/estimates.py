@@ -19,7 +19,7 @@ _REFUSED = ("progress", "checkpoint")
 
 
 class _KnownError(Exception):
-    """Ends a reconstruction whose time is known."""
+    """Ends a reconstruction whose time is known by now."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -28,10 +28,10 @@ class _KnownError(Exception):
 def estimate_reconstruction(
     capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Unpack[ReconstructOptions]
 ) -> Cost:
-    """Estimate the time and memory that `reconstruct` would take with the same arguments.
+    """Return the estimated time and memory of `reconstruct` with the same arguments.
 
-    The reconstruction is begun, and left as soon as its speed is known: after some five seconds from the first results
-    on, or at its end.
+    The reconstruction is begun, and abandoned as soon as its speed is known: some five seconds after the first results,
+    or at its end.
 
     Parameters
     ----------

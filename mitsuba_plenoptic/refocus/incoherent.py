@@ -1,15 +1,15 @@
-r"""Incoherent reconstruction: every point of the object is propagated by itself, and weighed with the capture.
+r"""Incoherent reconstruction: every object point is treated separately, and its pattern correlated with the capture.
 
-A bin k of the object plane, of radiance 1 and with no light from elsewhere, has the capture :math:`a_k`: the sum of the
-point spreads of its points, whose light does not interfere. A bin reads the capture I weighed with this pattern, over a
-white capture W weighed likewise,
+A bin k of the object plane, of radiance 1 and without light from elsewhere, has the capture :math:`a_k`: the sum of the
+point spreads of its points, whose light does not interfere. A bin's value is the capture I weighted by this pattern,
+divided by a white capture W weighted likewise,
 
 .. math:: x_k = \frac{\langle a_k, I \rangle}{\langle a_k, W \rangle} .
 
-That is the normalised adjoint of the capture :math:`I = \sum_k a_k x_k`, also known as back-projection, and in radar as
+This is the normalised adjoint of the capture :math:`I = \sum_k a_k x_k`, also known as back-projection, and in radar as
 the matched filter (Turin, IRE Trans. Inf. Theory 6, 311 (1960)). `ray` does the same with the geometric images of the
-bins. Neither two lenses nor two points of the object interfere, and the result is linear in the capture. It is blurred
-by each point spread's own correlation, which `deconvolved` removes.
+bins. Neither two lenses nor two points of the object interfere, and the result is linear in the capture. The result is
+blurred by the autocorrelation of each point spread, which `deconvolved` removes.
 
 Point spreads that differ by a shift of whole lenses are computed once for a zone of lenses
 (`mitsuba_plenoptic.refocus.deconvolution.response`).
@@ -18,63 +18,51 @@ Point spreads that differ by a shift of whole lenses are computed once for a zon
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 
 from ..runtime.batches import Job
-from .deconvolution.fourier import FourierResponse
-from .deconvolution.response import Response
-from .methods import Progress, Task, method, portion, work_of
+from .deconvolution.fourier import response_of
+from .methods import Task, method, portion, work_of
 from .radiance import captures, to_radiance, white_pixels, white_sums
 
 
 @method("incoherent", waves=True, as_it_is=True)
 def refocus(task: Task) -> list[np.ndarray]:
-    """Return the capture weighed with the capture of every single bin."""
-    count = len(task.distances)
-    parts = (portion(task.progress, index, [1] * count) for index in range(count))
-    return [
-        _plane(dataclasses.replace(task, distances=[distance], progress=progress))
-        for distance, progress in zip(task.distances, parts, strict=True)
-    ]
+    """Return the capture weighed with the capture of every single bin.
 
-
-def _plane(task: Task) -> np.ndarray:
-    """Return the image in the only plane of a task, with one response per wavelength for all of its channels.
-
-    The computed white is that of the capture's own model: a ray capture has lost no light to diffraction.
+    There is one response per plane and wavelength, for all channels of this wavelength. The computed white is that of
+    the capture's own model: a ray capture has lost no light to diffraction.
     """
-    camera, lights = task.camera, sorted(set(task.wavelengths))
-    given = [image for image, _, _ in captures(task)]
-    response_type = FourierResponse if camera.lens_data.images_stop else Response
-    # For each channel the bins of the captures and of white.
-    bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
-    for index, wavelength in enumerate(lights):
-        channels = np.flatnonzero(np.equal(task.wavelengths, wavelength))
-        with response_type(
-            camera,
-            task.distances,
-            wavelength=wavelength,
-            oversample=task.oversample,
-            job=Job(progress=_fraction(portion(task.progress, index, work_of(lights)))),
-            steps=len(channels) * (len(given) + 1) / 2,
-        ) as made:
-            by_waves = task.recorded is not None or not camera.lens_data.converges
-            ones = [np.ones(shape, np.float32) for shape in made.shapes]
-            white = made.forward(ones) if by_waves else white_pixels(camera)
-            for channel in channels:
-                pixels = [*(image[..., channel] for image in given), white]
-                weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
-                bins[channel] = [made.to_image(each, 0) for each in weighed]
-    *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
-    if camera.lens_data.converges:
-        # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.
-        seen = white_sums(camera, task.distances[0], camera.lit_radius, "lens", task.oversample)
-    else:
-        seen = divisor.mean(-1)
-    return to_radiance(task, [[total] for total in sums], [divisor], [seen])[0]
-
-
-def _fraction(progress: Progress) -> Callable[[int, int], None]:
-    return lambda done, total: progress(done / total)
+    camera, lights, images = task.camera, sorted(set(task.wavelengths)), []
+    for plane, distance in enumerate(task.distances):
+        own = dataclasses.replace(task, distances=[distance])
+        given = [image for image, _, _ in captures(own)]
+        # For each channel the bins of the captures and of white.
+        bins: list[list[np.ndarray]] = [[] for _ in task.wavelengths]
+        for index, wavelength in enumerate(lights):
+            channels = np.flatnonzero(np.equal(task.wavelengths, wavelength))
+            progress = portion(portion(task.progress, plane, [1] * len(task.distances)), index, work_of(lights))
+            with response_of(camera)(
+                camera,
+                own.distances,
+                wavelength=wavelength,
+                oversample=task.oversample,
+                job=Job(progress=lambda done, total, progress=progress: progress(done / total)),  # type: ignore[misc]
+                steps=len(channels) * (len(given) + 1) / 2,
+            ) as made:
+                by_waves = task.recorded is not None or not camera.lens_data.converges
+                ones = [np.ones(shape, np.float32) for shape in made.shapes]
+                white = made.forward(ones) if by_waves else white_pixels(camera)
+                for channel in channels:
+                    pixels = [*(image[..., channel] for image in given), white]
+                    weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
+                    bins[channel] = [made.to_image(each, 0) for each in weighed]
+        *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
+        if camera.lens_data.converges:
+            # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.
+            seen = white_sums(camera, distance, camera.lit_radius, "lens", task.oversample)
+        else:
+            seen = divisor.mean(-1)
+        images += to_radiance(own, [[total] for total in sums], [divisor], [seen])
+    return images

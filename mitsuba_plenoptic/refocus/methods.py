@@ -1,4 +1,4 @@
-"""The methods of reconstruction, by name, and the checks of their arguments.
+"""The registry of reconstruction methods by name, and the checks of their arguments.
 
 Each method is a module that registers one function of a `Task`.
 """
@@ -30,7 +30,7 @@ from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
 from ..refocus_options import OPTIONS
 from ..runtime.batches import BatchMap
-from ..runtime.limits import largest_fitting, require_memory
+from ..runtime.limits import require_memory_for
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -38,7 +38,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Checked inputs of a method of reconstruction.
+    """Checked inputs of a reconstruction method.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Task:
     systems: dict[float, OpticalSystem] = field(default_factory=dict)
 
     def system(self, wavelength: float) -> OpticalSystem:
-        """Return the camera bound to the wavelength of a channel, once for all that is done with the task."""
+        """Return the optical system at a channel's wavelength, made once per task."""
         if wavelength not in self.systems:
             self.systems[wavelength] = OpticalSystem(self.camera, wavelength)
         return self.systems[wavelength]
@@ -90,20 +90,20 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Image (rows, columns, channels), NaN where no light can come from, with facts as plain data by name."""
+    """Image (rows, columns, channels), NaN where no light can come from, and facts as plain data by name."""
 
     image: np.ndarray
     facts: dict[str, Any] = field(default_factory=dict)
 
 
 def portion(progress: Progress, number: int, works: Sequence[float]) -> Progress:
-    """Return a progress callback for one of several parts of a computation, by the amounts of their work."""
+    """Return a progress callback for one of several parts of a computation, weighted by their amounts of work."""
     before, own, total = sum(works[:number]), works[number], sum(works)
     return lambda done: progress((before + own * done) / total)
 
 
 def work_of(wavelengths: Sequence[float]) -> list[float]:
-    """Return the amounts of work for waves of given wavelengths, by their samples along both axes."""
+    """Return the amounts of work for waves of given wavelengths, from the number of samples along both axes."""
     return [wavelength**-2 for wavelength in wavelengths]
 
 
@@ -113,7 +113,7 @@ Refocus = Callable[..., Sequence[np.ndarray | Found]]
 
 @dataclass(frozen=True)
 class RegisteredMethod:
-    """Method of reconstruction with its options, registered by `method`."""
+    """A reconstruction method with its options, as `method` registers it."""
 
     name: str
     refocus: Refocus
@@ -124,7 +124,7 @@ class RegisteredMethod:
     white: bool = True
 
     def takes(self, option: str) -> bool:
-        """Whether the method uses an option of `reconstruct` that not all methods take."""
+        """Return whether the method has an option of `reconstruct` that only some methods have."""
         if option in ("wavelength", "white"):
             return self.waves if option == "wavelength" else self.white
         return option in self.options or (self.long and option in _OF_LONG)
@@ -137,7 +137,7 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
-    """Return options, with None for those that a method has no use for; one warning names these."""
+    """Return options, with None for options that the method ignores; one warning names them."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:
         takers = {name: " and ".join(one.name for one in METHODS.values() if one.takes(name)) for name in unused}
@@ -155,7 +155,7 @@ def method(
     long: bool = False,
     white: bool = True,
 ) -> Callable[[Refocus], Refocus]:
-    """Register a function as a method of reconstruction.
+    """Register a function as a reconstruction method.
 
     Parameters
     ----------
@@ -164,13 +164,13 @@ def method(
     options : tuple of str
         The options of `reconstruct` that it takes, besides those whose records name it (see `refocus_options`).
     waves : bool
-        Whether it needs wavelengths.
+        Whether the method needs wavelengths.
     as_it_is : bool
-        Whether it needs the camera with the aberrations of its main lens; others form images by the ideal lens.
+        Whether the method needs the main lens's aberrations; other methods form images by the ideal lens.
     long : bool
-        Whether it may take long: then it writes checkpoints and takes workers.
+        Whether the method may take long: then it writes checkpoints and takes workers.
     white : bool
-        Whether its images can be divided by those of a white capture.
+        Whether the method's images can be divided by those of a white capture.
     """
     taken = (*options, *(option for option, record in OPTIONS.items() if name in record.methods))
 
@@ -182,7 +182,7 @@ def method(
 
 
 def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) -> Capture:
-    """Return the capture with its camera, or with a camera given instead."""
+    """Return a capture with its own camera, or with a given one instead."""
     if isinstance(capture, Capture):
         require_demosaiced(capture)
         if camera is None:
@@ -219,7 +219,7 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
 
 
 def require_option(name: str, value: Any, camera: PlenopticCamera) -> Any:
-    """Return what methods get for an option; the default of its record where none is given."""
+    """Return an option's value as methods expect it, or the default of its record if none is given."""
     option = OPTIONS[name]
     if value is None:
         return option.default
@@ -231,7 +231,7 @@ def require_option(name: str, value: Any, camera: PlenopticCamera) -> Any:
 
 
 def require_response(response: str | None, capture: Capture, wavelength: Any) -> str:
-    """Return the model of the light: if not given, the wave model if there is a wavelength, else the capture's own."""
+    """Return the light model of a response: by default waves if there is a wavelength, else the capture's model."""
     if response == "ray":
         refuse_if(wavelength is not None, f"{argument('wavelength')}: a response by rays has none; leave it out")
     model = response or (capture.model if wavelength is None else "wave")
@@ -264,7 +264,7 @@ def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera
 def require_image_memory(
     camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...], drawn_back: bool
 ) -> None:
-    """Refuse images too large, before anything is allocated."""
+    """Refuse images too large for the memory before anything is allocated."""
     columns, rows = camera.bin_count
     height, _, channels = shape
 
@@ -274,9 +274,5 @@ def require_image_memory(
         fits = 20 * 8 * channels * across * down if drawn_back else 0
         return 4 * channels * across * (down * (len(distances) + 1) + height) + 12 * across * down + fits
 
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, oversample)
-        return f"{argument('oversample')} = {largest}" if largest else None
-
     what = f"images of {columns * oversample} x {rows * oversample} bins at {len(distances)} distances"
-    require_memory(memory(oversample), what, fitting)
+    require_memory_for(memory, oversample, what, lambda largest: f"{argument('oversample')} = {largest}")

@@ -1,20 +1,20 @@
-"""Thin elements and free space: one step of a field from the samples of one plane to those of the next, and its vjp.
+"""Thin elements and free space: one step of a field from one plane's samples to the next plane's, and the vjp.
 
-A field is handed from step to step in blocks of rows, in order from the first row to the last. A step transforms the
-rows that come in, turns them into columns, does everything that is done along columns, turns these back and hands on
-the rows of the next plane. Only the columns are ever held whole; the next step writes its own where it has read the
-last one's. Fourier transforms are done on blocks that stay in the processor's cache; rows that hold no light are left
-out, and so are frequencies and destination samples that nobody asks for.
+Fields are passed from step to step in blocks of rows, from the first row to the last. A step transforms incoming rows,
+transposes them into columns, does all work along columns, transposes back and passes on the rows of the next plane.
+Only the columns are stored whole; the next step writes its columns where it has read the last step's. Fourier
+transforms are done on blocks that stay in the processor's cache; dark rows, and frequencies and destination samples
+that are not needed, are left out.
 
-The vjp of a step is the step back: free space of the opposite length between the same samples, then the conjugate of
-the element, over the ratio of the areas of the samples.
+The vjp of a step is the reversed step: free space of the opposite length between the same samples, then the conjugate
+of the element, divided by the ratio of the samples' areas.
 
-At the end the power of a field over directions is summed over bins. Bins are even in the slope X / g, and so are the
-directions of paraxial light. Those of other light are even in the cosine X / |X|. For a fixed cosine along y, the edges
-of bins along x are known cosines; so the power is integrated along x for every sample in y as the samples come, and the
-sums then along y for every column of bins, with the edges that the column's middle has. Between the samples the power
-goes as a cubic (Keys, "Cubic convolution interpolation for digital image processing", 1981), whose integral is the sum
-of the samples between two edges and a few near each.
+At the end the power of a field over directions is summed over bins. Bins are uniform in the slope X / g, and so are the
+directions of paraxial light. The directions of other light are uniform in the cosine X / |X|. For a fixed cosine along
+y, the edges of bins along x are known cosines; so the power is integrated along x for every sample in y as the samples
+arrive, and then along y for every column of bins, with the edges at the column's middle. Between the samples the power
+is interpolated cubically (Keys, "Cubic convolution interpolation for digital image processing", 1981); the integral is
+the sum of the samples between two edges and a few near each.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ _PAGE, _STAGGER = 512, 24
 class ThinElement:
     """Thin element in the source plane of a step, a function of Dr.Jit's x and y; None changes nothing.
 
-    A product of a function of x and one of y is known from its values along two lines through a point at which its
-    modulus is 1: it is given with such a point, and then its rows of zeros are left out.
+    A product of a function of x and one of y is determined by its values along two lines through a point where its
+    modulus is 1. With such a point, rows of zeros are left out.
     """
 
     def __init__(
@@ -76,12 +76,12 @@ class ThinElement:
             self._lit = backend().to_host(self.along_y) != 0
 
     def lit(self, rows: slice) -> list[slice]:
-        """Return runs of the rows that the element leaves lit."""
+        """Return runs of the rows in which the element transmits light."""
         runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
         return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
 
     def through(self, rows: slice, samples: Field, out: Field) -> None:
-        """Write rows of a field, multiplied by all but the factor along y, to `out`."""
+        """Write rows of a field, multiplied by all factors but the one along y, to `out`."""
         factor = self._factor(rows)
         if factor is None:
             out[...] = samples
@@ -101,7 +101,7 @@ class ThinElement:
 
 
 def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Field:
-    """Evaluate a function of two Dr.Jit arrays at all pairs of coordinates."""
+    """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
     types = backend().types
     _, row, column = split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
     at = [
@@ -111,9 +111,9 @@ def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any])
 
 
 class FieldWorkspace:
-    """Memory shared by steps, since fresh pages would cost nearly as much as the transforms.
+    """Memory shared by steps, since fresh memory pages would cost nearly as much as the transforms.
 
-    `report` is called with the samples that Fourier transforms have gone through.
+    `report` is called with the number of samples that Fourier transforms have processed.
     """
 
     def __init__(self, steps: Iterable[Step], report: Callable[[int], None] = lambda transformed: None) -> None:
@@ -125,7 +125,7 @@ class FieldWorkspace:
         self._buffers: dict[str, Field] = {}
 
     def columns(self, step: Step) -> Field:
-        """Return the memory of a step's columns, which the last step's columns share."""
+        """Return the memory of a step's columns, shared with the last step's columns."""
         return self._columns[: step.x.held]
 
     def array(self, name: str, shape: tuple[int, int]) -> Field:
@@ -136,7 +136,7 @@ class FieldWorkspace:
         return self._buffers[name][:size].reshape(shape)
 
     def runs(self, count: int, block: int | None = None) -> Iterator[slice]:
-        """Yield the blocks of some rows that are worked on together."""
+        """Yield slices of rows that are processed together."""
         block = block or self.block
         for first in range(0, count, block):
             yield slice(first, min(first + block, count))
@@ -156,9 +156,9 @@ class FieldWorkspace:
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Free space of a length in mm, for light of a wavelength there in nm, by slopes or by cosines.
+    """Free space of a length in mm, for a wavelength in nm in it, with propagation by slopes or by cosines.
 
-    With `beyond_paraxial`, only what it does beyond its paraxial part.
+    With `beyond_paraxial`, only the non-paraxial part.
     """
 
     distance: float
@@ -175,7 +175,7 @@ class FreeSpace:
 def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace) -> Rows:
     """Yield a field at the destination samples of a step, without its carrier, from the field at source samples.
 
-    The field passes the element first, then free space. Rows may come from another step's with the same workspace.
+    The field passes the element first, then free space. Rows may come from another step with the same workspace.
     """
     x, y, columns = step.x, step.y, workspace.columns(step)
     pitches, shift = (x.window / x.held, y.window / y.held), (x.start - x.first, y.start - y.first)
@@ -191,7 +191,7 @@ def propagate(source: Rows, element: ThinElement, step: Step, space: FreeSpace, 
 def propagate_vjp(
     gradient: Rows, element: ThinElement, step: Step, space: FreeSpace, workspace: FieldWorkspace
 ) -> Rows:
-    """Yield the gradient by the source samples of `propagate` from the gradient by the destination samples."""
+    """Yield the gradient at the source samples of `propagate`, from the gradient at the destination samples."""
     back = step.reversed
     scale = step.x.new_padded * step.y.new_padded / (step.x.padded * step.y.padded)
     for rows, samples in propagate(gradient, ThinElement(back), back, space.back, workspace):
@@ -203,7 +203,7 @@ def to_directions(
 ) -> Iterator[tuple[slice, Field]]:
     """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y).
 
-    Zero comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
+    Zero frequency comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
     """
     x, y, columns, arrays = step.x, step.y, workspace.columns(step), workspace.libraries.arrays
     rows_of = workspace.array("rows", (workspace.block, x.padded))
@@ -239,7 +239,7 @@ def to_directions(
 
 
 def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Yield the gradient by the source samples of `to_directions` from the gradient by the frequencies."""
+    """Yield the gradient at the source samples of `to_directions`, from the gradient at the frequencies."""
     back = step.reversed
     columns = workspace.columns(back)
     for mine, part in gradient:
@@ -249,7 +249,7 @@ def to_directions_vjp(gradient: Rows, element: ThinElement, step: Step, workspac
 
 
 class ParaxialPath:
-    """Free space between two planes as one transform over the first plane, with the second one's samples in order.
+    """Free space between two planes as one transform, with the second plane's samples in order.
 
     The field on the second plane is kept line by line: along its y for each x.
     """
@@ -269,7 +269,7 @@ class ParaxialPath:
         )
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield lines of the field on the second plane, out of order, from the field on the first."""
+        """Yield lines of the field on the second plane, in any order, from the field on the first."""
         positive = (self._step.y.held + 1) // 2
         for mine, part in to_directions(source, self._element, self._step, workspace):
             lines = workspace.array("lines", (workspace.block, self._step.y.held))[: len(part)]
@@ -281,22 +281,22 @@ class ParaxialPath:
                 yield there, lines[own]
 
     def vjp(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield the field on the first plane that a gradient by the lines gives."""
-        yield from to_directions_vjp(self._to_spectrum(gradient, workspace), self._element, self._step, workspace)
-
-    def _to_spectrum(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Yield the gradient by lines of the spectrum, from the gradient in order."""
+        """Return blocks of the gradient by the first plane's field, from the gradient by the lines."""
         count, positive = self._step.x.held, (self._step.y.held + 1) // 2
-        for there, lines in gradient:
-            found = lines * self._along_x[there, None].conj()
-            found *= self._along_y.conj()
-            found = workspace.libraries.arrays.roll(found, positive - found.shape[1], axis=1)
-            for own, mine in _in_order(there, count, -(count // 2)):
-                yield mine, found[own]
+
+        def by_spectrum() -> Rows:
+            for there, lines in gradient:
+                found = lines * self._along_x[there, None].conj()
+                found *= self._along_y.conj()
+                found = workspace.libraries.arrays.roll(found, positive - found.shape[1], axis=1)
+                for own, mine in _in_order(there, count, -(count // 2)):
+                    yield mine, found[own]
+
+        return to_directions_vjp(by_spectrum(), self._element, self._step, workspace)
 
 
 def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tuple[slice, slice]]:
-    """Yield parts of a run of lines with their numbers after zero frequency moves to the middle, or back."""
+    """Yield parts of a run of lines, with their numbers after zero frequency is moved to the middle, or back."""
     first = (lines.start + (count // 2 if moved is None else moved)) % count
     border = min(lines.stop - lines.start, count - first)
     yield slice(0, border), slice(first, first + border)
@@ -305,7 +305,7 @@ def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tu
 
 
 def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
-    """Yield rows from columns: transformed back, with their first samples only."""
+    """Yield rows from columns, transformed back and cut to their first samples."""
     x, y = step.x, step.y
     block = workspace.array("next rows", (workspace.block, x.held))
     for rows in workspace.runs(y.wanted):
@@ -317,7 +317,7 @@ def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
 
 
 def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
-    """Return the destination samples of rows of the lowest frequencies."""
+    """Return the destination samples of rows, from the rows' lowest frequencies."""
     if axis.held < axis.new_padded:
         low, high = _lowest(axis.new_padded, axis.held)
         wide = workspace.array("wide", (len(part), axis.new_padded))
@@ -328,7 +328,7 @@ def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Fiel
 
 
 def _lowest(size: int, held: int) -> tuple[slice, slice]:
-    """Return the slices of the lowest frequencies, from zero on and below zero, in a spectrum that begins with zero."""
+    """Return the slices of the lowest frequencies, nonnegative and negative, in a spectrum with zero first."""
     positive = (held + 1) // 2
     return slice(0, positive), slice(size - (held - positive), size)
 
@@ -344,20 +344,20 @@ _EDGES = 2**19
 
 
 def _beyond(f: NDArray[np.float64], a: float, b: float, c: float, d: float) -> NDArray[np.float64]:
-    """Return the part of an integral from one edge of samples up to an edge f samples further.
+    """Return the part of an integral from an edge of samples to an edge f samples further.
 
-    The values a to d are those of the samples `_NEAR`.
+    The values a to d belong to the samples `_NEAR`.
     """
     inside = f * (b + f * ((c - a) / 4 + f * ((a - 2.5 * b + 2 * c - d / 2) / 3 + f * (3 * (b - c) + d - a) / 8)))
     return inside + (a - c) / 24 - b / 2
 
 
 class Integrals:
-    """Integrals of lines of samples between neighbouring edges.
+    """Integrals of sampled lines between neighbouring edges.
 
-    `edges_of` lines are (lines, bins + 1) and count samples from the middle one; of the `count` samples of a line, an
-    odd number, zero comes first and the negative ones last. Edges are worked out again for every block of lines: those
-    of a large plane would take many times the memory of its bins.
+    The lines of `edges_of` are (lines, bins + 1), counted in samples from the middle one. Of the `count` samples of a
+    line, an odd number, zero comes first and the negative ones last. Edges are recomputed for every block of lines,
+    since for a large plane they would take many times the memory of its bins.
     """
 
     def __init__(self, edges_of: Callable[[slice], NDArray[np.float64]], lines: int, bins: int, count: int) -> None:
@@ -366,7 +366,7 @@ class Integrals:
         self._buffer: Any = None
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
-        """Return the samples before the edges of lines, and the distances from these samples to the edges."""
+        """Return the samples before the edges of lines, and the distances of the edges from these samples."""
         arrays = backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.
         edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)
@@ -382,30 +382,25 @@ class Integrals:
             yield slice(first, min(first + height, stop))
 
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
-        """Return integrals over bins, (lines, bins), of some lines of samples, (lines, count), or a field's power."""
+        """Return integrals over bins, (lines, bins), of sampled lines, (lines, count), or of a field's power."""
         arrays = backend().arrays
         found = arrays.empty((len(values), self._shape[1]))
         start = lines.indices(self._shape[0])[0]
         for block in self._blocks(lines):
-            part = slice(block.start - start, block.stop - start)
-            found[part] = self._forward(values[part], block)
+            mine, (before, f) = slice(block.start - start, block.stop - start), self._places(block)
+            numbers, parts = self._padded(values[mine])
+            flat, row = numbers.reshape(-1), arrays.arange(len(numbers))[:, None] * self._size
+            # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
+            upwards = before[:, ::-1] + 1
+            sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
+            total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
+            near = [parts * (row + before + offset) for offset in _NEAR]
+            beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
+            found[mine] = total + beyond[:, :-1] - beyond[:, 1:]
         return found
 
-    def _forward(self, values: Any, lines: slice) -> Any:
-        """Return the integrals of a block of lines."""
-        arrays, (before, f) = backend().arrays, self._places(lines)
-        numbers, parts = self._padded(values)
-        flat, row = numbers.reshape(-1), arrays.arange(len(values))[:, None] * self._size
-        # Sums from above the lower edge of each bin; where two edges lie together, there is nothing to add.
-        upwards = before[:, ::-1] + 1
-        sums = arrays.add.reduceat(flat, (parts * (row + upwards)).reshape(-1)).reshape(upwards.shape)
-        total = arrays.where(upwards[:, 1:] > upwards[:, :-1], sums[:, :-1], 0)[:, ::-1]
-        near = [parts * (row + before + offset) for offset in _NEAR]
-        beyond = _beyond(f, *(flat[at] + flat[at + 1] if parts == 2 else flat[at] for at in near))
-        return total + beyond[:, :-1] - beyond[:, 1:]
-
     def _padded(self, values: Any) -> tuple[Any, int]:
-        """Return lines with ordered samples and dark ones around, and the number of values per sample."""
+        """Return lines with ordered samples and dark margins, and the number of values per sample."""
         arrays, middle, half = backend().arrays, _MARGIN + self._half, self._half
         shape, kind = (len(values), self._size), values.dtype
         if self._buffer is None or self._buffer.shape != shape or self._buffer.dtype != kind:
@@ -426,29 +421,24 @@ class Integrals:
         arrays = backend().arrays
         found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
-            found[block] = self._vjp(bins[block], block)
+            (before, f), mine = self._places(block), bins[block]
+            total = arrays.pad(mine, ((0, 0), (0, 1))) - arrays.pad(mine, ((0, 0), (1, 0)))
+            first = before + arrays.arange(len(mine))[:, None] * self._size
+
+            def scattered(positions: Any, values: Any, size: int = len(mine) * self._size) -> Any:
+                return arrays.bincount(positions.ravel(), values.ravel(), size).reshape(-1, self._size)
+
+            padded = arrays.cumsum(scattered(first, total)[:, ::-1], axis=1)[:, ::-1].copy()
+            for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
+                padded += scattered(first + offset, _beyond(f, *unit) * total)
+            found[block] = arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
         return found
-
-    def _vjp(self, bins: Any, block: slice) -> Any:
-        """Return the transpose for a block of lines."""
-        arrays, (before, f) = backend().arrays, self._places(block)
-        total = arrays.pad(bins, ((0, 0), (0, 1))) - arrays.pad(bins, ((0, 0), (1, 0)))
-        lines = arrays.arange(len(bins))[:, None] * self._size
-
-        def scattered(offset: int, values: Any) -> Any:
-            positions = (lines + before + offset).ravel()
-            return arrays.bincount(positions, values.ravel(), lines.size * self._size).reshape(-1, self._size)
-
-        padded = arrays.cumsum(scattered(0, total)[:, ::-1], axis=1)[:, ::-1].copy()
-        for offset, unit in zip(_NEAR, np.eye(len(_NEAR)), strict=True):
-            padded += scattered(offset, _beyond(f, *unit) * total)
-        return arrays.roll(padded[:, _MARGIN:-_MARGIN], -self._half, axis=1)
 
 
 class BinSums:
-    """Sums of power over the bins of one object plane, with `oversample` bins to a lens.
+    """Sums of power over the bins of one object plane, with `oversample` bins per lens.
 
-    Sums are in pixel values times pixels. Negative sums, which cubics may produce, are set to zero.
+    Sums are in pixel values times pixels. Negative sums, which cubic interpolation may give, are set to zero.
     """
 
     def __init__(self, step: Directions, camera: PlenopticCamera, wavelength: float, oversample: int) -> None:
@@ -480,7 +470,7 @@ class BinSums:
         self._shape = in_y.new_padded, columns
 
     def forward(self, power: Iterable[tuple[slice, Any]]) -> Any:
-        """Sum blocks of a power, or of a field's, (directions along y, along x); note which sums are cut."""
+        """Return the sums over bins of blocks of power, or of a field's power, (directions along y, along x)."""
         arrays = backend().arrays
         along_x = arrays.empty(self._shape)
         for lines, part in power:
@@ -491,7 +481,7 @@ class BinSums:
         return (arrays.maximum(sums, 0) * self._scale).T
 
     def jvp(self, change: Any) -> Any:
-        """Return the change of the sums with one of all of the power, where `forward` has been asked for."""
+        """Return the change of the sums for a change of the power, after `forward` of that power."""
         arrays = backend().arrays
         along_x = arrays.where(self._lit_x, self._along_x.forward(change), 0)
         return (arrays.where(self._lit, self._along_y.forward(along_x.T), 0) * self._scale).T

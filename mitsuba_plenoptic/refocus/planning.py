@@ -1,15 +1,15 @@
-r"""Sampling of the fields in back-propagation: the rules for pitches and windows, and the choice of grids.
+r"""Sampling of the fields in back-propagation: rules for pitches and windows, and the choice of grids.
 
-The detector's light goes to the MLA by the angular spectrum, whose windows are periodic. From the MLA over the distance
-b to the main lens it goes in two steps. Free space is the paraxial transfer function times what is left of the exact
-one,
+From detector to MLA, light is propagated by the angular spectrum, whose windows are periodic. From the MLA over the
+distance b to the main lens there are two steps: free space is the paraxial transfer function times the non-paraxial
+rest,
 
 .. math:: e^{i k b (\sqrt{1 - s^2} - 1)} = e^{-i k b s^2 / 2} \; e^{i k b (\sqrt{1 - s^2} - 1 + s^2 / 2)} .
 
-The second factor displaces light by :math:`b s^3 / 2` only and is applied in the plane of the MLA. The first one is a
+The second factor displaces light by only :math:`b s^3 / 2` and is applied in the plane of the MLA. The first one is a
 single Fourier transform of the field times :math:`\exp(i \pi m^2 / \lambda b)`, with :math:`P / \lambda b` as the
-frequency (Goodman, "Introduction to Fourier Optics", section 4.2): it needs samples for the light that goes to the
-main lens, but none between the two planes. The rules:
+frequency (Goodman, "Introduction to Fourier Optics", section 4.2): it needs samples for the light that goes to the main
+lens, but none between the two planes. The rules:
 
 - *Pitch*: a grid of pitch d holds a range :math:`\lambda / d` of direction cosines. On the detector they are those of
   the light that converges to the MLA. Behind a microlens, light of other directions must not be taken for light to the
@@ -18,16 +18,16 @@ main lens, but none between the two planes. The rules:
 - *Window*: light leaves a grid in all directions that the grid holds. The window is wide enough that what wraps
   round falls outside the part of the next plane that is used.
 
-What does not fit into memory goes up to the main lens in strips of the detector, whose fields are added there.
+Fields too large for the memory are propagated to the main lens in strips of the detector, and added there.
 
 The last step, to an object plane, is one Fourier transform over the pupil. In the direction of the point X, with the
-cosines :math:`s = X / |X|`, a wave from the pupil point P is behind that from the pupil's centre by
+cosines :math:`s = X / |X|`, a wave from the pupil point P lags behind the wave from the pupil's centre by
 
 .. math:: |P - X| - |X| = -s \cdot P + \frac{P^2 - (s \cdot P)^2}{2 |X|} + \dots
 
-The first term is the transform's, the next one is taken on the axis, so that it is the same for all points; at infinity
-it vanishes. This neglects :math:`3 \theta^2 P^2 / 4 g` at the angle :math:`\theta` from the axis, a sixth of a wave at
-the edge of the paper's field; nothing grows with the distance.
+The first term is the Fourier kernel; the second one is evaluated on the axis, so that it is the same for all points,
+and vanishes at infinity. This neglects :math:`3 \theta^2 P^2 / 4 g` at the angle :math:`\theta` from the axis, a sixth
+of a wave at the edge of the paper's field; the error does not grow with the distance.
 """
 
 from __future__ import annotations
@@ -92,10 +92,10 @@ OBJECT_MARGIN = 6.0
 
 @dataclass(frozen=True)
 class AxisStep:
-    """One axis of a propagation step in mm: source samples, their window, and samples of the next plane.
+    """One axis of a propagation step in mm: source samples, their window, and the next plane's samples.
 
-    The field is zero beyond `count` samples from `first` on. Of the frequencies of the window of `padded` samples the
-    lowest go to one of `new_padded` samples, `wanted` of which are taken from `start` on.
+    The field is zero outside `count` samples from `first` on. The lowest frequencies of the window of `padded` samples
+    go to a window of `new_padded` samples, of which `wanted` are taken from `start` on.
     """
 
     first: float
@@ -108,27 +108,27 @@ class AxisStep:
 
     @property
     def window(self) -> float:
-        """Width of the window."""
+        """Width of the window in millimetres."""
         return self.padded * self.pitch
 
     @property
     def held(self) -> int:
-        """Number of frequencies that both windows have."""
+        """Number of frequencies common to both windows."""
         return min(self.padded, self.new_padded)
 
     @property
     def new_pitch(self) -> float:
-        """Distance between destination samples."""
+        """Distance between destination samples in millimetres."""
         return self.window / self.new_padded
 
     @property
     def source(self) -> np.ndarray:
-        """Coordinates of the source samples, float64 (count,)."""
+        """Coordinates in mm of the source samples, float64 (count,)."""
         return self.first + self.pitch * np.arange(self.count)
 
     @property
     def destination(self) -> np.ndarray:
-        """Coordinates of the destination samples, float64 (wanted,)."""
+        """Coordinates in mm of the destination samples, float64 (wanted,)."""
         return self.start + self.new_pitch * np.arange(self.wanted)
 
     @property
@@ -156,17 +156,17 @@ class Step:
 
     @property
     def columns(self) -> tuple[int, int]:
-        """Count and largest length of the transposed columns, whose memory source and destination share."""
+        """Number and largest length of the transposed columns, whose memory source and destination share."""
         return self.x.held, max(self.y.count, self.y.wanted)
 
     @property
     def reversed(self) -> Step:
-        """Return the reversed step."""
+        """The step from destination to source along both axes."""
         return Step(self.x.reversed, self.y.reversed)
 
     @property
     def transforms(self) -> tuple[tuple[int, int, bool], ...]:
-        """Fourier transforms of the step, in order: their count, their length, and whether they are inverse."""
+        """Fourier transforms of the step, in order: their number, length, and whether they are inverse."""
         x, y = self.x, self.y
         return (
             (y.count, x.padded, False),
@@ -177,16 +177,16 @@ class Step:
 
     @property
     def transformed(self) -> int:
-        """Samples that the Fourier transforms of the step go through."""
+        """Number of samples that the Fourier transforms of the step process."""
         return sum(count * length for count, length, _ in self.transforms)
 
 
 @dataclass(frozen=True)
 class Directions(Step):
-    r"""Step by one transform from samples to the lowest frequencies of the field, where it ends.
+    r"""Final step by one transform, from samples to the field's lowest frequencies.
 
-    From the MLA these are places on the main lens; from the main lens they are direction cosines, multiples of the
-    wavelength over the window. The step back leads to the source samples.
+    From the MLA these are positions on the main lens; from the main lens they are direction cosines, multiples of the
+    wavelength over the window. The reversed step leads to the source samples.
     """
 
     @property
@@ -197,9 +197,9 @@ class Directions(Step):
 
 @dataclass(frozen=True)
 class Strip:
-    """Rows of lit pixels that go to the main lens together; the samples there are equal for all strips.
+    """Rows of lit pixels propagated together to the main lens, where all strips have the same samples.
 
-    `beyond_paraxial` stays in the plane of the MLA, and `to_main_lens` is the paraxial transform from there.
+    The step `beyond_paraxial` stays in the plane of the MLA; `to_main_lens` is the paraxial transform from there.
     """
 
     rows: slice
@@ -215,22 +215,22 @@ class Strip:
 
 @dataclass(frozen=True)
 class LensAxis:
-    """Samples of the main lens along one axis: an odd count, the middle one on the axis, at a pitch in millimetres."""
+    """Samples of the main lens along one axis: an odd number, with the middle one on the axis, and a pitch in mm."""
 
     count: int
     pitch: float
 
     @property
     def samples(self) -> np.ndarray:
-        """Coordinates, float64 (count,)."""
+        """Coordinates in mm of the samples, float64 (count,)."""
         return (np.arange(self.count) - self.count // 2) * self.pitch
 
 
 @dataclass(frozen=True)
 class FieldPlan:
-    """Field samples across a pixel, the strips of the detector, and the steps from the main lens to object planes.
+    """Field samples across a pixel, the detector's strips, and the steps from the main lens to object planes.
 
-    `pupil` are the samples of the main lens along x and y, `bins` the bins along x and y of each object plane.
+    `pupil` are the main lens's samples along x and y, `bins` the bins along x and y of each object plane.
     """
 
     subsamples: int
@@ -241,19 +241,19 @@ class FieldPlan:
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """All steps."""
+        """All steps of the plan."""
         return (*(step for strip in self.strips for step in strip.steps), *self.to_objects)
 
     @property
     def transformed(self) -> int:
-        """Samples that the Fourier transforms of all steps go through."""
+        """Number of samples that the Fourier transforms of all steps process."""
         return sum(step.transformed for step in self.steps)
 
     @property
     def memory(self) -> float:
-        """Bytes of the arrays that are alive at once: the columns of a step, the field at the main lens, and sums.
+        """Bytes of the arrays that exist at once: the columns of a step, the field at the main lens, and the sums.
 
-        Each plane keeps its sums along x, which of these are cut, and its sums along both axes.
+        Each plane keeps its sums along x, a mask of those that are cut, and its sums along both axes.
         """
         columns = max(math.prod(step.columns) for step in self.steps)
         across, rows = self.bins
@@ -264,9 +264,9 @@ class FieldPlan:
 def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     r"""Return the number of field samples across a pixel of the detector.
 
-    The range of direction cosines must hold the converging light of a whole cell, :math:`D_2 (b + z) / 2 b z` on both
-    sides of the chief ray, whose own is that of the rim. On the MLA it must hold, beside the light that the main lens
-    accepts from one lens, what this bends to one side, so that this does not come back among the accepted light.
+    The range of direction cosines must include a whole cell's converging light, :math:`D_2 (b + z) / 2 b z` on both
+    sides of the chief ray, at the rim. On the MLA it must include, in addition to the light that the main lens accepts
+    from one lens, the deflection of this light to one side, so that it is not aliased into the accepted light.
     """
     b, z = camera.mla_distance, camera.reduced_distance
     half_field = max(camera.detector_width, camera.detector_height) / 2
@@ -279,7 +279,7 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
 def plan(
     camera: PlenopticCamera, wavelength: float, distances: Sequence[float], lit: Window, oversample: int = 1
 ) -> FieldPlan:
-    """Return the grids for a capture and object distances, with as few strips as memory allows."""
+    """Return the grids for a capture and object distances, with as few strips as the memory allows."""
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
     while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
@@ -328,9 +328,9 @@ def _plan(
 
 
 def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance: float, margin: float) -> None:
-    """Check the light that the pupil diffracts more than `margin` bins beyond a lens's image, to come in elsewhere.
+    """Check how much light the pupil diffracts more than `margin` bins beyond a lens's image, where it would wrap.
 
-    Of an Airy pattern J0(v)^2 + J1(v)^2 are outside a radius r, v = 2 pi R r / (lambda b) on the array.
+    The part J0(v)^2 + J1(v)^2 of an Airy pattern lies outside a radius r, v = 2 pi R r / (lambda b) on the array.
     """
     reach = camera.blur_diameter(distance) / 2 + margin * camera.mla_pitch
     edge = 2 * math.pi * camera.aperture_radius * reach / (in_millimetres(wavelength) * camera.mla_distance)
@@ -338,7 +338,7 @@ def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance
 
 
 def require_feasible(made: FieldPlan) -> None:
-    """Refuse a plan that needs more memory than is allowed, or one of too much work."""
+    """Refuse a plan that needs too much memory or too much work."""
     what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
     require_memory(made.memory, what, limit=field_memory())
     refuse_if(
@@ -350,7 +350,7 @@ def require_feasible(made: FieldPlan) -> None:
 def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: Span, pitch: float) -> AxisStep:
     """Return the step from pixels to the cells of their lenses; light that leaves these cells misses the pupil.
 
-    All directions are included, and the window has room for them on both sides.
+    The window has room for all directions on both sides.
     """
     b, z = camera.mla_distance, camera.reduced_distance
     count = round((lit[1] - lit[0]) * camera.pixel_size / pitch)
@@ -402,9 +402,9 @@ def _main_lens_steps(
 def _beyond_paraxial(
     on_array: AxisStep, count: int, distance: float, steepest: float, beside: float, wave: float
 ) -> AxisStep:
-    """Return the step in the plane of the MLA that displaces light and keeps directions up to a steepest one.
+    """Return the step in the MLA plane that displaces light, with directions up to the steepest one.
 
-    The window has room for `count` samples, and for light `beside` them in millimetres.
+    The window has room for `count` samples, and for light up to `beside` mm beside them.
     """
     # Farthest towards the corner of the directions.
     displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, _LEAST_COSINE)) - 1)
@@ -433,9 +433,9 @@ def _cells(camera: PlenopticCamera, ends: np.ndarray, axis: int) -> tuple[float,
 def object_extent(
     camera: PlenopticCamera, distance: float, axis: int, lit: Span
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the ranges of slopes, from the main lens's centre, of the light of lit pixels and of that in bins.
+    """Return two ranges of slopes from the main lens's centre: of light of lit pixels, and of light in bins.
 
-    The two are equal if all of the light goes to bins.
+    Both are equal if all light goes to bins.
     """
     b = camera.mla_distance
     spread = camera.blur_diameter(distance) / 2 / b + OBJECT_MARGIN * camera.mla_pitch / b

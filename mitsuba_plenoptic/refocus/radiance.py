@@ -1,12 +1,12 @@
 r"""Conversion of sums over bins to radiance, by one rule for all methods and lattices.
 
-A bin is divided by the light that it gets from a white scene by the same method: from a white capture of the camera if
-there is one, or else from a computed white image. So a white scene reads 1 everywhere, also at the borders, where part
-of the light misses the detector. A bin that gets less than 1 % of the rays of the best bin contains hardly any light,
-and is NaN with every method. Between the footprints of lenses, fine bins may get little light in the wave model though
-many rays reach them; the computed white is least accurate there, and the brightening by it is limited. A white capture
-contains the true light of these bins, including interference, and shows the positions from which bins get their light;
-the image is corrected for their displacements.
+A bin is divided by the light that it receives from a white scene by the same method: from a white capture of the camera
+if there is one, otherwise from a computed white image. So a white scene reads 1 everywhere, also at the borders, where
+part of the light misses the detector. A bin that receives less than 1 % of the rays of the best bin contains hardly any
+light, and is NaN with every method. Between the footprints of lenses, fine bins may receive little light in the wave
+model though many rays reach them; the computed white is least accurate there, and its brightening effect is limited. A
+white capture contains the true light of these bins, including interference, and shows the positions from which bins
+receive their light; the image is corrected for their displacements.
 """
 
 from __future__ import annotations
@@ -31,13 +31,12 @@ from ..optics.waves import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
 from ..runtime.limits import check_memory, single_threaded_blas
-from ..views.white_image import PupilFraction, recorded_white, scaled_white, white_image
+from ..views.white_image import PupilFraction, recorded_white, white_image
 from .conjugates import RealConjugates, ThinConjugates
 from .displacement import brought_back, displacements, is_known, rising, tilt
 from .lens_by_lens import (
     LensSet,
     LensTile,
-    fine_bins,
     object_patches,
     on_bins,
     passing_power,
@@ -46,6 +45,7 @@ from .lens_by_lens import (
 )
 from .methods import Progress, Task, portion
 from .ray_sums import ray_sums
+from .splatting import thin_places
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""
@@ -56,7 +56,7 @@ _results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] 
 
 
 def once_a_camera(function: _F) -> _F:
-    """Cache a function's result for a camera as long as the camera lives; a decorator."""
+    """Cache a function's result for a camera for the lifetime of the camera; a decorator."""
 
     @functools.wraps(function)
     def known(camera: PlenopticCamera, *given: Any) -> Any:
@@ -77,10 +77,10 @@ _LEAST_WHITE = 0.25
 
 
 def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -> np.ndarray:
-    """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture that it is to divide.
+    """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture to be divided.
 
-    A white wave capture that lost another part of the light at the edges of its micro-images is refused. The camera of
-    white is that of the capture, or that with which the capture was `recorded`.
+    Refused is a white wave capture that lost another part of the light at the edges of its micro-images. The camera of
+    white must be that of the capture, or that with which the capture was `recorded`.
     """
     image = np.atleast_3d(capture.image)
     cameras = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
@@ -99,15 +99,15 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -
             f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
             "it must be of the same wavelengths",
         )
-    scaled = scaled_white(pixels, white_pixels(capture.camera), capture.camera)
+    scaled = recorded_white(pixels, pixels.shape, [capture.camera], white_pixels(capture.camera))
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
 
 def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress]]:
-    """Yield the images that a method sums over bins, (rows, columns, channels), with their distances and progress.
+    """Yield the images that a method sums over bins, (rows, columns, channels), with distances and progress.
 
-    That is the capture and, where there is one, the white capture; where displacements are known, too, for every
-    distance two that are made of it.
+    They are the capture, the white capture if there is one and, if displacements are known, two images made from the
+    white capture for every distance.
     """
     whole = [task.image] if task.white is None else [task.image, task.white]
     # The ways to the main lens and from there to a plane take about equally long.
@@ -123,7 +123,7 @@ def captures(task: Task) -> Iterator[tuple[np.ndarray, Sequence[float], Progress
 def to_radiance(
     task: Task, sums: Sequence[Sequence[np.ndarray]], white: Sequence[np.ndarray], reach: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return sums of a capture over bins, divided by the sums of white; NaN where no light can come from.
+    """Return a capture's sums over bins, divided by the sums of white; NaN where no light can come from.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _divided(total: np.ndarray, divisor: np.ndarray, reached: np.ndarray) -> np.
 
 
 def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the divisors of a plane's sums over bins, and a mask of the bins that are divided."""
+    """Return the divisors of a plane's sums over bins, and a mask of the bins to be divided."""
     white = np.atleast_3d(white)
     reached = is_reached(rays)[..., None] & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
@@ -175,12 +175,12 @@ def divisors(white: np.ndarray, rays: np.ndarray, distance: float, *, computed: 
 
 
 def is_reached(rays: np.ndarray) -> np.ndarray:
-    """Return a mask (rows, columns) of bins with enough rays of white for a division."""
+    """Return a mask (rows, columns) of bins that enough rays of white reach for a division."""
     return np.asarray((rays >= _LEAST_REACHED * rays.max()) & (rays > 0))
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:
-    """Fraction of a lens over which its light is spread: 1 for unfocused cameras, 0 where a focused one is sharp."""
+    """Fraction of a lens over which its light is spread: 1 for unfocused cameras, 0 where a focused camera is sharp."""
     if focus_type(camera) == "unfocused":
         return 1.0
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
@@ -189,9 +189,8 @@ def lens_scale(camera: PlenopticCamera, distance: float) -> float:
 class LensSpread:
     """Spread of each lens's light over its aperture, enlarged by `scale`, and summation of fine bins.
 
-    A lens has gathered light over its aperture. Where a lens lies on every bin spreading it would change nothing in
-    focus; elsewhere the light of all of a lens would go to the one bin that holds its centre, and some bins would get
-    none.
+    A lens has gathered light over its aperture. If bins coincide with lenses, spreading changes nothing in focus;
+    otherwise all light of a lens would go to the bin that contains its centre, and some bins would receive none.
     """
 
     def __init__(self, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0) -> None:
@@ -199,7 +198,7 @@ class LensSpread:
         self._fine = fine
 
     def forward(self, power: np.ndarray) -> np.ndarray:
-        """Return bins, sums of the power of fine bins spread over lenses."""
+        """Return bins: the power of fine bins, spread over lenses and summed."""
         rows, columns = (size // self._fine for size in power.shape)
         return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
@@ -229,6 +228,9 @@ _WHOLE = 0.2
 _RAY_BINS = 36
 """Fine bins across a lens in which the rays of a white scene are counted, where they are not too many."""
 
+_PIXEL_PARTS = 4
+"""Parts of a pixel along an axis, at least: of whole pixels, ten across a lens, some rows of lenses have 1 % more."""
+
 _MOST_RAY_BINS = 2**26
 
 
@@ -247,15 +249,15 @@ def white_sums(
 ) -> np.ndarray:
     """Return the light of a scene of uniform radiance 1 in each bin, in pixel values times pixels: a method's divisor.
 
-    By rays it is `ray_sums` of the camera's white capture. By waves no two lenses interfere, as interference cancels in
-    the mean over the bins: it is the light of rays, less what the pupil does not let back of a micro-image.
+    By rays the divisor is `ray_sums` of the camera's white capture. By waves no two lenses interfere, as interference
+    cancels in the mean over the bins: it is the light of rays, less the part of a micro-image that the pupil blocks.
 
     Parameters
     ----------
     camera, distance, radius, footprint, oversample
         As in `ray_sums`.
     wavelength : float, optional
-        In nanometres; None: by rays.
+        Wavelength in nanometres; None: by rays.
     relay : bool
         Whether the microlenses of a wave act a second time, see `reconstruct`.
 
@@ -280,30 +282,48 @@ def white_sums(
         share = _throughput(camera, wavelength, relay)
     if camera.lens_data.traced_surfaces or camera.lenses_like_bins or is_focused:
         return white_sums(camera, distance, radius, footprint, oversample) * share
-    return _spread_rays(camera, distance, oversample, fine_bins(OpticalSystem(camera, wavelength), oversample)) * share
+    return _spread_rays(camera, distance, oversample) * share
 
 
 @once_a_camera
-def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine: int) -> np.ndarray:
-    """Return the pixels of white whose rays come to each bin, spread over lenses as the light of waves is.
+def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int) -> np.ndarray:
+    """Return the number of white pixels whose rays come to each bin, spread over lenses like the light of waves.
 
-    A ray must pass the pupil, by half a pixel: a smooth wave goes back through the lens's centre alone. Light of waves
-    comes from all of a pixel, and the pixels of fast cameras have images as wide as several lenses: pixels are split
-    into parts whose images are no wider than a lens.
+    A ray must pass at least half a pixel inside the pupil: a smooth wave returns through the lens's centre alone. Light
+    of waves comes from all of a pixel, through the lens of each part, and pixels of fast cameras have images as wide as
+    several lenses: pixels are split into parts whose images are no wider than a lens.
     """
     # Rays go to points, where waves go to spots: the grid on which they are counted must not show.
-    bins = math.prod(camera.bin_count) * (oversample * fine) ** 2
-    fine *= max(1, min(-(-_RAY_BINS // (oversample * fine)), math.isqrt(_MOST_RAY_BINS // bins)))
+    bins = math.prod(camera.bin_count) * oversample**2
+    fine = max(1, min(-(-_RAY_BINS // oversample), math.isqrt(_MOST_RAY_BINS // bins)))
     _, image = follow_back(camera.pixel_size, 0.0, 0.0, distance, camera)
     most = min(math.isqrt(_MOST_RAY_BINS // math.prod(camera.shape)), MOST_PIXELS // max(camera.resolution))
-    parts = max(1, min(math.ceil(abs(float(image)) / camera.mla_pitch), most))
+    parts = max(1, min(max(_PIXEL_PARTS, math.ceil(abs(float(image)) / camera.mla_pitch)), most))
     split = camera.replace(
         resolution=tuple(parts * size for size in camera.resolution),
         crop_offset=tuple(parts * size for size in camera.crop_offset),
         crop_size=None if camera.crop_size is None else tuple(parts * size for size in camera.crop_size),
     )
-    white = (white_pixels(camera) / parts**2).repeat(parts, 0).repeat(parts, 1)[..., None]
-    counted = ray_sums(white, split, distance, camera.lit_radius, "point", oversample * fine)[..., 0]
+    white = white_pixels(camera) / parts**2
+    across, down = (count * oversample * fine + 2 for count in camera.bin_count)
+    counted = np.zeros(down * across)
+    for block, *position, is_lit in thin_places(split, distance, camera.lit_radius):
+        lit = np.flatnonzero(is_lit)
+        # Divided among the four samples around, as lenses, whose borders would show else, lie between samples.
+        places = [
+            values[lit] * (oversample * fine / camera.mla_pitch) + (size - 1) / 2
+            for values, size in zip(position, (across, down), strict=True)
+        ]
+        (column, x), (row, y) = ((np.floor(values), values - np.floor(values)) for values in places)
+        inside = np.flatnonzero((column >= 0) & (column < across - 1) & (row >= 0) & (row < down - 1))
+        light = white[np.arange(block.start, block.stop) // parts].repeat(parts, 1).ravel()[lit][inside]
+        x, y, corner = x[inside], y[inside], (row * across + column)[inside].astype(np.int64)
+        start = int(corner.min(initial=counted.size))
+        for below, right in np.ndindex(2, 2):
+            added = np.bincount(corner - start, light * abs(1 - below - y) * abs(1 - right - x))
+            first = start + below * across + right
+            counted[first : first + added.size] += added
+    counted = counted.reshape(down, across)[1:-1, 1:-1]
     return over_lenses(counted, camera, oversample, fine, lens_scale(camera, distance))
 
 
@@ -312,8 +332,8 @@ def _spread_rays(camera: PlenopticCamera, distance: float, oversample: int, fine
 def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> float:
     """Return the fraction of a white micro-image's power that comes back through the main lens.
 
-    Its edge is one of the pupil, where light diffracts out: 7 % for the paper's camera. Pixels count whose own ray
-    passes the main lens.
+    A micro-image's edge is an image of the pupil's edge, where light diffracts out: 7 % for the paper's camera. Only
+    pixels whose own ray passes the main lens count.
     """
     around = _around_axis(camera, 2 if camera.lenses_are_bins else 3)
     tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), backend().arrays
@@ -343,9 +363,9 @@ def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> floa
 def _traced_throughput(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `_throughput` does of some lenses behind a real main lens, by their distance from the axis.
+    """Return `_throughput` for some lenses behind a real main lens, by their distance from the axis.
 
-    Micro-images that the lens cuts have more edge for their area, and lose more.
+    Micro-images cut by the lens have more edge for their area, and lose more light.
     """
     conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
     tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
@@ -374,11 +394,11 @@ def _traced_throughput(
 def _lens_patches(
     camera: PlenopticCamera, wavelength: float, distance: float, relay: bool, oversample: int
 ) -> np.ndarray:
-    """Return the power in each bin from a white scene, for an aligned lattice and if no two lenses interfere.
+    """Return the power in each bin from a white scene, for an aligned lattice of lenses that do not interfere.
 
     For a focused camera the bins of a lens overlap with those of a few others. Light from the rim of its micro-image,
-    which came from within the pupil through a part of the lens, returns as if through the lens's centre and misses the
-    pupil. So some bins get more light than others. All lenses are taken for the one next to the axis.
+    which came through part of the lens from within the pupil, returns as if through the lens's centre and misses the
+    pupil. So some bins receive more light than others. All lenses are treated like the one next to the axis.
     """
     around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), backend()
     lenses = LensSet(LensTile(around, wavelength, count, oversample))
@@ -388,16 +408,17 @@ def _lens_patches(
     thin = ThinConjugates(OpticalSystem(around, wavelength))
     patch = libraries.to_host(object_patches(fields, lenses.tile, batch, distance, thin)[0]).astype(np.float64)
     everywhere = LensSet(LensTile(camera, wavelength, count, oversample))
-    comb = np.zeros([(count - 1) * oversample + 1 for count in everywhere.bins[::-1]])
+    samples = everywhere.tile.samples
+    comb = np.zeros([(count - 1) * samples + 1 for count in everywhere.bins[::-1]])
     column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
-    comb[row * oversample, column * oversample] = 1
+    comb[row * samples, column * samples] = 1
     return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
 
 
 def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return one lens's micro-image of white, and how far from the axis its pixels see the pupil through the centre.
+    """Return one lens's white micro-image, and how far from the axis its pixels see the pupil through the centre.
 
-    Of an unfocused camera with an aligned lattice the micro-image is a disc.
+    For an unfocused camera with an aligned lattice the micro-image is a disc.
     """
     b, z = camera.mla_distance, camera.reduced_distance
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
@@ -410,7 +431,7 @@ def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[n
 
 
 def _around_axis(camera: PlenopticCamera, lenses: int) -> PlenopticCamera:
-    """Return the camera with a crop of `lenses` lenses on each side of the axis; the detector grows if needed."""
+    """Return the camera cropped to `lenses` lenses on each side of the axis; the detector grows if needed."""
     around = math.ceil(lenses * camera.micro_image_pitch / camera.pixel_size)
     refuse_if(
         around > MOST_PIXELS // 2,

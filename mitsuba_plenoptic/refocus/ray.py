@@ -11,16 +11,16 @@ from .ray_sums import pupil_radius, ray_sums
 
 @method("ray", waves=False)
 def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
-    r"""Return images of bins to which the values of pixels are added, each by one ray back to the object plane.
+    r"""Return images of bins, to which each pixel's value is added along one ray back to the object plane.
 
     The ray passes the centres of the pixel and of its lens. With ``footprint="point"`` the whole value is added to one
     bin. With ``"lens"`` it is spread over the area that rays through the whole lens hit, because the pixel has
     integrated over the lens: this avoids grid patterns out of focus. For an unfocused camera the area is about one bin.
-    Where a focused camera is sharp it shrinks to a point, and the projection of the pixel itself is wider: the pixel is
-    spread over the wider of the two (see `mitsuba_plenoptic.design`). The pixel has integrated over their convolution,
-    but spreading it over that would only blur the image further.
+    Where a focused camera is sharp it shrinks to a point, and the projected pixel is wider: the value is spread over
+    the wider of the two (see `mitsuba_plenoptic.design`). The pixel has integrated over the convolution of both, but
+    spreading the value over it would only blur the image further.
 
-    Each bin is divided by the light that it gets from a white scene by the same method. In the plane in focus,
+    Each bin is divided by the light that it receives from a white scene by the same method. In the plane in focus,
     ``"point"`` leaves bins empty that do not contain the centre of a lens; they are NaN.
 
     Returns

@@ -1,12 +1,12 @@
-"""Sums of pixels over the bins of an object plane, one ray a pixel, and the transpose of these sums.
+"""Sums of pixels over the bins of an object plane, along one ray per pixel, and their transpose.
 
 The bin of a pixel's light is separable in x and y, but the condition that the light passes the pupil is not:
 
     out[j, i] = sum_r sum_c  Wy[j, r] Wx[i, c] [Px[c]^2 + Py[r]^2 <= R^2] image[r, c]
 
-The sum over columns is done for each row in one pass over the image, every thread gathering the few columns of
-one bin; the sum over rows is then small. Nothing is scattered, so the result is the same bit for bit however many
-threads there are. Where lenses do not lie like bins, `Splat` sums the pixels.
+The sum over columns is done for each row in one pass over the image, with each thread gathering the few columns of one
+bin; the sum over rows is then small. Nothing is scattered, so the result is bit for bit the same for any number of
+threads. Where lenses are not aligned with bins, `Splat` sums the pixels.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from .splatting import Splat
 
 
 def pupil_radius(camera: PlenopticCamera) -> float:
-    """Radius within which a pixel's central ray must pass: half a pixel more than the pupil's, and half a lens's view.
+    """Radius in mm within which a pixel's central ray must pass: the pupil's, half a pixel and half a lens's view.
 
-    A pixel at a micro-image's rim is lit in part though its centre may look past the pupil; leaving such pixels out
-    would lose 3 % of the paper's light. Through the edge of a lens that is not in focus on the pupil it looks elsewhere
-    than through the centre, for a focused camera by a good part of the pupil.
+    A pixel at a micro-image's rim is partly lit though its centre may look past the pupil; leaving such pixels out
+    would lose 3 % of the paper's light. Through the edge of a lens that is not focused on the pupil, a pixel sees
+    another point than through the centre, in a focused camera by a good part of the pupil.
     """
     view = max(abs(camera.pupil_shift(f2) - 1) for f2 in camera.mla_focal_lengths) * camera.lattice.aperture_reach
     return camera.lit_radius + view
@@ -46,10 +46,10 @@ _MOST_VALUES = 2**32 - 1
 def ray_sums(
     image: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> np.ndarray:
-    """Follow one ray a pixel back to the object plane and sum the pixels that go to each bin.
+    """Return the sums over bins of the pixels whose central rays, traced back to the object plane, meet each bin.
 
-    Where pixels and bins are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a
-    thin main lens, this is done one axis at a time.
+    Pixels and bins that are arranged alike, on an upright square lattice without gaps of unfocused lenses behind a thin
+    main lens, are summed one axis at a time.
     """
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
     if axes is None:
@@ -67,7 +67,7 @@ def ray_sums(
 def aligned_axes(
     camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
 ) -> tuple[AxisBins, AxisBins] | None:
-    """Return the bins of the pixels along each axis, None where pixels and bins are not arranged alike."""
+    """Return the bins of the pixels along each axis, or None unless pixels and bins are arranged alike."""
     if not camera.lens_data.is_thin or focus_type(camera) != "unfocused" or not camera.lenses_like_bins:
         return None
     x, y = (_axis(camera, distance, radius, axis, footprint, oversample) for axis in (0, 1))
@@ -77,7 +77,7 @@ def aligned_axes(
 def _axis(
     camera: PlenopticCamera, distance: float, radius: float, axis: int, footprint: str, oversample: int
 ) -> AxisBins:
-    """Return the positions of the pixels of one axis on the bins, and on the pupil."""
+    """Return the positions of the pixels of one axis, on the bins and on the pupil."""
     count = camera.bin_count[axis] * oversample
     p = camera.pixel_coordinates(axis)
     chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
@@ -99,15 +99,10 @@ def ray_sums_vjp(
 ) -> np.ndarray:
     """Return the transpose of `ray_sums`, applied to bins."""
     axes = aligned_axes(camera, distance, radius, footprint, oversample)
-    if axes is not None:
-        return _bin_image_vjp(bins, *axes, radius)
-    return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
-
-
-def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
-    """Return the transpose of `bin_image`, applied to bins."""
-    given = np.asarray(bins, np.float64)
-    pixels = np.einsum("jic,jr->ric", given, y.weights.toarray(), optimize=True)
+    if axes is None:
+        return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
+    x, y = axes
+    pixels = np.einsum("jic,jr->ric", np.asarray(bins, np.float64), y.weights.toarray(), optimize=True)
     pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
     # In the precision in which the sums compare them.
     limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
@@ -116,14 +111,14 @@ def _bin_image_vjp(bins: np.ndarray, x: AxisBins, y: AxisBins, radius: float) ->
 
 @dataclass(frozen=True)
 class AxisBins:
-    """The weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each."""
+    """Weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each pixel."""
 
     weights: csr_matrix
     pupil: np.ndarray
 
 
 def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, radius: float) -> AxisBins:
-    """Spread each pixel evenly over the interval from `low` to `high` of bin coordinates."""
+    """Return weights that spread each pixel uniformly over the interval from `low` to `high` in bin coordinates."""
     pixels = np.flatnonzero(np.abs(pupil) <= radius)
     low, high = np.minimum(low, high)[pixels], np.maximum(low, high)[pixels]
     first = np.floor(low).astype(np.int64)
@@ -142,7 +137,7 @@ def axis_bins(low: np.ndarray, high: np.ndarray, pupil: np.ndarray, count: int, 
 
 
 def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.ndarray:
-    """Sum an image over the bins of both axes within the pupil."""
+    """Return an image's sums over the bins of both axes, within the pupil."""
     types = array_module()
     (rows, columns, channels), across, down = image.shape, x.weights.shape[0], y.weights.shape[0]
     if not (x.weights.nnz and y.weights.nnz):
@@ -161,7 +156,7 @@ def bin_image(image: np.ndarray, x: AxisBins, y: AxisBins, radius: float) -> np.
 
 
 def _sums(types: Any, values: Any, bins: AxisBins, number: Any, base: Any, stride: int, limit: Any = None) -> Any:
-    """Sum the values, `stride` apart, of the pixels of each bin whose squared pupil coordinate is within a limit."""
+    """Return the summed values, `stride` apart, of each bin's pixels with squared pupil coordinates within a limit."""
     Float, UInt32 = types.Float, types.UInt32
     start, pixel = (drjit_array(UInt32, part) for part in (bins.weights.indptr, bins.weights.indices))
     weight = drjit_array(Float, bins.weights.data)

@@ -1,4 +1,4 @@
-"""Results: images refocused to one distance, on disk as OpenEXR, and volumes of them, as TIFF or Zarr."""
+"""Results: images refocused to one distance, as OpenEXR files, and volumes, as TIFF or Zarr files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ALONG = {"z": 0, "y": 1, "x": 2}
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction(Displayed):
-    """An image refocused to one distance.
+    """An image refocused to one object distance.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Reconstruction(Displayed):
     bin_size : float
         Width of a bin in the object plane, in scene units; at infinity its slope, the width at a distance of 1.
     method : str
-        How it was made.
+        Name of the method.
     options : dict
         The method's options.
     camera : PlenopticCamera
@@ -135,9 +135,9 @@ class Volume:
     Attributes
     ----------
     values : float32 array (planes, rows, columns[, channels])
-        Upright, in units of the capture; NaN beyond what a plane shows.
+        Upright images in units of the capture; NaN beyond what a plane shows.
     distances : tuple of floats
-        Of the planes, from the main lens, in scene units.
+        Distances of the planes from the main lens, in scene units.
     voxel_size : float
         Width and height of a voxel in scene units.
     attributes : dict
@@ -153,13 +153,13 @@ class Volume:
     def of(cls, results: Sequence[Reconstruction]) -> Volume:
         """Return the volume of reconstructions of one capture.
 
-        Bins grow with the distance. Here all planes have voxels as wide as the finest bins, over the field of the
-        farthest plane, interpolated linearly between the centres of their own bins.
+        Bins grow with the distance. All planes of a volume have voxels as wide as the finest bins, over the field of
+        the farthest plane, interpolated linearly between bin centres.
 
         Parameters
         ----------
         results : sequence of Reconstruction
-            In any order.
+            The planes, in any order.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Volume:
 
     @property
     def spacing(self) -> float | None:
-        """Distance between planes; None for one plane, and where it varies by more than a thousandth."""
+        """Distance between planes in mm; None for one plane, and for distances that vary by more than a thousandth."""
         steps = np.diff(self.distances)
         if not len(steps) or float(np.ptp(steps)) > 2 * _EVEN * float(steps.mean()):
             return None
@@ -259,7 +259,7 @@ class Volume:
         return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
-        """Return the volume as an array with the axes ``distance``, ``y`` and ``x``, from the axis, x to the right."""
+        """Return the volume as an array with axes ``distance``, ``y`` and ``x``, which start on the optical axis."""
         _, rows, columns = self.values.shape[:3]
         coordinates = {
             "distance": list(self.distances),
@@ -272,7 +272,7 @@ class Volume:
 
 
 def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
-    """Return a path after a check, before a long computation, that a volume of these planes can be written there."""
+    """Return a path after a check, before a long computation, that a volume of these planes can be written to it."""
     path = require_writable(path, *SUFFIXES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)
@@ -312,32 +312,24 @@ def write_volume(path: str | Path, volume: Volume) -> None:
     if values.ndim == 4:
         values, axes = np.moveaxis(values, -1, 1), "ZCYX"
     with atomic_output(path) as temporary:
+        metadata: dict[str, Any] = {"axes": axes}
         if _is_ome(path):
-            tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=_ome(volume, axes))
+            for axis in "XY":
+                metadata |= {f"PhysicalSize{axis}": volume.voxel_size, f"PhysicalSize{axis}Unit": "mm"}
+            if volume.spacing is not None:
+                metadata |= {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
+            channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
+            positions = [distance for distance in volume.distances for _ in range(channels)]
+            metadata["Plane"] = {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)}
+            metadata["Description"] = json.dumps(volume.attributes)
+            tifffile.imwrite(temporary, values, ome=True, photometric="minisblack", metadata=metadata)
         else:
             about = {"distances": list(volume.distances), **volume.attributes}
-            metadata: dict[str, Any] = {"axes": axes, "unit": "mm", "Info": json.dumps(about)}
+            metadata |= {"unit": "mm", "Info": json.dumps(about)}
             if volume.spacing is not None:
                 metadata["spacing"] = volume.spacing
             resolution = (1 / volume.voxel_size, 1 / volume.voxel_size)
             tifffile.imwrite(temporary, values, imagej=True, resolution=resolution, metadata=metadata)
-
-
-def _ome(volume: Volume, axes: str) -> dict[str, Any]:
-    """Return the description of a volume for OME's XML."""
-    channels = volume.values.shape[3] if volume.values.ndim == 4 else 1
-    positions = [distance for distance in volume.distances for _ in range(channels)]
-    spacing = {} if volume.spacing is None else {"PhysicalSizeZ": volume.spacing, "PhysicalSizeZUnit": "mm"}
-    return {
-        "axes": axes,
-        "PhysicalSizeX": volume.voxel_size,
-        "PhysicalSizeXUnit": "mm",
-        "PhysicalSizeY": volume.voxel_size,
-        "PhysicalSizeYUnit": "mm",
-        **spacing,
-        "Plane": {"PositionZ": positions, "PositionZUnit": ["mm"] * len(positions)},
-        "Description": json.dumps(volume.attributes),
-    }
 
 
 def _is_ome(path: Path) -> bool:
@@ -345,7 +337,7 @@ def _is_ome(path: Path) -> bool:
 
 
 def _interpolated(image: NDArray[np.float32], axis: int, width: float, count: int) -> NDArray[np.float32]:
-    """Return voxels from bins `width` voxels wide about the same middle, along one axis; NaN beyond the bins."""
+    """Return voxels along one axis, interpolated from bins `width` voxels wide; NaN beyond the bins."""
     bins = image.shape[axis]
     position = (np.arange(count) - (count - 1) / 2) / width + (bins - 1) / 2
     outside = np.abs(position - (bins - 1) / 2) > bins / 2 + 1e-6

@@ -1,10 +1,10 @@
-r"""Pixels summed over bins on any lattice.
+r"""Sums of pixels over bins for any lattice.
 
 A pixel p of the lens with centre c is projected to the position u(c) on the bins, through the point P(c) of the pupil.
 Through another point c + d of its lens it is projected to u(c) + a d, with the same a for all pixels of one lens type.
 Its footprint is the lens's aperture, enlarged by a, or the pixel's own square where that is wider. Pixels are therefore
-first counted on a grid finer than the bins, one for each type of lens; what such a sample gives to each of the bins
-about it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
+first counted on a grid finer than the bins, one for each type of lens; the distribution of such a sample to the bins
+around it is then the same in every bin. Everything is summed in a fixed order, so that the result is the same bit for
 bit.
 """
 
@@ -39,11 +39,11 @@ _BLOCK = 2**16
 
 @dataclass(frozen=True)
 class Splat:
-    """Positions of pixels on the bins, with their footprints.
+    """Positions of pixels on the bins of an object plane, with their footprints.
 
     There are `fine` samples across a bin, and a footprint (taps, taps, fine, fine) of each type of lens. Pixels are
-    counted in `margin` bins beyond each border, too, from where they reach across it; `size` are the rows and columns
-    with these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
+    also counted in `margin` bins beyond each border, from where they reach across it; `size` are rows and columns with
+    these. Pixels that land there have a sample, counted bin by bin, a type of lens, and a flat index.
     """
 
     fine: int
@@ -58,7 +58,7 @@ class Splat:
     def of(
         cls, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int, channels: int
     ) -> Splat:
-        """Return the splat of a camera's pixels within a radius of the pupil; arguments as in `ray_sums`."""
+        """Return the sums of an image's pixels (rows, columns, channels) by bin; float64, like the image."""
         focal_lengths = camera.mla_focal_lengths
         fine, footprints = 1, [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
@@ -78,7 +78,7 @@ class Splat:
         return cls(fine, footprints, margin, (down, across), *landing)
 
     def forward(self, image: np.ndarray) -> np.ndarray:
-        """Sum the pixels of an image (rows, columns, channels) by bin; float64, like the image."""
+        """Return an image's pixels (rows, columns, channels) summed by bin; float64, like the image."""
         values = image.reshape(-1, image.shape[2])[self.pixel]
         (down, across), margin = self.size, self.margin
         total = np.zeros((image.shape[2], down + 2 * margin, across + 2 * margin))
@@ -104,13 +104,13 @@ class Splat:
         return result.reshape(*shape, -1)
 
     def _types(self) -> Iterator[tuple[slice | np.ndarray, np.ndarray]]:
-        """Yield, for each type of lens, a mask of the pixels behind such lenses, and their footprint."""
+        """Yield, for each type of lens, a mask of the pixels behind such lenses, and the pixels' footprint."""
         for index, taps in enumerate(self.footprints):
             yield slice(None) if len(self.footprints) == 1 else np.flatnonzero(self.lens_type == index), taps
 
 
 def _spread(samples: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Return the light of every fine sample spread over the bins around it."""
+    """Return the light of every fine sample spread over the surrounding bins."""
     taps = footprint.shape[0]
     footprint = footprint.reshape(taps, taps, -1)
     rows, columns = samples.shape[0] + taps - 1, samples.shape[1] + taps - 1
@@ -146,7 +146,7 @@ def _gather(window: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 
 
 def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float, step: float) -> np.ndarray:
-    """Return the footprint of a pixel: the view of its lens or the pixel's square, whichever is wider; its sum is 1."""
+    """Return the footprint of a pixel, of sum 1: its view of the lens or its own square, whichever is wider."""
     scale, pixel = lens_footprint(camera, distance, mla_focal_length), pixel_footprint(camera, distance)
     if scale * camera.lattice.aperture_width >= pixel:
         return camera.lattice.aperture_image(step, scale)
@@ -159,9 +159,9 @@ def _footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float
 
 
 def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
-    """Return fractions (taps, taps, fine, fine) of a footprint, centred in each sample of a bin, in bins around.
+    """Return a footprint's fractions (taps, taps, fine, fine) in surrounding bins, if centred in each sample of a bin.
 
-    The footprint is drawn in fine samples; its sum is 1.
+    The footprint is given in fine samples; its sum is 1.
     """
     half = blur.shape[0] // 2
     position = np.arange(fine) + np.arange(-half, half + 1)[:, None]
@@ -175,12 +175,12 @@ def _in_bins(blur: np.ndarray, fine: int) -> np.ndarray:
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return sample, type of lens and flat index of the pixels whose ray passes the pupil and lands on the bins.
+    """Return sample, lens type and flat index of the pixels whose ray passes the pupil and lands on the bins.
 
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.
     """
     lattice, columns, found = camera.lattice, camera.crop_size[0], []
-    traced = _places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
+    traced = thin_places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
     for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
         x, y = (
@@ -201,10 +201,10 @@ def _landing(
     return sample, lens_type, pixels
 
 
-def _places(
+def thin_places(
     camera: PlenopticCamera, distance: float, radius: float
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield the places of `traced_places` behind a thin main lens, where rays are linear in pixel and centre."""
+    """Yield the result of `traced_places` for a thin main lens, where rays are linear in pixel and lens centre."""
     of_pixel = np.array(follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(follow_back(0.0, 1.0, 1.0, distance, camera))
     px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
@@ -224,10 +224,10 @@ def _places(
 def traced_places(
     camera: PlenopticCamera, distance: float
 ) -> Iterator[tuple[slice, NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]]:
-    """Yield the places at which one ray per pixel, through the centre of its lens, meets an object plane.
+    """Yield the positions at which one ray per pixel, through the centre of its lens, meets an object plane.
 
-    Yields rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which corrects
-    the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
+    Yielded are rows of pixels, x and y of their positions in the object plane times -b / g in millimetres, which
+    corrects the distortion, and whether the lens transmits the ray, or one from the middle of one of the pixel's edges.
     """
     types, walk, half = array_module(), Walk.of(camera), camera.pixel_size / 2
     for rows, px, py in detector_rows(camera):

@@ -1,4 +1,4 @@
-r"""Refocusing with the wave model: the square root of a capture is one coherent wave, or one for each lens subset.
+r"""Refocusing by the wave model: the square root of a capture is propagated back as one wave, or in lens subsets.
 
 The detector has lost the phase of the light. Coherent reconstruction supplies one: under each microlens, of centre
 c, the light is taken to converge from its whole micro-image towards c,
@@ -97,23 +97,31 @@ _APART = 2
 
 @method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[np.ndarray]:
-    """Return images from the light followed back as one coherent wave."""
+    """Return images refocused by propagating the light back as one coherent wave."""
     return _refocus(task, 1, relay)
 
 
 @method("partial", waves=True)
 def partial(task: Task, *, interleave: int | str, relay: bool) -> list[np.ndarray]:
-    """Return images from the light followed back as one wave for each subset of lenses, or for each lens."""
+    """Return images refocused by propagating the light back as one wave for each subset of lenses, or for each lens."""
     return _refocus(task, interleave, relay)
 
 
 def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]:
     """Return the refocused images, channel by channel.
 
-    The white that bins are divided by, if there is no white capture, is that of rays: without interference, less what
-    waves lose of a micro-image at the edge of the pupil.
+    Without a white capture, bins are divided by the white of rays: without interference, and without the light that
+    waves lose from a micro-image at the pupil's edge.
     """
     camera, oversample = task.camera, task.oversample
+    # First, as its time is short and none of what is reported.
+    white = [
+        np.stack(
+            [white_sums(camera, g, camera.lit_radius, "lens", oversample, w, relay) for w in task.wavelengths], axis=-1
+        )
+        for g in (task.distances if task.white is None else ())
+    ]
+    reach = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
     sums = []
     for image, distances, progress in captures(task):
         # The shortest waves, which take the most memory, come first.
@@ -125,21 +133,14 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
             found[channel] = _signed_power(*given, portion(progress, index, works))
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
-    white = [
-        np.stack(
-            [white_sums(camera, g, camera.lit_radius, "lens", oversample, w, relay) for w in task.wavelengths], axis=-1
-        )
-        for g in (task.distances if task.white is None else ())
-    ]
-    reach = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
     return to_radiance(task, sums, white, reach)
 
 
 def signed_parts(image: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Return the non-negative pixels with the sign 1 and, if any, magnitudes of negative ones with the sign -1.
+    """Return the non-negative pixels with the sign 1 and, if any, the magnitudes of negative ones with the sign -1.
 
-    Amplitudes are square roots. Pixels below zero, which `expose` makes of dark ones, are refocused apart, and what
-    they give is subtracted: so noise of mean zero leaves no light on average.
+    Amplitudes are square roots. Pixels below zero, which `expose` may make of dark ones, are refocused separately, and
+    their image is subtracted: noise of mean zero then leaves no light on average.
     """
     if image.min() >= 0:
         return [(1.0, image)]
@@ -156,11 +157,11 @@ def _signed_power(
     oversample: int,
     progress: Progress,
 ) -> list[np.ndarray]:
-    """Return the power in bins, in pixel values times pixels, spread over lenses that do not lie on bins.
+    """Return the power in bins, in pixel values times pixels, spread over lenses if lenses are not aligned with bins.
 
     The propagation to the main lens is done once for all distances. Seen from behind, a real main lens is a thin one.
-    Fields have the samples that all `planned` distances need: ratios of images, such as displacements, which are of
-    single planes, are far more sensitive to the samples than the images are.
+    Fields have the samples that all `planned` distances need, since ratios of images of single planes, such as
+    displacements, are far more sensitive to the samples than the images are.
     """
     camera, wavelength = system.camera, system.wavelength
     fine, real, seen = fine_bins(system, oversample), None, camera
@@ -198,9 +199,9 @@ def _signed_power(
 def full_field_period(
     image: np.ndarray, camera: PlenopticCamera, distances: Sequence[float], wavelength: float
 ) -> int | None:
-    """Return the period from which subsets of lenses do not interfere, or None if single lenses are cheaper.
+    """Return the period from which on subsets of lenses do not interfere, or None if single lenses are cheaper.
 
-    Full fields are cheaper near focus, where few subsets suffice. The cost is the count of transformed samples.
+    Full fields are cheaper near focus, where few subsets suffice. The cost is the number of transformed samples.
     """
     lit = lit_window(image, camera)
     if lit is None:
@@ -230,12 +231,12 @@ def reconstruct_subsets(
     conjugates: Conjugates | None = None,
     planned: Sequence[float] | None = None,
 ) -> list[np.ndarray]:
-    """Propagate subsets of lenses coherently, and return the power in bins of object planes.
+    """Return the power in bins of object planes, from subsets of lenses propagated coherently.
 
     The image must not be negative. The propagation to the main lens is done once for all distances. The period of a
-    subset along each axis is `interleave`; 1 is one coherent field. If `checked`, guards check the light that is
-    lost. Grids are chosen for the distances that are `planned`, by default these ones, so that several calls can share
-    samples. Powers (rows, columns) are in pixel values times pixels.
+    subset along each axis is `interleave`; 1 is one coherent field. If `checked`, guards check the light that is lost.
+    Grids are chosen for the `planned` distances, by default these ones, so that several calls can share samples. Powers
+    (rows, columns) are in pixel values times pixels.
     """
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     columns, rows = (count * oversample for count in camera.bin_count)
@@ -274,7 +275,7 @@ def reconstruct_subsets(
 
 
 def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
-    """First and past-the-last column and row of the full detector that hold light; None where all is dark."""
+    """Return the first column and row of the full detector with light, and those after the last; None if dark."""
     window = []
     for axis in (0, 1):
         lit = np.flatnonzero(image.any(axis=axis))
@@ -286,11 +287,11 @@ def lit_window(image: np.ndarray, camera: PlenopticCamera) -> Window | None:
 
 
 class BackwardFields:
-    """From the amplitudes of the pixels that a plan was made for to the fields of subsets of lenses, and the vjp.
+    """Linear map from the amplitudes of a plan's pixels to the fields of subsets of lenses, with its vjp.
 
     A subset is every `interleave`-th lens along both indices of the lattice. Without `relay` the microlenses do not act
-    in the MLA plane, and there is no vjp. The work of which `progress` is reported is that of all subsets, to the main
-    lens and by the steps `to_planes` from there.
+    in the MLA plane, and there is no vjp. `progress` is told the work of all subsets, to the main lens and by the steps
+    `to_planes` from there.
     """
 
     def __init__(
@@ -341,9 +342,9 @@ class BackwardFields:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
     def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[Field]:
-        """Yield the field of every subset just before the main lens, in lines along y, zero outside the pupil.
+        """Yield every subset's field directly before the main lens, in lines along y, zero outside the pupil.
 
-        It holds until the next one is asked for.
+        Each field is valid until the next one is requested.
         """
         amplitude = self._workspace.libraries.arrays.asarray(amplitude)
         held = None
@@ -363,7 +364,7 @@ class BackwardFields:
             yield field
 
     def _at_pupil(self) -> Field:
-        """Return a dark field on the main lens, in lines along y."""
+        """Return a zero field on the main lens, in lines along y."""
         field = self._workspace.array("pupil", (self._grids.pupil[0].count, self._grids.pupil[1].count))
         field[...] = 0
         return field
@@ -373,11 +374,11 @@ class BackwardFields:
         return ParaxialPath(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
 
     def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
-        """Yield the field at the directions of an object plane, of one just before the main lens."""
+        """Yield the field at the directions of an object plane, from the field directly before the main lens."""
         return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
     def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
-        """Take gradients by the fields of all subsets at an object plane's directions back to the amplitudes."""
+        """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
         on_array = [arrays.zeros(strip.to_mla.shape, np.complex64) for strip in self._grids.strips]
@@ -402,15 +403,15 @@ class BackwardFields:
         return np.concatenate(found)
 
     def power(self, field: Field) -> float:
-        """Power that passes the pupil, in pixel values times pixels."""
+        """Return the power of a field that passes the pupil, in pixel values times pixels."""
         x, y = self._grids.pupil
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
 
     def _on_array(self, strip: Strip, amplitude: NDArray[np.float32], subset: tuple[int, int] | None) -> Rows:
-        """Return the field on the MLA from a strip of the detector, from all lenses or from a subset.
+        """Return the field on the MLA from a strip of the detector, of all lenses or of a subset.
 
-        Light that strays to a cell from another lens's pixels is deflected by a micro-image and misses the main lens.
-        So the light of all lenses may propagate to the MLA at once, and a subset is the light that passes its lenses.
+        Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
+        So the light of all lenses may propagate to the MLA at once; a subset is the light that passes its lenses.
         """
         step, camera = strip.to_mla, self._camera
         light = converging(step, camera, self._wavelength, self._interleave, subset)
@@ -432,7 +433,7 @@ class BackwardFields:
             yield slice(rows.start * n, rows.stop * n), part
 
     def _add_within(self, field: Field, blocks: Rows) -> None:
-        """Add lines to a field within the pupil, whose edge is softened over one sample."""
+        """Add lines to a field within the pupil, with the pupil's edge softened over one sample."""
         for lines, samples in blocks:
             numbers, places, passed = self._pupil.edge(lines)
             to_device = self._workspace.libraries.arrays.asarray
@@ -443,7 +444,7 @@ class BackwardFields:
                 field[number, chord] += line[chord]
 
     def _whole(self, blocks: Rows, step: Step) -> Field:
-        """Gather the rows of a field at the destination samples of a step."""
+        """Return the field at the destination samples of a step, gathered from blocks of rows."""
         field = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
         for rows, samples in blocks:
             field[rows] = samples
@@ -470,17 +471,17 @@ class _Pupil:
         self._lines, self._passed = lines, arrays.asarray(passed.astype(np.float32))
 
     def chord(self, line: int) -> slice:
-        """Return the samples of a line that pass, at least in part."""
+        """Return the slice of a line's samples that pass, at least in part."""
         return slice(int(self._first[line]), int(self._end[line]))
 
     def edge(self, lines: slice) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
-        """Return the samples of some lines at the edge, by line and place, and the part of the field that passes."""
+        """Return edge samples of some lines, by line and position, and the part of the field that passes."""
         own = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
         return self._lines[own] - lines.start, self._places[own], self._passed[own]
 
 
 def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
-    """Return the main lens, less the path to the point of the object plane in the middle of a zone of the field."""
+    """Return the main lens as an element, less the path to the object point in the middle of a zone of the field."""
     light, pitch = zone.light, min(step.x.pitch, step.y.pitch)
 
     # Lines of the main lens are along y.
@@ -494,9 +495,9 @@ def _main_lens(step: Directions, zone: FieldZone) -> ThinElement:
 def microlenses(
     step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
 ) -> ThinElement:
-    """Return the microlenses of a subset in the source plane of a step, by the remainders of indices; others are dark.
+    """Return the microlenses of a subset, in the source plane of a step; other lenses are opaque.
 
-    The period of the subset is `interleave`, in both indices of the lattice.
+    The period of the subset is `interleave` in both lattice indices, and `subset` are the indices' remainders.
     """
 
     def lens(x: Any, y: Any) -> Any:
@@ -513,7 +514,7 @@ def converging(
     interleave: int = 1,
     subset: tuple[int, int] | None = None,
 ) -> ThinElement:
-    """Return the element that makes light on the detector converge to the centres of all lenses, or of a subset."""
+    """Return the element that makes detector light converge to the centres of all lenses, or of a subset."""
     b, z = camera.mla_distance, camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
@@ -528,7 +529,7 @@ def converging(
 
 
 def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float] | None:
-    """Return the centre of a lens, where the array is a function of x times one of y."""
+    """Return a lens's centre if the array's transmission is a product of functions of x and y, otherwise None."""
     x, y = camera.lattice.centre(*map(float, index))
     return (float(x), float(y)) if is_separable(camera) else None
 

@@ -1,4 +1,4 @@
-"""Animations: GIF, and MP4 where imageio-ffmpeg is installed."""
+"""Animations as GIF, and as MP4 if imageio-ffmpeg is installed."""
 
 from __future__ import annotations
 
@@ -64,34 +64,26 @@ def write_animation(
     """
     path = Path(path)
     scale = scale or enlargement(frames[0][0], _LONGEST)
-    pictures = [_labelled(Image.fromarray(to_bytes(enlarge(image, scale), white)), text) for image, text in frames]
+    pictures = [Image.fromarray(to_bytes(enlarge(image, scale), white)) for image, _ in frames]
+    for picture, (_, text) in zip(pictures, frames, strict=True):
+        if text:
+            size = max(9, picture.height // 20)
+            at = (size // 2, picture.height - size // 2)
+            ink, edge = (255, 0) if picture.mode == "L" else ((255,) * 3, (0,) * 3)
+            font = ImageFont.load_default(size)
+            drawn = ImageDraw.Draw(picture)
+            drawn.text(at, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge)
     writer = require_animation(path)
     with atomic_output(path, *ANIMATED) as temporary:
         if writer is None:
             first, *rest = pictures
             first.save(temporary, save_all=True, append_images=rest, duration=round(1000 / _RATE), loop=0)
-        else:
-            _write_mp4(writer, temporary, pictures)
-
-
-def _labelled(picture: Image.Image, text: str) -> Image.Image:
-    """Return a picture with an outlined text of suitable size."""
-    if text:
-        size = max(9, picture.height // 20)
-        at = (size // 2, picture.height - size // 2)
-        ink, edge = (255, 0) if picture.mode == "L" else ((255,) * 3, (0,) * 3)
-        font = ImageFont.load_default(size)
-        drawn = ImageDraw.Draw(picture)
-        drawn.text(at, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge)
-    return picture
-
-
-def _write_mp4(writer: Any, path: Path, pictures: Sequence[Image.Image]) -> None:
-    """Write H.264, which needs even sides: an odd side loses its last line."""
-    width, height = (side // 2 * 2 for side in pictures[0].size)
-    # Without a macro block size of its own the writer would resize.
-    video = writer.write_frames(str(path), (width, height), fps=_RATE, quality=8, macro_block_size=2)
-    video.send(None)
-    for picture in pictures:
-        video.send(np.ascontiguousarray(np.asarray(picture.convert("RGB"))[:height, :width]))
-    video.close()
+            return
+        # H.264 needs even sides: an odd side loses its last line.
+        width, height = (side // 2 * 2 for side in pictures[0].size)
+        # Without a macro block size of its own the writer would resize.
+        video = writer.write_frames(str(temporary), (width, height), fps=_RATE, quality=8, macro_block_size=2)
+        video.send(None)
+        for picture in pictures:
+            video.send(np.ascontiguousarray(np.asarray(picture.convert("RGB"))[:height, :width]))
+        video.close()

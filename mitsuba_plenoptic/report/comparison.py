@@ -46,6 +46,15 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
 
     Both captures have the main lens that the sensor's `lens_model` states, so that they differ by diffraction, at the
     pupil and at the microlenses.
+
+    Parameters
+    ----------
+    settings : Settings
+        Scene, camera, distances and samples.
+    output : Path
+        The folder of the report, its figures and its data.
+    stages : StageOptions, optional
+        What finished stages are kept for, and how progress is shown.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages))
@@ -87,7 +96,7 @@ _COHERENT = ("coherent", "partial")
 
 
 def measure(experiment: Experiment) -> dict[str, Any]:
-    """Return comparisons of the captures, and of the reconstructions with thin lens and one-lens limit."""
+    """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
     ray, wave = experiment.ray.image, experiment.wave.image
     return {
         "captures": {
@@ -117,7 +126,7 @@ def _against_points(experiment: Experiment) -> dict[str, float] | None:
 
 
 def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
-    """Return the row of a table that has the wanted values."""
+    """Return the first row of a table that has the given values."""
     return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
 
 
@@ -189,7 +198,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
 
 
 def _depth(low: np.ndarray) -> float:
-    """Distance of a flat shape, without the noise of single precision."""
+    """Return the distance of a flat shape in mm, rounded to remove the noise of single precision."""
     return round(float(low[2]), 3)
 
 

@@ -1,4 +1,4 @@
-"""Quantities that follow from a camera's parameters, as a sheet."""
+"""The design sheet: quantities that follow from a camera's parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,19 @@ from .lens_drawing import field_figures, lateral_colour
 
 
 class Row(NamedTuple):
-    """One quantity of the design sheet: name, value and unit."""
+    """One quantity of the design sheet: name, value and unit.
+
+    Attributes
+    ----------
+    group : str
+        The heading that it stands below.
+    quantity : str
+        Its name.
+    value, unit : str
+        Its value and unit as text.
+    note : str
+        A remark; an empty text means none.
+    """
 
     group: str
     quantity: str
@@ -34,27 +46,29 @@ _Line = tuple[str, str, str, str]
 
 
 def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> list[Row]:
-    """Return the rows of a camera's parameters and derived quantities; without a wavelength not of diffraction."""
-    if camera.objective is not None or isinstance(camera.main_lens, Collimator):
-        if camera.objective is not None:
-            seen = _microscope_groups(camera, camera.objective, wavelength)
-        else:
-            seen = {"Telescope": _telescope(camera, wavelength)}
-        common = {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
-        return [Row(group, *line) for group, lines in (seen | common).items() for line in lines]
-    groups = {
-        "Main lens": _main_lens(camera),
-        **(
-            {} if camera.prescription is None else {"Surfaces of the main lens": _surfaces(camera, camera.prescription)}
-        ),
-        "Microlenses": _microlenses(camera),
-        "Detector": _detector(camera),
-        "Micro-images": _micro_images(camera),
-        "Resolution": _resolution(camera, wavelength),
-        "Refocusing": _refocusing(camera, wavelength),
-    }
-    if wavelength is not None:
-        groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
+    """Return a camera's parameters and derived quantities as rows; diffraction only with a wavelength."""
+    if (lens := camera.objective) is not None:
+        groups = {"Objective": _objective(camera, lens)}
+        groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
+        if wavelength is not None:
+            groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
+        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+    elif isinstance(camera.main_lens, Collimator):
+        groups = {"Telescope": _telescope(camera, wavelength)}
+        groups |= {"Microlenses": _lattice(camera), "Detector": _detector(camera)}
+    else:
+        groups = {"Main lens": _main_lens(camera)}
+        if camera.prescription is not None:
+            groups["Surfaces of the main lens"] = _surfaces(camera, camera.prescription)
+        groups |= {
+            "Microlenses": _microlenses(camera),
+            "Detector": _detector(camera),
+            "Micro-images": _micro_images(camera),
+            "Resolution": _resolution(camera, wavelength),
+            "Refocusing": _refocusing(camera, wavelength),
+        }
+        if wavelength is not None:
+            groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
     return [Row(group, *line) for group, lines in groups.items() for line in lines]
 
 
@@ -93,7 +107,7 @@ def _aberrations(camera: PlenopticCamera) -> list[_Line]:
 
 
 def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
-    """Return lines with paraxial quantities of a real main lens, and its spots and light over the field."""
+    """Return lines with a real main lens's paraxial quantities, and its spots and light over the field."""
     cardinal = paraxial(lens)
     scale = camera.focal_length / cardinal.focal_length
     wanted = f"at {lens.wavelength:g} nm"
@@ -214,7 +228,7 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
 
 
 def _seen(camera: PlenopticCamera) -> str:
-    """Return a sentence on what the microlenses see."""
+    """Return a sentence on the image that the microlenses see."""
     if design.focus_type(camera) == "unfocused":
         return "the microlenses see the main lens"
     distances = design.mla_object_distances(camera)
@@ -223,7 +237,7 @@ def _seen(camera: PlenopticCamera) -> str:
 
 
 def _is_imaged(camera: PlenopticCamera, distance: float) -> bool:
-    """Whether the main lens forms an image of a plane at a finite distance."""
+    """Return whether the main lens forms an image of a plane at a finite distance."""
     try:
         image_distance(camera.focal_length, distance)
     except InputError:
@@ -285,22 +299,17 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
     near, far = design.refocus_range(camera, wavelength)
     for distance in dict.fromkeys((near, *design.best_distances(camera), far)):
         if camera.focal_length < distance < math.inf:
-            rows.append(_deconvolved(camera, distance, wavelength))
+            limit = design.resolution_limit(camera, distance, wavelength)
+            note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
+            if limit.in_focus:
+                note = "in focus: the lens pitch decides, deconvolution does not help"
+            note = f"at {_four(distance)} mm; {note}"
+            rows.append(("resolution, deconvolved", _four(limit.frequency), "lp/mm", note))
     return rows
 
 
-def _deconvolved(camera: PlenopticCamera, distance: float, wavelength: float) -> _Line:
-    """Return the line on the resolution of deconvolution at a distance."""
-    limit = design.resolution_limit(camera, distance, wavelength)
-    if limit.in_focus:
-        note = "in focus: the lens pitch decides, deconvolution does not help"
-    else:
-        note = f"{limit.frequency / limit.lenses:.2g} times one sample a lens"
-    return "resolution, deconvolved", _four(limit.frequency), "lp/mm", f"at {_four(distance)} mm; {note}"
-
-
 def _distance(value: float) -> tuple[str, str]:
-    """Return a distance and its unit as texts, also for no plane and for infinity."""
+    """Return a distance and its unit as texts; the text may be that for infinity or for no plane."""
     if value < 0:
         return "none", ""
     return ("infinity", "") if math.isinf(value) else (_four(value), "mm")
@@ -314,7 +323,7 @@ def _range(limits: tuple[float, float] | None) -> tuple[str, str]:
 
 
 def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]]:
-    """Return ranges with overlapping ones joined, nearest first."""
+    """Return ranges of distances, nearest first, with overlapping ones joined."""
     union: list[tuple[float, float]] = []
     for near, far in sorted(limits for limits in ranges if limits is not None):
         if union and near <= union[-1][1]:
@@ -325,12 +334,12 @@ def _union(ranges: list[tuple[float, float] | None]) -> list[tuple[float, float]
 
 
 def _four(value: float) -> str:
-    """Return a number as text with four digits, without an exponent for sizes of cameras."""
+    """Return a number as text with four digits, without an exponent for sizes usual in cameras."""
     return f"{value:.4g}"
 
 
 def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]:
-    """Return the lines about a telescope with a collimator and what its Shack-Hartmann sensor sees."""
+    """Return the lines about a telescope with a collimator, as the fore-optics of a Shack-Hartmann sensor."""
     image = camera.blur_diameter(math.inf)
     # Angles before the telescope are smaller by the magnification of the pupil than those at the array.
     to_sky = math.degrees(image / camera.aperture_diameter / camera.reduced_distance) * 3600
@@ -350,16 +359,9 @@ def _telescope(camera: PlenopticCamera, wavelength: float | None) -> list[_Line]
     return rows + _aberrations(camera)
 
 
-def _microscope_groups(camera: PlenopticCamera, lens: Objective, wavelength: float | None) -> dict[str, list[_Line]]:
-    """Return the groups of the sheet about the objective and the view through it."""
-    groups = {"Objective": _objective(camera, lens)}
-    groups["Array"] = _fourier(camera, lens) if lens.images_stop else _image(camera, lens)
-    if wavelength is not None:
-        groups[f"Diffraction at {wavelength:g} nm"] = _microscope_diffraction(camera, lens, wavelength)
-    return groups
-
-
 def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
+    nearest, farthest = design.depth_of_field(camera)
+    depths = "nothing is sharp" if math.isnan(nearest) else f"{_four(1e3 * nearest)} to {_four(1e3 * farthest)}"
     return [
         ("magnification", f"{lens.magnification:g}", "", f"{_four(lens.image_aperture)} NA in the native image"),
         ("numerical aperture", f"{lens.numerical_aperture:g}", "", f"up to {math.degrees(lens.half_angle):.3g} deg"),
@@ -367,13 +369,8 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
         ("focal length", _four(lens.focal_length), "mm", f"tube lens of {_four(lens.tube_focal_length)} mm"),
         ("stop", _four(2 * lens.stop_radius), "mm", "diameter, in the back focal plane"),
         ("object seen", _four(1e3 * design.native_field(camera)), "um", "width"),
-        ("depth of field", _depths(design.depth_of_field(camera)), "um", "by rays, of microlenses or by refocusing"),
+        ("depth of field", depths, "um", "by rays, of microlenses or by refocusing"),
     ]
-
-
-def _depths(limits: tuple[float, float]) -> str:
-    """Return depths in micrometres as text, nearest first."""
-    return "nothing is sharp" if math.isnan(limits[0]) else " to ".join(_four(1e3 * limit) for limit in limits)
 
 
 def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:

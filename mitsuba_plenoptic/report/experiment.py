@@ -27,9 +27,22 @@ _RAYS_PER_PASS = 2**24
 
 
 def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
-    """Return the image by a thin lens of the camera's aperture focused at `distance`, one pixel per bin.
+    """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
 
-    There are `oversample` bins per lens along each axis.
+    Reconstructions of the same distance have the same bins, and can be compared with the image bin by bin.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene, in a variant of one colour.
+    camera : PlenopticCamera
+        The camera; its main lens is taken as ideal.
+    distance : float
+        Distance of the plane in focus, in millimetres.
+    spp : int
+        Samples per pixel.
+    oversample : int
+        Bins per lens along each axis.
     """
     columns, rows = camera.bin_count
     lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
@@ -38,7 +51,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
 
 
 def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
-    """Return the sharp image of the camera's field of view from the centre of its main lens, `columns` wide."""
+    """Return the sharp image of the camera's field from the centre of its main lens, `columns` pixels wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
     return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
 
@@ -48,7 +61,7 @@ _FARTHEST = 1e12
 
 
 def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, int], **lens: Any) -> Any:
-    """Return a sensor of Mitsuba with the camera's field, at the position of the scene's first sensor."""
+    """Return a Mitsuba sensor with the camera's field, at the position of the scene's first sensor."""
     width = camera.bin_count[0] * camera.mla_pitch
     return mi.load_dict(
         {
@@ -88,7 +101,7 @@ _FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
-    """A method of refocusing: name, title in figures, options of `reconstruct`, and the capture it refocuses."""
+    """A refocusing method: name, title in figures, options of `reconstruct`, and the capture that it refocuses."""
 
     name: str
     title: str
@@ -113,32 +126,51 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment: scene, camera, distances and methods."""
+    """The settings of an experiment: scene, camera, distances and methods.
 
-    # A scene file or a built-in name.
+    Parameters
+    ----------
+    scene : str
+        A scene file or a built-in name.
+    distances : tuple of float
+        Distances of the figures and metrics, where all methods are used, in millimetres.
+    slider : tuple of float
+        Distances of the report's slider, in millimetres.
+    parameters : mapping of str to str
+        Values for the scene's ``$name`` parameters.
+    camera : mapping, optional
+        Parameters by name of the camera that replaces the scene's.
+    camera_name : str, optional
+        What the command calls this camera.
+    unit : {"mm", "cm", "m"}
+        Unit of the scene's lengths.
+    wavelength : float
+        Wavelength in nanometres.
+    spp : int
+        Samples per pixel of both captures.
+    points : int, optional
+        Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
+        Default: no such capture.
+    truth_spp : int
+        Samples per pixel of the thin lens.
+    noise : bool
+        Whether the captures keep the noise of their samples, which takes two of each at least.
+    variant : str
+        A variant of Mitsuba in one colour channel.
+    """
+
     scene: str
-    # Distances of the figures and metrics, where all methods are used.
     distances: tuple[float, ...]
-    # Distances of the report's slider.
     slider: tuple[float, ...] = ()
-    # Values for the scene's ``$name`` parameters.
     parameters: Mapping[str, str] = field(default_factory=dict)
-    # Parameters by name of the camera that replaces the scene's, and what the command calls it.
     camera: Mapping[str, Any] | None = None
     camera_name: str | None = None
-    # Unit of the scene's lengths.
     unit: str = "mm"
     wavelength: float = 633.0
-    # Samples per pixel of both captures.
     spp: int = 16
-    # Points per lens of another wave capture, point by point, with which the one from signed rays is compared. Default:
-    # no such capture.
     points: int | None = None
-    # Samples per pixel of the thin lens.
     truth_spp: int = 1024
-    # Whether the captures keep the noise of their samples, which takes two of each at least.
     noise: bool = False
-    # A variant of Mitsuba in one colour channel.
     variant: str = DEFAULT_VARIANT
 
 
@@ -167,7 +199,7 @@ class Experiment:
     seconds: dict[str, float]
 
     def image(self, method: str, distance: float) -> np.ndarray:
-        """Return the reconstruction of a method, or for ``truth`` the thin lens's image."""
+        """Return the reconstruction by a method at a distance, or for ``truth`` the thin lens's image."""
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
@@ -261,7 +293,14 @@ def load_with_sensor(
     name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
 ) -> Any:
     """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
-    scene = load_scene(name, parameters=parameters, unit=unit)
+    level = mi.log_level()
+    try:
+        if mi.is_monochromatic:
+            # Mitsuba warns that films of colours record luminance, which the variant says.
+            mi.set_log_level(mi.LogLevel.Error)
+        scene = load_scene(name, parameters=parameters, unit=unit)
+    finally:
+        mi.set_log_level(level)
     if camera is not None:
         return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
     with naming(name):
@@ -270,7 +309,7 @@ def load_with_sensor(
 
 
 def open_store(output: Path, stages: StageOptions | None) -> Stages:
-    """Return the store of an output folder, checked before the work and made with the first stage."""
+    """Return the store in an output folder, checked before the work and created with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
@@ -282,7 +321,7 @@ def open_store(output: Path, stages: StageOptions | None) -> Stages:
 def refocused(
     store: Stages, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
 ) -> np.ndarray:
-    """Return the reconstruction of a capture with some key, by options of `reconstruct`, as a stage."""
+    """Return the reconstruction of a capture, identified by a key, by options of `reconstruct`, as a stage."""
 
     def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
         result: Reconstruction = reconstruct(capture, distance, progress=progress, **options)
@@ -293,7 +332,7 @@ def refocused(
 
 
 def _grey(capture: Capture) -> Capture:
-    """Return a capture of a mono variant, whose film has three equal channels, with one channel."""
+    """Return a mono variant's capture, whose film has three equal channels, with one channel."""
     if capture.image.ndim == 2:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]

@@ -1,6 +1,6 @@
-"""Figures for papers: images in rows and columns with a colour bar and scale bars, depth maps, epipolar images.
+"""Figures for papers: images in rows and columns with colour bar and scale bars, depth maps, epipolar images.
 
-All are as wide as a column or a page, with text of 7 points, and are written as PNG or PDF. What is NaN is hatched.
+All figures are as wide as a column or a page, with text of 7 points, and are written as PNG or PDF. NaN is hatched.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _MOST_LABELS = 9
 
 @dataclass(frozen=True)
 class Panel:
-    """Image of a sheet with its title and, if known, its width in millimetres of the object."""
+    """Image on a sheet with its title and, if known, its width in millimetres of the object."""
 
     image: np.ndarray
     title: str = ""
@@ -84,15 +84,14 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     methods = list(dict.fromkeys(one.method for one in results))
     distances = sorted({one.distance for one in results})
 
-    def panel(row: int, method: str, distance: float) -> Panel:
-        one = found.get((method, distance))
-        title = _distance(distance) if row == 0 else ""
+    def panel(method: str, distance: float) -> Panel:
+        one, title = found.get((method, distance)), _distance(distance)
         if one is None:
             return Panel(np.zeros((0, 0)), title)
         width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
         return Panel(one.image, title, width)
 
-    rows = [[panel(row, method, distance) for distance in distances] for row, method in enumerate(methods)]
+    rows = [[panel(method, distance) for distance in distances] for method in methods]
     return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
 
 
@@ -126,7 +125,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
 
 
 def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
-    """Return a figure of a light field's views as they lie on the pupil, labelled by u and v.
+    """Return a figure of a light field's views, arranged as they lie on the pupil and labelled by u and v.
 
     Parameters
     ----------
@@ -193,7 +192,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     Parameters
     ----------
     found : xarray.Dataset
-        As `depth_map` returns it. Where its depth is NaN it is hatched.
+        Depth map from `depth_map`; where the depth is NaN, the figure is hatched.
     white : float, optional
         As for `contact_sheet`.
 
@@ -208,7 +207,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     gap, margin = 0.26, 0.12
     wide = (_PAGE - 2 * gap - 2 * margin) / 3
     tall = wide * depth.shape[0] / depth.shape[1]
-    canvas = Canvas(_PAGE, _TITLE + tall + 0.5, _DPI)
+    canvas = Canvas(_PAGE, _TITLE + tall + 0.54, _DPI)
     unknown = "" if known.size == depth.size else "; hatched: unknown"
     parts: list[tuple[str, np.ndarray, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
@@ -233,7 +232,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
 
 
 def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Canvas:
-    """Return a figure of panels of one size and scale, with labels at the left of rows and bars below."""
+    """Return a figure of panels of equal size and scale, with labels on the left and bars below."""
     images = [panel.image for row in rows for panel in row if panel.image.size]
     aspect = images[0].shape[0] / images[0].shape[1]
     grey = images[0].ndim == 2
@@ -269,7 +268,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
 
 
 def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
-    """Return the scale of radiances from black to white, encoded in sRGB as pictures are."""
+    """Return the scale of radiances from black to white, encoded in sRGB like pictures."""
     peak = Brightness().peak(images) if white is None else white
     return FuncNorm(
         (lambda values: srgb(np.clip(np.asarray(values) / peak, 0, None)), lambda codes: peak * linear_of(codes)),
@@ -299,7 +298,7 @@ def _state(axes: Axes, text: str) -> None:
 
 
 def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
-    """Return the width of images in the plane in focus, None without a camera."""
+    """Return the width in mm of images in the plane in focus, None without a camera."""
     if "camera" not in lf.attrs or "s" not in lf.coords:
         return None
     return abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
@@ -312,23 +311,23 @@ def _radiance_bar(canvas: Canvas, drawn: Any, values: np.ndarray, left: float, t
 
 
 def _end(values: np.ndarray, norm: Normalize) -> str:
-    """Return the shape of a scale's end: an arrow where values surpass the end."""
+    """Return the shape of a scale's end: an arrow if values exceed the end."""
     return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
 
 
 def _sampled(lf: xr.DataArray) -> np.ndarray:
-    """Return the samples of a light field, NaN where no light comes from."""
+    """Return the samples of a light field; NaN where no light comes from."""
     return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
 
 
 def _edges(positions: np.ndarray) -> tuple[float, float]:
-    """Return the outer edges of evenly spaced samples; a single one is drawn 1 wide."""
+    """Return the outer edges of evenly spaced samples; a single sample is drawn 1 wide."""
     half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
 
 
 def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
-    """Return labels of positions, so few that they do not overlap; the first names the quantity."""
+    """Return labels of positions, few enough not to overlap; the first names the quantity."""
     every = -(-len(positions) // _MOST_LABELS)
     texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]

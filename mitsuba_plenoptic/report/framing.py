@@ -1,4 +1,4 @@
-"""Which part of an image to show, how bright, and where to look closely."""
+"""Framing of images in figures: the part to show, the brightness, and the places of close-ups."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LENSES = 8
 
 
 class Window(NamedTuple):
-    """Part of an image, in fractions of its height and width."""
+    """Part of an image, given in fractions of its height and width."""
 
     top: float
     bottom: float
@@ -47,7 +47,7 @@ class Window(NamedTuple):
 
 
 class Zoom(NamedTuple):
-    """A position on the detector to look at closely: a title, and a window of whole pixels."""
+    """A close-up of the detector: a title, and a window of whole pixels."""
 
     title: str
     rows: slice
@@ -55,7 +55,7 @@ class Zoom(NamedTuple):
 
 
 def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
-    """Return the part of the field, symmetric about its middle, that holds the light of all images."""
+    """Return the part of the field, symmetric about its middle, that contains the light of all images."""
     reach = []
     for axis in (1, 0):
         ends = []
@@ -70,10 +70,13 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
 
 
 def brightest_zoom(experiment: Experiment) -> Zoom:
-    """Return a close-up where a capture has most contrast from lens to lens."""
+    """Return a close-up at the place where a capture has the most contrast from lens to lens."""
     camera = experiment.camera
     columns, rows = camera.bin_count
-    gradient = np.hypot(*np.gradient(_resize_mean(experiment.ray.image, rows, columns)))
+    of_lenses = experiment.ray.image
+    for axis, count in enumerate((rows, columns)):
+        of_lenses = np.stack([part.mean(axis) for part in np.array_split(of_lenses, count, axis)], axis)
+    gradient = np.hypot(*np.gradient(of_lenses))
     half = _LENSES // 2
     inner = gradient[half : rows - half, half : columns - half]
     row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
@@ -82,7 +85,7 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
 
 
 def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
-    """Return a window of whole micro-images around the detector point of a chief ray of slopes (x, y)."""
+    """Return a close-up of whole micro-images around the detector point of a chief ray with slopes (x, y)."""
     half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
     pitch = camera.micro_image_pitch
     spans = []
@@ -93,12 +96,6 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
         first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))
         spans.append(slice(first, first + size))
     return Zoom(title, spans[0], spans[1])
-
-
-def _resize_mean(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Return an image averaged over a grid of cells."""
-    by_row = np.stack([part.mean(axis=0) for part in np.array_split(image, rows, axis=0)])
-    return np.stack([part.mean(axis=1) for part in np.array_split(by_row, columns, axis=1)], axis=1)
 
 
 _DPI = 160
@@ -136,7 +133,7 @@ class Canvas:
         text: float = 8,
         extend: str = "neither",
     ) -> Any:
-        """Add the scale of an image along the longer side of the given rectangle, and return it."""
+        """Add a colour bar for an image along the longer side of a rectangle, and return it."""
         along = "vertical" if height > width else "horizontal"
         axes = self.axes(left, top, width, height)
         bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
@@ -167,12 +164,12 @@ def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None
 
 
 def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
-    """Draw a difference from blue at `-bound` to red; return the artist for a colour bar."""
+    """Draw a difference in colours from blue at `-bound` to red at `bound`; return the artist for a colour bar."""
     return axes.imshow(difference, cmap="RdBu_r", vmin=-bound, vmax=bound, interpolation="auto", aspect="auto")
 
 
 def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "") -> None:
-    """Write above, at the side of and below an image."""
+    """Write texts above, beside and below an image."""
     axes.set_title(title, size=10, color=_INK, loc="left", pad=6)
     axes.set_ylabel(side, size=10, color=_INK, labelpad=6)
     axes.set_xlabel(foot, size=8, color=_FAINT, labelpad=4)
@@ -203,9 +200,10 @@ ON_DETECTOR, IN_FOCUS = "on the detector", "in the plane in focus"
 def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
     """Draw a bar of a round length into or below a picture that is `width` millimetres wide.
 
-    Its label states the length and the plane in which it is one.
+    The label states the bar's length and the plane in which it is measured.
     """
-    length = _bar_length(width)
+    digit = 10.0 ** math.floor(math.log10(0.3 * width))
+    length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
     fraction, label = length / width, f"{length:g} mm {plane}".strip()
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")
@@ -219,14 +217,8 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
         axes.text(x, y + 1.8 * height, label, color=colour, size=size, va="bottom", path_effects=outline, **frame)
 
 
-def _bar_length(width: float) -> float:
-    """Return a round length that suits a field of a width."""
-    digit = 10.0 ** math.floor(math.log10(0.3 * width))
-    return next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
-
-
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
-    """Draw a scale bar in an object plane; at infinity, where there are no lengths, nothing."""
+    """Draw a scale bar for an object plane; none for a plane at infinity, where there are no lengths."""
     if math.isfinite(distance):
         width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
         scale_bar(axes, width, f"at {distance:g} mm")

@@ -1,4 +1,4 @@
-"""Images as pictures: how bright they are drawn, and PNG files."""
+"""Images as pictures: the value drawn as white, and PNG files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def write_png(path: str | Path, image: np.ndarray, *, peak: float | None = None)
 def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
     """Return a linear image (rows, columns[, 3]) encoded in 8 bits, sRGB.
 
-    `peak`, by default the image's maximum, becomes white, and what is negative or not a number becomes black.
+    `peak`, by default the image's maximum, becomes white; negative values and NaN become black.
     """
     values = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if peak is None:
@@ -44,10 +44,10 @@ def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
 
 
 def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
-    """Return a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads its values.
+    """Return a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads the values.
 
-    The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits the upper eight are above
-    the lower eight in one picture. NaN is transparent. What is beyond the range is moved into it.
+    The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits, the upper eight are stored
+    above the lower eight in one picture. NaN is transparent. Values out of range are clipped.
     """
     known = np.isfinite(image if image.ndim == 2 else image.sum(axis=2))
     values = np.where(known if image.ndim == 2 else known[..., None], image, 0)
@@ -56,10 +56,20 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
     if not known.all():
         opaque = np.tile(known, (bits // 8, 1)).astype(np.uint8) * 255
         pixels = np.dstack([pixels, opaque])
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="PNG")
-    source = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    source = data_url("png", encoded(Image.fromarray(pixels), format="PNG"))
     return {"source": source, "bits": bits, "full": full, "channels": 1 if image.ndim == 2 else 3}
+
+
+def encoded(picture: Image.Image, **options: Any) -> bytes:
+    """Return the content of a picture's file, by Pillow's options for saving it."""
+    buffer = io.BytesIO()
+    picture.save(buffer, **options)
+    return buffer.getvalue()
+
+
+def data_url(kind: str, content: bytes) -> str:
+    """Return the URL that holds the content of a picture's file."""
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def enlarge(image: np.ndarray, scale: int) -> np.ndarray:
@@ -68,7 +78,7 @@ def enlarge(image: np.ndarray, scale: int) -> np.ndarray:
 
 
 def enlargement(image: np.ndarray, longest: int = LONGEST) -> int:
-    """Return the whole factor, at least 1, by which an image's longer side becomes nearly `longest` pixels."""
+    """Return the integer factor, at least 1, that makes an image's longer side at most `longest` pixels."""
     return max(1, longest // max(image.shape[:2]))
 
 
@@ -103,13 +113,19 @@ _BULK, _ALIKE, _SHARE, _HIGHLIGHT = 90.0, 10.0, 0.1, 5.0
 
 @dataclass(frozen=True)
 class Brightness:
-    """Rule for the value that becomes white; brighter values are white, too."""
+    """Rule for the value drawn as white; brighter values are white, too.
 
-    # In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
+    Parameters
+    ----------
+    exposure : float, optional
+        In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
+    percentile : float, optional
+        Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default:
+        99.5 where there is no exposure, and less where a highlight would make a picture dark that is lit all over. If
+        the value is black, the brightest becomes white.
+    """
+
     exposure: float | None = None
-    # Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default: 99.5
-    # where there is no exposure, and less where a highlight would make a picture dark that is lit all over. If the
-    # value is black, the brightest becomes white.
     percentile: float | None = None
 
     def __post_init__(self) -> None:
@@ -121,7 +137,7 @@ class Brightness:
             require_number("percentile", self.percentile, positive=True, maximum=100)
 
     def peak(self, images: Sequence[np.ndarray]) -> float:
-        """Return the value that becomes white in pictures that are looked at together; NaN is ignored."""
+        """Return the value drawn as white in pictures that are viewed together; NaN is ignored."""
         if self.exposure is not None:
             return float(2.0**-self.exposure)
         values = np.concatenate([image[np.isfinite(image)] for image in images])

@@ -1,4 +1,4 @@
-"""The means of rendering on this machine, and whether they suffice."""
+"""Check of this machine's installation: what rendering needs, and whether it suffices."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def inspect_installation() -> Installation:
 
 
 def _state(variant: str, cuda: bool, problem: str | None) -> str:
-    """Return a sentence on whether a variant works, and how much of it a wave capture uses."""
+    """Return a sentence on whether a variant works here, and which of its functions wave captures use."""
     if not cuda if variant.startswith("cuda") else problem:
         return "not usable here"
     if "polarized" in variant:
@@ -72,8 +72,14 @@ def _llvm() -> list[tuple[str, str]]:
 
 def _gpu(cuda: bool) -> list[tuple[str, str]]:
     cupy = next((found for name in _CUPY if (found := _version(name)) != _MISSING), None)
+    device = "no NVIDIA driver"
+    if shutil.which("nvidia-smi"):
+        command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+        answer = subprocess.run(command, capture_output=True, text=True, check=False)
+        lines = answer.stdout.strip().splitlines() if answer.returncode == 0 else []
+        device = lines[0].replace(", ", ", driver ") if lines else device
     return [
-        ("device", _nvidia_device() or "no NVIDIA driver"),
+        ("device", device),
         ("CUDA", "usable" if cuda else "not usable"),
         (
             "CuPy",
@@ -87,17 +93,3 @@ def _version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return _MISSING
-
-
-def _nvidia_device() -> str | None:
-    """Name and driver version of the first NVIDIA device, if its driver answers."""
-    if not shutil.which("nvidia-smi"):
-        return None
-    answer = subprocess.run(
-        ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    lines = answer.stdout.strip().splitlines() if answer.returncode == 0 else []
-    return lines[0].replace(", ", ", driver ") if lines else None

@@ -17,7 +17,7 @@ from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
 from ..runtime.files import require_writable
-from .framing import Canvas
+from .framing import Canvas, scale_bar
 
 _ACROSS = 201
 """Rays across the pupil."""
@@ -28,12 +28,12 @@ _WIDER = 1.5
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """The effect of a main lens on the light at one distance from the axis of the microlens array (MLA).
+    """Effects of a main lens on light at one distance from the axis on the microlens array (MLA).
 
     Parameters
     ----------
     height : float
-        That distance in millimetres.
+        Distance from the axis in millimetres.
     spot : float
         Root mean square radius of a point's image, projected onto the MLA, in millimetres; NaN where all is dark.
     light : float
@@ -60,13 +60,13 @@ class _DrawnRays:
     def directions(
         self, height: float, slopes: tuple[np.ndarray, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return X/g and Y/g of the object points that rays meet, and which rays get through."""
+        """Return X/g and Y/g of the object points where rays arrive, and a mask of rays that pass."""
         point, slope, is_open = self.lens.trace((np.zeros_like(slopes[0]), np.full_like(slopes[0], height)), slopes)
         X, Y = (p / self._g + (1 - point[2] / self._g) * t for p, t in zip(point[:2], slope, strict=True))
         return X, Y, is_open
 
     def all_of(self, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the directions of rays all over the exit pupil, and which get through."""
+        """Return the directions of rays through the whole exit pupil, and a mask of rays that pass."""
         Px, Py = self._pupil
         distance = self.lens.pupil_distance
         return self.directions(height, (Px / distance, (Py - height) / distance))
@@ -80,8 +80,8 @@ class _DrawnRays:
 def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions on the MLA of the rays of one object point that pass the lens.
 
-    The object point is that of the chief ray of a position on the MLA. Rays are traced back from the position to the
-    object plane, and their distances from the point are scaled to the size of its image.
+    The object point is where the chief ray of a position on the MLA meets the object plane. Rays are traced back from
+    the position to that plane, and their distances from the point are scaled to the size of its image.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
     Returns
     -------
     x, y : float64 arrays (n,)
-        In millimetres; y is across to the axis.
+        Positions in millimetres; y is across to the axis.
     """
     middle = _DrawnRays(camera, None).chief(height)
     X, Y, is_open = _DrawnRays(camera, wavelength).all_of(height)
@@ -103,7 +103,7 @@ def spot(camera: PlenopticCamera, height: float, wavelength: float) -> tuple[np.
 
 
 def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[float, float]) -> float:
-    """Return the difference in image height between chief rays of the second and the first wavelength.
+    """Return the difference in image height, in mm, between chief rays of the second and the first wavelength.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def lateral_colour(camera: PlenopticCamera, height: float, wavelengths: tuple[fl
 
 
 def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Return ray paths in the plane of the axis from a position on the MLA through all surfaces, to before the lens.
+    """Return ray paths, in a plane with the axis, from a position on the MLA through all surfaces to before the lens.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
 
 
 def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[FieldFigures]:
-    """Return figures of a camera with a real main lens, by bundles traced from the MLA to the plane in focus.
+    """Return the field figures of a real main lens, from ray bundles traced from the MLA to the plane in focus.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
     Returns
     -------
     list of FieldFigures
-        One for each.
+        The figures of each height.
     """
     bundles, b = _DrawnRays(camera, None), camera.mla_distance
     figures: list[FieldFigures] = []
@@ -222,13 +222,15 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     canvas = Canvas(10.6, 7.4)
     _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, camera.prescription.name or "main lens")
     for index, part in enumerate(_FIELDS):
-        _spot(canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8), camera, part * corner)
+        spots = canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8)
+        _spot(spots, camera, part * corner)
+    spots.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     _curves(canvas.axes(7.3, 4.6, 1.1, 2.1), canvas.axes(9.1, 4.6, 1.1, 2.1), camera, corner)
     canvas.save(path)
 
 
 def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> None:
-    """Draw glasses, stop and rays from the axis, 0.7 of the field and the corner."""
+    """Draw a lens's glasses and stop, with rays from the axis, 0.7 of the field and the corner."""
     lens = main_lens(camera)
     surfaces = lens.forwards
     # From the scene to the array z falls.
@@ -260,6 +262,8 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     axes.plot([array] * 2, [-corner, corner], color=_INK, linewidth=2)
     axes.invert_xaxis()
     axes.set_aspect("equal", adjustable="datalim")
+    axes.apply_aspect()
+    scale_bar(axes, abs(float(np.diff(axes.get_xlim())[0])), below=True)
     sizes = f"f = {camera.focal_length:.4g} mm, f/{camera.f_number:.3g}, microlenses at the right"
     axes.set_title(f"{name}: {sizes}", size=10, color=_INK, loc="left")
 
@@ -279,7 +283,6 @@ def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
     axes.set_aspect("equal")
     axes.set_title(f"spot at {height:.3g} mm", size=9, color=_INK, loc="left")
     axes.set_xlabel(f"square: a microlens, {1e3 * pitch:.3g} um", size=7, color=_INK)
-    axes.legend(fontsize=6, loc="upper right", frameon=False, markerscale=4, handletextpad=0, borderpad=0)
 
 
 def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float) -> None:

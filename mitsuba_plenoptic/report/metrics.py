@@ -21,13 +21,20 @@ _WINDOW = 7
 
 @dataclass(frozen=True)
 class ImageMetrics:
-    """Differences of an image from its reference: PSNR, SSIM and others."""
+    """Differences of an image from its reference: PSNR, SSIM and others.
 
-    # Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
+    Attributes
+    ----------
+    psnr : float
+        Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
+    ssim : float or None
+        Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
+    energy : float
+        Sum over the reference's sum.
+    """
+
     psnr: float
-    # Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
     ssim: float | None
-    # Sum over the reference's sum.
     energy: float
 
 
@@ -42,7 +49,7 @@ def ssim_text(ssim: float | None) -> str:
 
 
 def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
-    """Return the factor on all images that fits them best to their references (least squares)."""
+    """Return the common factor on all images that fits them best to their references (least squares)."""
     products = sum(float(np.nansum(a * b)) for a, b in zip(images, references, strict=True))
     squares = sum(float(np.nansum(np.square(a))) for a in images)
     return products / squares if squares > 0 else 1.0
@@ -59,20 +66,14 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     peak = float(reference.max())
     mean_square = float(np.mean((image - reference) ** 2, dtype=np.float64))
     total = float(reference.sum(dtype=np.float64))
+    ssim = 1.0 if min(image.shape) >= _WINDOW else None
+    if ssim is not None and peak > 0:
+        ssim = float(skimage.metrics.structural_similarity(image, reference, win_size=_WINDOW, data_range=peak))
     return ImageMetrics(
         psnr=10 * math.log10(peak**2 / mean_square) if mean_square > 0 and peak > 0 else math.inf,
-        ssim=_similarity(image, reference, peak),
+        ssim=ssim,
         energy=float(image.sum(dtype=np.float64)) / total if total > 0 else 1.0,
     )
-
-
-def _similarity(image: np.ndarray, reference: np.ndarray, peak: float) -> float | None:
-    """Return the structural similarity of two images, None if they are smaller than its window."""
-    if min(image.shape) < _WINDOW:
-        return None
-    if peak <= 0:
-        return 1.0
-    return float(skimage.metrics.structural_similarity(image, reference, win_size=_WINDOW, data_range=peak))
 
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
@@ -83,8 +84,17 @@ def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
 def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:
     """Return the RMS difference of a reconstruction from the limit without interference, over the limit's mean.
 
-    The root mean square of their difference over the limit's mean, within a region of bins. A high-pass filter would
-    not do as a measure, because it sees detail where there is any.
+    The root mean square is taken within a region of bins. A high-pass filter would not serve as a measure, since it
+    responds to any detail.
+
+    Parameters
+    ----------
+    image : array
+        The reconstruction.
+    limit : array
+        The same plane without interference, such as by ``method="incoherent"``.
+    region : array of bool, or pair of slice
+        The bins that count, such as those of `lit_region`.
     """
     difference = np.asarray(image, np.float64)[region] - limit[region]
     mean = float(np.nanmean(limit[region], dtype=np.float64))
@@ -92,14 +102,14 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
 
 
 def lit_region(limit: np.ndarray) -> np.ndarray:
-    """Mark the bins that are brighter than a tenth of the brightest."""
+    """Return a mask of the bins brighter than a tenth of the brightest one."""
     return limit > 0.1 * np.nanmax(limit)
 
 
 def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice] | None:
-    """Return the bins (rows, columns) that hold a box in the scene, seen from the main lens's centre, None if none.
+    """Return the bins (rows, columns) of a scene's box, seen from the main lens's centre; None if none is seen.
 
-    Its corners (x, y, z) are given in the camera's frame, and its depth is taken as that of its middle.
+    The box's corners (x, y, z) are given in the camera's frame; its depth is taken as the depth of its middle.
     """
     z = (low[2] + high[2]) / 2
     spans = []
@@ -123,7 +133,7 @@ _WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 @dataclass(frozen=True)
 class SquareSharpness:
-    """Widths of the edges of a square."""
+    """Sharpness of the edges of a square, or of one edge."""
 
     # Distance in pixels from 10 to 90 per cent of the edge's height.
     width: float
@@ -132,10 +142,10 @@ class SquareSharpness:
 
 
 def window_sharpness(image: np.ndarray) -> SquareSharpness:
-    """Return the sharpness of an edge that runs from top to bottom through the image, nearly vertical.
+    """Return the sharpness of a nearly vertical edge that runs from top to bottom through the image.
 
-    In contrast to `mitsuba_plenoptic.edge_sharpness`, the edge's place is known, so that interference next to it is
-    allowed, and a window of few pixels is enough.
+    Unlike in `mitsuba_plenoptic.edge_sharpness`, the edge's position is known, so that interference next to it is
+    allowed, and a window of few pixels suffices.
 
     Shapes: `image` (rows, columns).
     """
@@ -159,7 +169,7 @@ def window_sharpness(image: np.ndarray) -> SquareSharpness:
 def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> SquareSharpness:
     """Return the sharpness of a slightly turned bright square on dark ground: the median of its four edges.
 
-    The median, because something else may lie near one of them.
+    The median is used because another object may lie near one of the edges.
 
     Shapes: `image` (rows, columns).
     """
@@ -204,7 +214,7 @@ def _profile(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _first_crossing(position: np.ndarray, rising: np.ndarray, level: float) -> float:
-    """Return the first position at which a curve reaches a level, by linear interpolation; infinity if nowhere."""
+    """Return the first position at which a curve reaches a level, interpolated linearly; infinity if it never does."""
     above = np.flatnonzero(rising >= level)
     if above.size == 0:
         return math.inf
@@ -227,20 +237,36 @@ _ESTIMATE = 0.03
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference of captures over some pixels, relative to the root mean square of the second capture over all."""
+    """Difference of two captures over some pixels, relative to the root mean square of the second capture.
 
-    # What is measured, noise and all.
+    Attributes
+    ----------
+    measured : float
+        What is measured, noise and all.
+    noise : float or None
+        What noise alone would give; None if one of the captures does not know its noise.
+    true : float or None
+        The difference without noise.
+    noise_alone : bool or None
+        Whether noise is enough to explain what is measured.
+    """
+
     measured: float
-    # What noise alone would give; None if one of the captures does not know its noise.
     noise: float | None
-    # The difference without noise.
     true: float | None
-    # Whether noise is enough to explain what is measured.
     noise_alone: bool | None
 
 
 def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None) -> Difference:
-    """Compare two captures of one camera, over some pixels or over all."""
+    """Return the difference of two captures of one camera, over some pixels or over all.
+
+    Parameters
+    ----------
+    a, b : Capture
+        The captures, with the noise that ``render_capture(..., noise=True)`` keeps.
+    pixels : array of bool, optional
+        The pixels that count. Default: all.
+    """
     where = np.ones(b.image.shape, bool) if pixels is None else pixels
     reference = float(np.sum(np.square(b.image, dtype=np.float64)))
     squares = float(np.sum(np.square(a.image.astype(np.float64) - b.image)[where]))

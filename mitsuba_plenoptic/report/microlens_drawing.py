@@ -1,4 +1,4 @@
-"""A drawing of a microlens: the path that it adds to light, its section with rays, and the spot on the detector."""
+"""A drawing of a microlens: its optical path, its section with rays, and the spot on the detector."""
 
 from __future__ import annotations
 
@@ -50,14 +50,18 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
     waves = _waves(camera, u, v, wavelength)
     canvas = Canvas(11.2, 3.7)
-    _map(canvas, np.where(inside, waves - waves[inside].max(), np.nan), along)
+    axes, ends = canvas.axes(0.5, 0.6, 2.5, 2.5), (1e3 * along[0], 1e3 * along[-1])
+    phase = np.where(inside, waves - waves[inside].max(), np.nan)
+    drawn = axes.imshow(phase, origin="lower", extent=(*ends, *ends), cmap="viridis")
+    _frame(axes, "phase of the lens", "um from its centre")
+    canvas.colour_bar(drawn, 3.1, 0.6, 2.5, "waves")
     _section(canvas.axes(4.3, 0.6, 3.0, 2.5), camera, wavelength)
     _spot(canvas.axes(7.9, 0.6, 2.5, 2.5), camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
     canvas.save(path)
 
 
 def _waves(camera: PlenopticCamera, u: NDArray, v: NDArray, wavelength: float) -> NDArray[np.float64]:
-    """Return the phase of a lens in waves at offsets in the lattice's frame."""
+    """Return the phase of a lens in waves at offsets in the lattice frame."""
     if camera.mla_shape is None:
         return np.asarray(parabola(u * u + v * v, camera.reduced_focal_lengths[0], wavelength))
     return np.asarray(camera.mla_shape.waves(u, v, wavelength))
@@ -70,16 +74,8 @@ def _slopes(camera: PlenopticCamera, u: NDArray, wavelength: float) -> NDArray[n
     return np.asarray(camera.mla_shape.slopes(u, 0 * u)[0] * camera.mla_shape.strength(wavelength))
 
 
-def _map(canvas: Canvas, waves: NDArray[np.float64], along: NDArray[np.float64]) -> None:
-    axes = canvas.axes(0.5, 0.6, 2.5, 2.5)
-    ends = 1e3 * along[0], 1e3 * along[-1]
-    drawn = axes.imshow(waves, origin="lower", extent=(*ends, *ends), cmap="viridis")
-    _frame(axes, "phase of the lens", "um from its centre")
-    canvas.colour_bar(drawn, 3.1, 0.6, 2.5, "waves")
-
-
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
-    """Draw rays that are parallel to the axis, through the lens to the detector and half as far beyond."""
+    """Draw a section of the lens, with rays parallel to the axis up to half the distance beyond the detector."""
     half = float(camera.lattice.aperture_width) / 2
     start = np.linspace(-1, 1, _RAYS) * half * 0.98
     sine = _slopes(camera, start, wavelength) / camera.mla_medium
@@ -93,10 +89,11 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     axes.set_ylim(-1.1e3 * half, 1.1e3 * half)
     medium = f", in a medium of index {camera.mla_medium:g}" if camera.mla_medium != 1 else ""
     _frame(axes, f"parallel rays to the detector{medium}", "um behind the array")
+    axes.set_ylabel("um from its centre", fontsize=8, color=_INK, labelpad=2)
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np.float64], wavelength: float) -> None:
-    """Draw the square root of the intensity on the detector of parallel light, from Fresnel's integral."""
+    """Draw the square root of the detector intensity for parallel light, from Fresnel's integral."""
     scale = in_millimetres(wavelength) * camera.reduced_distance
     reach = max(4 * scale / float(camera.lattice.aperture_width), 1.5 * camera.pixel_size)
     place = np.linspace(-reach, reach, 161)

@@ -1,4 +1,4 @@
-"""Files of reconstructions, views, stacks and depth maps: OpenEXR, pictures, figures or animations, by the suffix."""
+"""Output files of reconstructions, views, stacks and depth maps: OpenEXR, picture, figure or animation by suffix."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _AUTOMATIC = Drawing()
 
 
 def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
-    """Check, before a long computation, that a file of a picture or of data can be written."""
+    """Return a path after a check, before a long computation, that a picture or data can be written to it."""
     path = require_writable(path, *SUFFIXES, *(ANIMATED if animated else ()))
     if path.suffix.lower() in ANIMATED:
         require_animation(path)
@@ -35,10 +35,10 @@ def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
 
 
 def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing = _AUTOMATIC) -> list[Path]:
-    """Name a file for each distance, and check that all can be written.
+    """Return a file path for each distance, after a check that all can be written.
 
-    A figure shows all distances, and has the name `path`. Otherwise one distance gives `path` itself, and several give
-    ``name_210.exr``, ``name_240.exr``; none may be given twice.
+    A figure shows all distances in one file, `path`. Otherwise one distance gives `path`, and several give
+    ``name_210.exr``, ``name_240.exr``; no distance may be given twice.
     """
     path = require_picture_path(path)
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
@@ -71,9 +71,9 @@ def write_reconstructions(
 
 
 def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write the views of a light field: a part each named by its position on the pupil, or a mosaic.
+    """Write the views of a light field: as parts named by position on the pupil, or as a mosaic.
 
-    Ground truth that the light field has is in each part, too, in the channels of its own file.
+    The light field's ground truth, if any, is added to each part, in the channels of ground truth files.
     """
     truth = {channel: lf.coords[name].values for channel, name in COORDINATES.items() if name in lf.coords}
     parts = {
@@ -83,18 +83,18 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
         for i in range(lf.sizes["u"])
     }
     white = drawing.brightness.peak([lf.values])
-    picture = _enlarged(view_mosaic(lf), drawing)
+    picture = view_mosaic(lf)
     _write(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
 
 
 def write_photodiodes(
     path: str | Path, halves: xr.DataArray, names: NDArray[np.str_], drawing: Drawing = _AUTOMATIC
 ) -> None:
-    """Write the pictures of photodiodes, named by row and column, and their sum: a part each, or side by side."""
+    """Write the pictures of photodiodes, named by row and column, and their sum, as parts or side by side."""
     white = drawing.brightness.peak([halves.values])
     total = np.asarray(halves.sum(("v", "u")).values)
     pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
-    picture = _enlarged(view_mosaic(halves), drawing)
+    picture = view_mosaic(halves)
     parts = _images(**pictures, sum=total)
     _write(
         path, "photodiodes", halves, parts, picture, white, drawing, lambda: report.figures.views_figure(halves, white)
@@ -102,17 +102,16 @@ def write_photodiodes(
 
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write an epipolar image, as PNG enlarged."""
+    """Write an epipolar image; a PNG is enlarged."""
     values = np.asarray(image.values)
     white = drawing.brightness.peak([values])
-    picture = _enlarged(values, drawing)
     parts = _images(epipolar=values)
     _write(
         path,
         "epipolar image",
         image,
         parts,
-        picture,
+        values,
         white,
         drawing,
         lambda: report.figures.epipolar_figure(image, white),
@@ -120,10 +119,10 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
 
 
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write a focal stack: parts named by distance, or the images side by side as PNG."""
+    """Write a focal stack: as parts named by distance, or as a PNG with the images side by side."""
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
     white = drawing.brightness.peak([stack.values])
-    picture = _enlarged(_tiled(list(images.values())), drawing)
+    picture = _tiled(list(images.values()))
     parts = _images(**images)
     _write(
         path, "focal stack", stack, parts, picture, white, drawing, lambda: report.figures.stack_figure(stack, white)
@@ -139,7 +138,7 @@ def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
 
 
 def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
-    """Write views along a circle on the pupil as an animation; return the number of its frames."""
+    """Write views on a circle of the pupil as an animation; return the number of its frames."""
     frames = [(np.asarray(lf.values[j, i]), "") for j, i in orbit(lf)]
     write_animation(path, frames, drawing.brightness.peak([image for image, _ in frames]), drawing.scale)
     return len(frames)
@@ -160,7 +159,7 @@ def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
 def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMATIC) -> None:
     """Write a depth map: depth, disparity, confidence and the all-in-focus image as parts, or as PNG.
 
-    The true depth is a part, too, where it is known.
+    The true depth is a part, too, if it is known.
 
     The PNG shows, from left to right, the all-in-focus image, the depth from near (white) to far (black), and the
     confidence.
@@ -173,7 +172,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     maps = [parts["image"] / white, closeness, parts["confidence"]]
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
-    picture = _enlarged(np.concatenate(maps, axis=1), drawing)
+    picture = np.concatenate(maps, axis=1)
     _write(
         path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white)
     )
@@ -189,13 +188,13 @@ def _write(
     drawing: Drawing,
     figure: Callable[[], Any],
 ) -> None:
-    """Write the parts with the coordinates and attributes of the data, the picture, or the figure, by the suffix."""
+    """Write a data file of parts with coordinates and attributes, a picture, or a figure, chosen by the suffix."""
     path = require_picture_path(path)
     if drawing.is_figure(path):
         figure().save(path)
         return
     if path.suffix.lower() == ".png":
-        write_png(path, picture, peak=peak)
+        write_png(path, _enlarged(picture, drawing), peak=peak)
         return
     coordinates = {str(name): values.values.tolist() for name, values in data.coords.items() if values.ndim < 2}
     records = {name: json.loads(data.attrs[name]) for name in ("camera", "grid") if name in data.attrs}
@@ -203,7 +202,7 @@ def _write(
 
 
 def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
-    """Return a picture with bins repeated as often as requested, or as makes a small picture visible."""
+    """Return a picture with bins repeated as requested, or enough to make a small picture visible."""
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 
@@ -213,7 +212,7 @@ def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
 
 
 def _tiled(images: list[np.ndarray]) -> np.ndarray:
-    """Lay images of one size out in rows, as near to a square as can be; empty positions stay black."""
+    """Return images of one size in rows of one picture, nearly square; empty positions stay black."""
     columns = int(np.ceil(np.sqrt(len(images))))
     every = images + [np.zeros_like(images[0])] * (-len(images) % columns)
     rows = [np.concatenate(every[i : i + columns], axis=1) for i in range(0, len(every), columns)]

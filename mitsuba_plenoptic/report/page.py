@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import re
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from ..runtime.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .framing import Window, Zoom, lit_window
-from .images import Brightness, to_bytes
+from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .stage_store import software, time_summary
 
@@ -35,7 +34,7 @@ _EXPLANATIONS = {
 
 @dataclass(frozen=True)
 class Claim:
-    """A conclusion of the paper next to our results."""
+    """A conclusion of the paper beside this package's results."""
 
     statement: str
     measured: str
@@ -84,44 +83,9 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
         "stage_seconds": experiment.seconds,
     }
     write_json(folder / "results.json", results)
-    write_text(folder / "report.html", _page(folder, report))
-    return results
-
-
-def template(name: str, folder: Path = Path(__file__).parent / "templates") -> Template:
-    """Return a page's template from a folder, by default the folder of the reports."""
-    environment = Environment(
-        loader=FileSystemLoader([folder, Path(__file__).parent / "templates"]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "prose": _prose,
-        "number": format,
-        "ratio": _ratio,
-        "first_upper": lambda text: text[:1].upper() + text[1:],
-        "ssim": ssim_text,
-    }
-    return environment.get_template(name)
-
-
-def _prose(text: str) -> str:
-    """Set quotation marks and apostrophes as books do."""
-    return re.sub(r'"(.*?)"', "“\\1”", text.replace("'", "\N{RIGHT SINGLE QUOTATION MARK}"))
-
-
-def _ratio(value: float) -> str:
-    """Write a ratio with two significant digits and no exponent."""
-    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
-
-
-def _page(folder: Path, report: Report) -> str:
-    experiment = report.experiment
     camera, wavelength = experiment.camera, experiment.settings.wavelength
     window = lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
-    return template("page.html").render(
+    page = template("page.html").render(
         report=report,
         experiment=experiment,
         measured=report.measured,
@@ -139,15 +103,41 @@ def _page(folder: Path, report: Report) -> str:
         warnings=design.design_warnings(camera, wavelength),
         facts=_facts(experiment, report.measured),
     )
+    write_text(folder / "report.html", page)
+    return results
+
+
+def template(name: str, folder: Path = Path(__file__).parent / "templates") -> Template:
+    """Return a page's template from a folder, by default the folder of the reports."""
+    environment = Environment(
+        loader=FileSystemLoader([folder, Path(__file__).parent / "templates"]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        # Quotation marks and apostrophes as in books.
+        "prose": lambda text: re.sub(r'"(.*?)"', "“\\1”", text.replace("'", "\N{RIGHT SINGLE QUOTATION MARK}")),
+        "number": format,
+        # Two significant digits and no exponent.
+        "ratio": lambda value: f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}",
+        "first_upper": lambda text: text[:1].upper() + text[1:],
+        "ssim": ssim_text,
+    }
+    return environment.get_template(name)
 
 
 def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the settings and versions of an experiment as pairs of texts."""
-    settings = experiment.settings
+    settings, against, points = experiment.settings, [], measured["captures"]["points"]
+    if points is not None:
+        apart = f"{points['relative_error']:.2%} (relative L2, with the noise of both), energy {points['energy']:.4f}"
+        against = [(f"Wave capture against {settings.points} points per lens, each propagated by itself", apart)]
     return [
         ("Wavelength", f"{settings.wavelength:g} nm"),
         ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
-        *_points(settings.points, measured["captures"]["points"]),
+        *against,
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
         *((("Camera instead of the scene's", settings.camera_name),) if settings.camera_name else ()),
@@ -161,28 +151,20 @@ def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, 
     ]
 
 
-def _points(count: int | None, found: dict[str, float] | None) -> list[tuple[str, str]]:
-    """Return the difference between the wave capture and the capture by points as pairs of texts."""
-    if found is None:
-        return []
-    apart = f"{found['relative_error']:.2%} (relative L2, with the noise of both), energy {found['energy']:.4f}"
-    return [(f"Wave capture against {count} points per lens, each propagated by itself", apart)]
-
-
 # Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
 _CAPTURE_BYTES = 3_500_000
 _QUALITIES = (85, 70, 50, 30)
 
 
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
-    """Encode the captures, of one scale, as pictures of bounded size."""
+    """Return the captures as pictures of bounded size, drawn on one scale."""
     ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
     peak = float(np.quantile(ray[ray > 0.05 * ray.max()], 0.98)) if ray.max() > 0 else 1.0
     return {"ray": _webp(ray, peak), "wave": _webp(wave, peak)}
 
 
 def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
-    """Return the size of the capture's cut-out, and the positions of close-ups in fractions of it."""
+    """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
     rows, columns = experiment.wave.image.shape
     height, width = window.of(experiment.wave.image).shape
     top, left = round(window.top * rows), round(window.left * columns)
@@ -234,28 +216,18 @@ def plate(path: Path, caption: str) -> dict[str, Any]:
     """Return a figure's picture and caption as the page embeds them."""
     content = path.read_bytes()
     width, height = Image.open(io.BytesIO(content)).size
-    return {"source": _data_url("png", content), "width": width, "height": height, "caption": caption}
+    return {"source": data_url("png", content), "width": width, "height": height, "caption": caption}
 
 
 def _webp(image: np.ndarray, peak: float) -> str:
     picture = Image.fromarray(to_bytes(image, peak))
     content = b""
     for quality in _QUALITIES:
-        content = _encoded(picture, format="WEBP", quality=quality, method=4)
+        content = encoded(picture, format="WEBP", quality=quality, method=4)
         if len(content) <= _CAPTURE_BYTES:
             break
-    return _data_url("webp", content)
+    return data_url("webp", content)
 
 
 def _png(image: np.ndarray, peak: float) -> str:
-    return _data_url("png", _encoded(Image.fromarray(to_bytes(image, peak)), format="PNG", optimize=True))
-
-
-def _encoded(picture: Image.Image, **options: Any) -> bytes:
-    buffer = io.BytesIO()
-    picture.save(buffer, **options)
-    return buffer.getvalue()
-
-
-def _data_url(kind: str, content: bytes) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    return data_url("png", encoded(Image.fromarray(to_bytes(image, peak)), format="PNG", optimize=True))

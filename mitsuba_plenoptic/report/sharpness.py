@@ -1,4 +1,4 @@
-"""The sharpness of an image from one slanted edge in it: the edge's place, its spread, and the transfer function."""
+"""The sharpness of an image from one slanted edge: its position, its spread, and the transfer function."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FREQUENCIES = np.linspace(0, 1, 129)
 
 @dataclass(frozen=True)
 class EdgeSharpness:
-    """Sharpness of an edge: place, angle, width and modulation transfer.
+    """Sharpness of an edge: position, angle, width and modulation transfer function.
 
     Attributes
     ----------
@@ -66,10 +66,10 @@ class EdgeSharpness:
 
 
 def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
-    """Measure the modulation transfer function from one slanted edge, wherever it lies in an image.
+    """Return the modulation transfer function from one slanted edge anywhere in an image.
 
-    The edge's line is found first. All pixels near it sample one profile, as each lies at another distance from the
-    line; the transfer function is the Fourier transform of that profile's slope.
+    The edge's line is found first. All pixels near it sample one profile, as each has another distance from the line;
+    the transfer function is the Fourier transform of the profile's derivative.
 
     Parameters
     ----------
@@ -105,25 +105,21 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     inside = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     refuse_if(not known[inside].all(), "image: it has unknown values (NaN) within; cut out the edge")
     cut = whole[inside]
-    upright = _is_upright(cut)
+    down, across = _slopes(cut)
+    upright = bool((across**4).sum() >= (down**4).sum())
     found = _measure(cut if upright else cut.T)
     row, column = (found.row, found.column) if upright else (found.column, found.row)
     return replace(found, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
 
 
 def _slopes(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the derivatives down and across, of the image a little smoothed."""
+    """Return the derivatives, downwards and across, of the slightly smoothed image."""
     down, across = (gaussian_filter(image, 1.0, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
     return down, across
 
 
-def _is_upright(image: NDArray[np.float64]) -> bool:
-    down, across = _slopes(image)
-    return bool((across**4).sum() >= (down**4).sum())
-
-
 def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
-    """Measure an edge that is nearer to the columns than to the rows."""
+    """Return the sharpness of an edge that is closer to vertical than to horizontal."""
     down, across = _slopes(image)
     slope = np.hypot(down, across)
     tilt, start = _line(image, slope, across)
@@ -205,7 +201,7 @@ def _rows_with_edge(
 
 
 def _refuse_others(slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp]) -> None:
-    """Refuse an image with further edges beside the rows of the edge that was found."""
+    """Refuse an image with other edges beside the rows of the found edge."""
     columns = np.arange(slope.shape[1])
     offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
     own = slope[index]
@@ -245,7 +241,7 @@ def _transfer(
 
 
 def _refuse_saturated(step: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-    """Refuse an edge one of whose sides is cut off: many equal values, and hardly any that approach them."""
+    """Refuse an edge with a saturated side: many equal values, and hardly any values close to them."""
     for limit in (values.min(), values.max()):
         plateau = step[values == limit]
         if plateau.size < 0.2 * values.size:

@@ -1,7 +1,7 @@
-"""Long computations in stages, each stored on disk and repeated only when something it depends on has changed.
+"""Long computations in stages, each stored on disk and repeated only if something changed on which it depends.
 
 A stage is a step (see `io.checkpoints`) that depends on its name, its settings, the keys of the stages before it and
-the software. Its file appears whole or not at all, so that a killed run resumes where it was.
+the software. Its file is written completely or not at all, so that a killed run resumes where it was.
 """
 
 from __future__ import annotations
@@ -48,13 +48,20 @@ def _ignore(*_: Any) -> None:
 
 @dataclass(frozen=True)
 class StageOptions:
-    """Settings of stages: report of progress, and treatment of checkpoints."""
+    """Settings of stages: report of progress, and treatment of checkpoints.
 
-    # Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+    Parameters
+    ----------
+    notify : callable
+        Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+    finished : callable
+        Called when a stage is there, with its name, its seconds and whether it was there already.
+    resume : bool
+        Whether the checkpoint of another capture is refused, instead of being replaced.
+    """
+
     notify: Callable[[str, int, int], None] = _ignore
-    # Called when a stage is there, with its name, its seconds and whether it was there already.
     finished: Callable[[str, float, bool], None] = _ignore
-    # Whether the checkpoint of another capture is refused, instead of being replaced.
     resume: bool = False
 
 
@@ -70,7 +77,7 @@ class Stages:
         self._finished = options.finished
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
-        """Return a stage that is a capture, and its key; while it is computed it has a checkpoint."""
+        """Return a capture computed as a stage, with a checkpoint, and the stage's key."""
         with Checkpoint(self.folder / f"{name}{SUFFIX}", "resume" if self.resume else "resume_if_same") as checkpoint:
             return self._get(
                 f"{name}.exr", inputs, lambda progress: make(progress, checkpoint), write_capture, read_capture
@@ -79,12 +86,12 @@ class Stages:
     def image(
         self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
     ) -> tuple[np.ndarray, str]:
-        """Return a stage that is an image, and its key; the facts about it go into the file's header."""
+        """Return an image computed as a stage, and the stage's key; facts about it go into the file's header."""
         (image, *_), key = self._get(f"{name}.exr", inputs, make, lambda path, made: write_exr(path, *made), read_exr)
         return np.asarray(image, dtype=np.float32), key
 
     def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
-        """Return a stage that is a dictionary of plain JSON values."""
+        """Return a dictionary of plain JSON values computed as a stage."""
 
         def read(path: Path) -> dict[str, Any]:
             return dict(json.loads(read_text(path, _LARGEST_JSON)))
@@ -112,14 +119,16 @@ class Stages:
                 value = make(lambda done, total: self.notify(name, done, total))
                 entry = {"seconds": round(time.perf_counter() - start, 3)}
                 write(path, value)
-                note_step(log, settings, FilesUsed(written={path.absolute()}), **entry)
+                # Another process may make another stage meanwhile.
+                with locked(lock_of(log)):
+                    note_step(log, settings, FilesUsed(written={path.absolute()}), **entry)
         self.seconds[name] = entry["seconds"]
         self._finished(name, self.seconds[name], was_there)
         return value, step_key(settings)
 
 
 def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
-    """Hash a scene file, or a built-in one, with its parameters and with the meshes, textures and scenes it names."""
+    """Return a hash of a scene file, its parameters, and the meshes, textures and scenes it names."""
     path = Path(scene) if Path(scene).is_file() else scene_path(str(scene))
     return hash_of({"files": _content(path, dict(parameters)), "parameters": dict(parameters)})
 
@@ -127,24 +136,24 @@ def scene_fingerprint(scene: str | Path, parameters: Mapping[str, str]) -> str:
 # The source text is read once: it does not change while a process runs.
 @cache
 def _experiment() -> str:
-    """Hash the source of the stages, of which `limits.software` does not know."""
+    """Return a hash of the source file of the stages, which `limits.software` does not contain."""
     return hashlib.sha256(Path(__file__).with_name("experiment.py").read_bytes()).hexdigest()[:16]
 
 
 def software() -> dict[str, str]:
-    """Return the versions that stages depend on, this package's by its source text."""
+    """Return {package: version} for stages; for this package, hashes of source files."""
     return {**versions(), "experiment": _experiment()}
 
 
 def time_summary(seconds: dict[str, float]) -> str:
-    """Return a sentence on the time of all stages together, and on the longest stage."""
+    """Return a sentence on the total time of all stages and on the longest stage."""
     total = sum(seconds.values())
     longest = max(seconds, key=lambda name: seconds[name])
     return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
 
 
 def _content(path: Path, parameters: dict[str, str]) -> list[tuple[str, str]]:
-    """List a scene's files by name and hash; where a name holds parameters, with their values."""
+    """Return a scene's files as {name: hash}; names with parameters get the parameters' values."""
     with path.open("rb") as file:
         found = [(path.name, hashlib.file_digest(file, "sha256").hexdigest())]
     if path.suffix.lower() != ".xml":

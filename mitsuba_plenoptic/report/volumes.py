@@ -23,14 +23,14 @@ _LEAST_PLANE = 3
 
 
 def depth_coded(volume: Volume) -> NDArray[np.float32]:
-    """Return a picture whose brightness is the brightest voxel's along z and whose colour shows where that is.
+    """Return a picture of a volume: its brightness is the maximum along z, its colour shows the maximum's depth.
 
     Colours run from blue for the nearest plane to red for the farthest.
 
     Parameters
     ----------
     volume : Volume
-        What is shown.
+        The volume.
 
     Returns
     -------
@@ -48,13 +48,13 @@ def depth_coded(volume: Volume) -> NDArray[np.float32]:
 def volume_overview(volume: Volume) -> NDArray[np.float32]:
     """Return an overview image of a volume: maximum projections, slices, and depth as colour.
 
-    The first two parts show the view along z with that along x to its right and that along y below, planes as far apart
-    as they are, but three pixels at least; slices go through the brightest voxel.
+    The first two parts show the view along z, with the view along x to its right and the view along y below. Distances
+    between planes are true, but at least three pixels; slices go through the brightest voxel.
 
     Parameters
     ----------
     volume : Volume
-        What is shown.
+        The volume.
 
     Returns
     -------
@@ -77,9 +77,9 @@ def write_volume_overview(path: str | Path, volume: Volume, peak: float | None =
     path : path
         File to write.
     volume : Volume
-        What is shown.
+        The volume.
     peak : float, optional
-        What becomes white. Default: the brightest voxel.
+        Value shown as white. Default: the brightest voxel.
     """
     write_png(path, volume_overview(volume), peak=peak)
 
@@ -87,7 +87,7 @@ def write_volume_overview(path: str | Path, volume: Volume, peak: float | None =
 def _orthogonal(
     volume: Volume, front: NDArray[np.float32], above: NDArray[np.float32], side: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Lay out the view along z with that along x to its right and that along y below."""
+    """Return a picture of the view along z, with the view along x to its right and the view along y below."""
     front, above, side = (_coloured(part, volume.values.ndim == 4) for part in (front, above, side))
     repeats = _plane_pixels(volume)
     above, side = above.repeat(repeats, axis=0), side.repeat(repeats, axis=0).swapaxes(0, 1)
@@ -100,7 +100,7 @@ def _orthogonal(
 
 
 def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
-    """Return the number of pixels for each plane, by the middles between it and its neighbours."""
+    """Return the number of pixels of each plane along z, up to halfway to the neighbouring planes."""
     depths = np.array(volume.distances)
     if len(depths) == 1:
         return np.array([_LEAST_PLANE])

@@ -1,11 +1,11 @@
-"""Which libraries to compute with, outside of Mitsuba's plugins: Dr.Jit with NumPy and SciPy, or with CuPy.
+"""The libraries used outside of Mitsuba's plugins: Dr.Jit with NumPy and SciPy, or with CuPy.
 
-The active variant of Mitsuba chooses. The same code runs on both: it takes its modules from here, and arrays that it
-made on a CUDA device stay there until `Backend.to_host` fetches what is finished. Dr.Jit and CuPy share the memory of
-their arrays by DLPack, and CuPy's default stream and Dr.Jit's wait for each other, as CUDA defines it for the legacy
-default stream and streams that are not created otherwise.
+Mitsuba's active variant determines them. The same code runs on both: it takes its modules from here, and arrays created
+on a CUDA device stay there until `Backend.to_host` fetches finished results. Dr.Jit and CuPy share the memory of their
+arrays by DLPack, and CuPy's default stream and Dr.Jit's wait for each other, as CUDA defines it for the legacy default
+stream.
 
-Floats, NumPy arrays and Dr.Jit arrays call a few operations by different names; here they have one.
+Floats, NumPy arrays and Dr.Jit arrays name a few operations differently; this module gives each operation one name.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def require_own_process() -> None:
-    """Refuse a forked process, which lacks Dr.Jit's threads and would wait for ever."""
+    """Refuse a forked process, which lacks Dr.Jit's threads and would wait forever."""
     refuse_if(
         _forked,
         "process: it was forked from one in which Dr.Jit was at work, and has none of its threads; start it with "
@@ -60,8 +60,8 @@ def require_own_process() -> None:
 def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Let only one thread at a time into all functions with this decorator.
 
-    Mitsuba's loader changes where the whole process looks for files, and Dr.Jit confuses arrays when two threads trace
-    scenes at once. Nothing is lost: each computation has all cores to itself.
+    Mitsuba's loader changes where the whole process looks for files, and Dr.Jit confuses arrays if two threads trace
+    scenes at once. No time is lost, since each computation uses all cores.
     """
 
     @functools.wraps(function)
@@ -84,8 +84,8 @@ _PACKET, _ALIGNMENT = 16, 64
 def drjit_array(kind: Any, numbers: Any) -> Any:
     """Return an array of a Dr.Jit type with the numbers of a NumPy or CuPy array, or of a plain list.
 
-    Dr.Jit shares the memory of arrays of the same numbers, and compiles kernels of their own for NumPy's where it does
-    not lie on whole packets, which is up to `malloc`. All memory of NumPy's therefore goes to Dr.Jit through here.
+    Dr.Jit shares memory with NumPy, and compiles separate kernels for NumPy memory that is not aligned to whole
+    packets, which depends on `malloc`. All NumPy arrays are therefore passed to Dr.Jit through this function.
     """
     if isinstance(numbers, np.ndarray):
         numbers = packets(numbers, np.dtype(dr.type_v(kind).name.lower()))
@@ -97,10 +97,11 @@ def drjit_array(kind: Any, numbers: Any) -> Any:
 
 
 def packets(array: NDArray[Any], kind: Any = None) -> NDArray[Any]:
-    """Return a NumPy array, or a copy of another type of numbers, in memory from which kernels read whole packets.
+    """Return a NumPy array, or a copy of it in another type, in memory from which kernels read whole packets.
 
-    Kernels also read beyond the end. Where this ends with a page, and the next page is none of the process, reading it
-    ends the process. Arrays whose memory is not known to hold their last packet are therefore copied, too.
+    Kernels also read beyond the end of an array. If the array ends with a page, and the next page does not belong to
+    the process, this read would end the process. Arrays not known to own their whole last packet are therefore copied,
+    too.
     """
     kind = array.dtype if kind is None else np.dtype(kind)
     if array.dtype == kind and array.flags.c_contiguous and array.ctypes.data % _ALIGNMENT == 0:
@@ -121,7 +122,7 @@ def _whole_packets(count: int) -> int:
 
 
 def empty_packets(shape: tuple[int, ...], kind: Any) -> NDArray[Any]:
-    """Return a NumPy array whose memory `packets` need not copy, with any numbers in it."""
+    """Return an uninitialised NumPy array whose memory `packets` need not copy."""
     count, size = math.prod(shape), np.dtype(kind).itemsize
     memory = np.empty(_whole_packets(count) * size + _ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % _ALIGNMENT
@@ -130,7 +131,7 @@ def empty_packets(shape: tuple[int, ...], kind: Any) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class Backend:
-    """The libraries of one type of processor."""
+    """The array, FFT and sparse libraries for one type of processor."""
 
     # Types of Dr.Jit's arrays, without gradients.
     types: Any
@@ -144,19 +145,19 @@ class Backend:
     is_cuda: bool
 
     def empty(self, shape: tuple[int, ...], kind: Any) -> Any:
-        """Return an array of `arrays` with any numbers in it, which `drjit_array` need not copy."""
+        """Return an uninitialised array of the library `arrays`, which `drjit_array` need not copy."""
         return self.arrays.empty(shape, kind) if self.is_cuda else empty_packets(shape, kind)
 
     def from_drjit(self, array: Any) -> Any:
-        """Return the memory of a flat Dr.Jit array as an array of `arrays`, computed or about to be."""
+        """Return the memory of a flat Dr.Jit array as an array of the library `arrays`, perhaps not yet computed."""
         return self.arrays.from_dlpack(array) if self.is_cuda else array.numpy()
 
     def to_host(self, array: Any) -> NDArray[Any]:
-        """Fetch a finished array into NumPy's memory."""
+        """Return a finished array in NumPy's memory."""
         return self.arrays.asnumpy(array) if self.is_cuda else array
 
     def synchronize(self) -> None:
-        """Wait until everything that was asked for has been computed."""
+        """Wait until all requested computations are finished."""
         dr.sync_thread()
         if self.is_cuda:
             self.arrays.cuda.Device().synchronize()
@@ -168,14 +169,14 @@ def backend() -> Backend:
 
 
 def backend_of(array: Any) -> Backend:
-    """Return the libraries for an array of Dr.Jit, NumPy or CuPy, by where it lies."""
+    """Return the libraries for a Dr.Jit, NumPy or CuPy array, by the memory it lies in."""
     if dr.is_array_v(array):
         return _cuda() if dr.backend_v(array) == dr.JitBackend.CUDA else _processor()
     return _processor() if isinstance(array, np.ndarray) else _cuda()
 
 
 def array_module() -> Any:
-    """Give Dr.Jit's types for the active variant; unlike `backend` it needs no CuPy."""
+    """Return Dr.Jit's types for the active variant; unlike `backend` this needs no CuPy."""
     global _started
     require_own_process()
     _started = True
@@ -236,7 +237,7 @@ def module_of(value: Any) -> Any:
 
 
 def floor(value: Any) -> Any:
-    """Return the largest integer that is not greater, as a float."""
+    """Return the largest integer not greater than a value, as a float."""
     return module_of(value).floor(value)
 
 
@@ -273,15 +274,15 @@ def rsqrt(value: Any) -> Any:
 
 
 def quotient(index: Any, divisor: int, types: Any = mi) -> Any:
-    """Return the whole quotients of Dr.Jit's indices below 2^32, of its modules of types or the active variant's.
+    """Return the integer quotients of Dr.Jit indices below 2^32 by a divisor, in types of the active variant or others.
 
-    They are products, several times faster than Dr.Jit's division of integers.
+    They are computed as products, several times faster than Dr.Jit's integer division.
     """
     return types.UInt32((types.Float64(index) + 0.5) * dr.opaque(types.Float64, 1 / divisor))
 
 
 def is_zero(value: Any) -> bool:
-    """Return whether a number is plain and zero, so that products with it can be left out."""
+    """Return whether a value is a plain number equal to zero, so that products with it can be left out."""
     return isinstance(value, (int, float)) and value == 0
 
 

@@ -1,9 +1,9 @@
-"""Long sums in batches of plain arrays that any thread, process or machine can compute, used in a fixed order.
+"""Long sums in batches of plain arrays, which any thread, process or machine can compute, added in a fixed order.
 
-The result of a batch is the same whoever computes it: threads of this process, or the workers of a Dask cluster, to
-which only arrays travel. The parts of a sum are added one after another in the order of their batches, so its bits
-depend on the inputs alone, and a sum that was stopped after some batch and is continued from there has the bits of one
-that was not. Different processors may round differently.
+Results do not depend on where a batch is computed: in threads of this process, or by the workers of a Dask cluster, to
+which only arrays are sent. The parts of a sum are added in the order of their batches, so its bits depend on the inputs
+alone, and a sum that was stopped and continued has the bits of an uninterrupted one. Different processors may round
+differently.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .limits import software
 
 @dataclass(frozen=True)
 class Box:
-    """A rectangle of a grid: first sample and size, along x and y."""
+    """A rectangle of a grid: first sample and number of samples, along x and y."""
 
     left: int
     top: int
@@ -40,13 +40,13 @@ class Box:
 
     @classmethod
     def between(cls, low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
-        """Make the rectangle of two corners, the second one outside."""
+        """Return the rectangle between two corners, the second one excluded."""
         return cls(*(int(number) for number in (*low, *(high - low))))
 
 
 @dataclass(frozen=True)
 class Part:
-    """Sum of one batch, with its place in the image."""
+    """Sum of one batch, with its position in the image."""
 
     # Where it lies on the grid.
     box: Box
@@ -55,29 +55,29 @@ class Part:
 
 
 class Batch(Protocol):
-    """A part of some work that is still to be done. Holds plain arrays and can be pickled."""
+    """A part of some work still to be done; it holds plain arrays and can be pickled."""
 
     @property
     def samples(self) -> int:
-        """Samples of all its fields, to which the time is about proportional."""
+        """Number of samples of all fields of the batch, to which its time is about proportional."""
 
     def prepare(self) -> Callable[[], Any]:
-        """Run Dr.Jit's part of a batch; return a function that any thread may call for the batch's result."""
+        """Run the Dr.Jit part of a batch; return a function, for any thread, that computes the batch's result."""
 
 
 class BatchMap(Protocol):
     """Computes batches and yields their results in the order of the batches.
 
-    It must take the batches as it needs them and keep few results waiting, so that memory does not grow with the work.
+    It must request batches only as needed and keep few results waiting, so that memory does not grow with the work.
     """
 
     @property
     def workers(self) -> int:
-        """Batches that are computed at a time."""
+        """Number of batches computed at a time."""
 
     @property
     def threads(self) -> int:
-        """Number of batches that are computed at a time in this process."""
+        """Number of batches computed at a time in this process."""
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Yield the results of batches; if closed early, drop batches in progress."""
@@ -85,7 +85,7 @@ class BatchMap(Protocol):
 
 @dataclass(frozen=True)
 class PartialSum:
-    """Sum of several batches so far."""
+    """Sum of the batches computed so far."""
 
     # The batches that are in it: the first ones.
     batches: int
@@ -110,7 +110,7 @@ class Threads:
         self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), _MOST_THREADS)
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
-        """Compute the batches, a few ahead of the one that is due."""
+        """Yield the results of batches, computed a few ahead of the next one due."""
         pending: deque[Future[Any]] = deque()
         with resting_drjit(), ThreadPoolExecutor(self.threads) as pool:
             for batch in batches:
@@ -122,7 +122,7 @@ class Threads:
 
 
 def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:
-    """Add a part to a sum, (channels, rows, columns), that covers a box of the grid."""
+    """Add a part to a sum (channels, rows, columns) that covers a box of the grid."""
     left, top = max(box.left, part.box.left), max(box.top, part.box.top)
     right = min(box.left + box.columns, part.box.left + part.box.columns)
     bottom = min(box.top + box.rows, part.box.top + part.box.rows)
@@ -139,7 +139,7 @@ Item = TypeVar("Item")
 
 
 def counted(items: Collection[Item], progress: Progress | None) -> Iterator[Item]:
-    """Yield items, and report before each of them, and at the end, how many are done."""
+    """Yield items; report before each, and at the end, how many are done."""
     for done, item in enumerate(items):
         if progress:
             progress(done, len(items))
@@ -157,15 +157,15 @@ class LongSum(Protocol):
     items: NDArray[np.int64]  # of each batch
 
     def batches(self, first: int) -> Iterator[Batch]:
-        """Yield the batches from one on, in their order."""
+        """Yield the batches in order, from index `first` on."""
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Turn the finished sum into (rows, columns, channels) of pixels."""
+        """Return the pixels (rows, columns, channels) of a finished sum."""
 
 
 @dataclass(frozen=True)
 class SumTask:
-    """One of several sums that make an image."""
+    """One of several sums that are added to make an image."""
 
     # Its items, those too that are in no batch.
     items: int
@@ -177,7 +177,7 @@ class SumTask:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Several sums in progress."""
+    """State of several sums in progress."""
 
     sums: int
     # Their images, added up; (rows, columns, channels).
@@ -190,15 +190,15 @@ class CheckpointStore(Protocol):
     """Stores the partial result of a job, so that it can resume after a crash: see `io.checkpoints.Checkpoint`."""
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Return the stored partial result of the job with these facts or None; refuse that of another job."""
+        """Return the stored partial result of the job with these facts, or None; refuse another job's."""
 
     def save(self, snapshot: Snapshot) -> None:
-        """Keep a snapshot, if it is time to."""
+        """Store a snapshot if the time since the last one is long enough."""
 
 
 @dataclass
 class Job:
-    """How a long computation is carried out.
+    """How a long computation is carried out: workers, progress and checkpoint.
 
     Attributes
     ----------
@@ -216,7 +216,7 @@ class Job:
 
     @property
     def workers(self) -> BatchMap:
-        """Who computes the batches: the given ones, or threads of this process."""
+        """The given workers, or threads of this process."""
         return self.batch_map or Threads()
 
     def run(
@@ -226,9 +226,9 @@ class Job:
         items: int,
         facts: Callable[[], dict[str, Any]] = dict,
     ) -> NDArray[np.float32]:
-        """Compute sums one after another, and add their images.
+        """Return the sum of the images of several sums, computed one after another.
 
-        The bits of the result depend neither on who computes the batches nor on whether the job was continued.
+        The bits of the result depend neither on the workers nor on whether the job was resumed.
 
         Parameters
         ----------
@@ -259,7 +259,7 @@ class Job:
         return state.image
 
     def _sum(self, task: SumTask, state: Snapshot, before: int, items: int) -> NDArray[np.float32]:
-        """Compute one sum, from where it stands."""
+        """Return the image of one sum, computed from its stored state on."""
         work = task.plan()
         shape = (work.channels, work.box.rows, work.box.columns)
         start = state.partial or PartialSum(0, work.arrays.zeros(shape, np.float32))
@@ -281,14 +281,14 @@ class Job:
         return work.image(total)
 
     def each(self, batches: Iterable[Batch], items: Sequence[int], done: int, total: int) -> Generator[Any, None, None]:
-        """Compute batches of `size` items each, and yield their results in order.
+        """Yield the results of batches of `items` items each, in order.
 
         Parameters
         ----------
         batches : iterable of Batch
             The batches.
         items : sequence of int
-            How many items each of them stands for.
+            Number of items in each batch.
         done, total : int
             The items that are done before, and those of the whole job.
         """
@@ -316,19 +316,19 @@ _lock = threading.Lock()
 
 
 class Cluster:
-    """Workers that compute the batches of wave captures, in the form that `render_capture` takes as `batch_map`.
+    """Workers that compute the batches of wave captures, for the argument `batch_map` of `render_capture`.
 
-    A context: entered, it starts local processes or connects to a scheduler; left, it ends what it has started. What
-    a worker that dies was doing is done again by another. Workers run what the scheduler sends them, so both belong
-    into a network that is trusted. A script that starts local processes must not run when it is imported: keep it
-    under ``if __name__ == "__main__":``.
+    Use it as a context: on entry it starts local processes or connects to a scheduler; on exit it ends what it has
+    started. The batches of a worker that dies are computed again by another worker. Workers run whatever the scheduler
+    sends them, so both must be in a trusted network. A script that starts local processes must not run when it is
+    imported: put its code under ``if __name__ == "__main__":``.
 
     Parameters
     ----------
     workers : int, optional
         Number of processes of one thread each on this machine.
     scheduler : str, optional
-        Instead of them, the address of a running Dask scheduler, such as ``tcp://10.0.0.1:8786``.
+        Address of a running Dask scheduler, instead of `workers`, such as ``tcp://10.0.0.1:8786``.
 
     Raises
     ------
@@ -349,7 +349,10 @@ class Cluster:
         distributed = require_module("distributed", "workers: they need dask.distributed: pip install distributed")
         failure = ""
         with contextlib.ExitStack() as opened:
-            opened.enter_context(_quiet())
+            # Dask would log tracebacks of errors that are reported anyway.
+            logger = logging.getLogger("distributed.client")
+            opened.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL + 1)
             try:
                 address: Any = self._scheduler
                 if self._count:
@@ -385,7 +388,7 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """Batches that are computed at a time."""
+        """Number of batches computed at a time."""
         return max(1, sum(self._client.nthreads().values()))
 
     @property
@@ -421,20 +424,8 @@ class Cluster:
             raise InputError(f"{self._name}: the connection was lost: {_line(error)}") from None
 
 
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep Dask from logging tracebacks of errors that are reported anyway."""
-    logger = logging.getLogger("distributed.client")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-
-
 def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
-    """Gather batches that follow one another until they are worth sending to a worker."""
+    """Yield groups of consecutive batches, large enough to be worth sending to a worker."""
     group: list[Batch] = []
     samples = 0
     for batch in batches:

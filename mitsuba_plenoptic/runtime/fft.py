@@ -1,12 +1,12 @@
-"""Two-dimensional Fourier transforms of fields: SciPy on the processor, CuPy on CUDA, under Dr.Jit arrays.
+"""Two-dimensional Fourier transforms of fields: by SciPy on the processor, by CuPy on CUDA, for Dr.Jit arrays.
 
-Dr.Jit has no FFT of its own. A field travels between the libraries without being copied, as one 64-bit word
-per sample whose lower half is the real part and whose upper half is the imaginary part: that is how NumPy and
-CuPy lay out ``complex64``, and a Dr.Jit kernel takes the halves apart again at no cost.
+Dr.Jit has no FFT. Fields are shared between the libraries without copies, as one 64-bit word per sample whose lower
+half is the real part and whose upper half is the imaginary part, as in NumPy's and CuPy's ``complex64``; a Dr.Jit
+kernel separates the halves at no cost.
 
-SciPy transforms in place where overwriting is allowed, views too. CuPy does so with whole arrays, copies a view
-first, and keeps the plans of cuFFT by shape (`cupy.fft.config.get_plan_cache`). So callers continue with the array that
-a transform returns, and on neither side need anything else be said.
+SciPy transforms in place if overwriting is allowed, including views. CuPy does so with whole arrays, copies views
+first, and caches cuFFT plans by shape (`cupy.fft.config.get_plan_cache`). Callers therefore continue with the array
+that a transform returns.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ def worker_count() -> int:
 
 @contextmanager
 def resting_drjit() -> Iterator[None]:
-    """Keep Dr.Jit's threads off the processor cores while another library computes.
+    """Keep Dr.Jit's threads off the processor cores while another library computes, until the context ends.
 
-    Its idle workers wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
-    number of its threads is one for the whole process: the first of several Python threads to come here sets it to
-    one, and the last to leave restores it.
+    Idle workers of Dr.Jit wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
+    number of threads is shared by the whole process: the first Python thread to enter sets it to one, and the last to
+    leave restores it.
     """
     global _resting, _busy_threads
     with _rest:
@@ -79,7 +79,7 @@ def resting_drjit() -> Iterator[None]:
 
 @contextmanager
 def busy_drjit() -> Iterator[None]:
-    """Give Dr.Jit its threads back inside `resting_drjit`."""
+    """Restore Dr.Jit's threads, within a context of `resting_drjit`, until this context ends."""
     with _rest:
         resting = _resting > 0
         if resting:
@@ -95,10 +95,10 @@ def busy_drjit() -> Iterator[None]:
 def stop_threads() -> None:
     """Stop all threads of Dr.Jit but the calling one.
 
-    A thread that falls asleep at this very moment can miss the request, and `drjit.set_thread_count` then waits for
-    ever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. An empty task
-    wakes the thread. It is handed to nanothread itself, as Dr.Jit takes the thread for gone and would run a kernel in
-    the calling one; the request is made in another thread and without the interpreter's lock.
+    A thread that falls asleep at this very moment can miss the request, and `drjit.set_thread_count` then waits
+    forever: in nanothread, `pool_set_size` looks for sleepers before the request is certain to be visible. An empty
+    task wakes the thread. It is passed to nanothread directly, since Dr.Jit believes the thread is gone and would run a
+    kernel in the calling thread; the request is made in another thread, without the interpreter's lock.
     """
     if dr.thread_count() == 1:
         return
@@ -114,7 +114,7 @@ def stop_threads() -> None:
 
 @functools.cache
 def _nanothread() -> Any:
-    """Return the library of Dr.Jit's threads, None where it is not found."""
+    """Return the library of Dr.Jit's threads (nanothread), None if it is not found."""
     number, pointer, flag = ctypes.c_uint32, ctypes.c_void_p, ctypes.c_int
     for path in Path(dr.__file__).parent.glob("*nanothread.*"):
         with contextlib.suppress(OSError, AttributeError):
@@ -138,22 +138,22 @@ def _requests() -> ThreadPoolExecutor:
 def fft(
     field: Field, *, axis: int, inverse: bool = False, norm: str | None = None, workers: int | None = None
 ) -> Field:
-    """Transform a field along one axis, in place where the library can."""
+    """Return a field transformed along one axis, in place where the library can."""
     return _transform("ifft" if inverse else "fft", field, workers, axis=axis, norm=norm)
 
 
 def fft2(field: Field, *, inverse: bool = False, workers: int | None = None) -> Field:
-    """Transform a field (..., rows, columns) over its last two axes, as `fft` does over one."""
+    """Return a field (..., rows, columns) transformed over its last two axes, like `fft` over one axis."""
     return _transform("ifft2" if inverse else "fft2", field, workers)
 
 
 def rfft(samples: NDArray[np.float32], *, axis: int) -> Field:
-    """Return the spectrum of real samples along one axis, for frequencies from zero on."""
+    """Return the spectrum of real samples along one axis, at nonnegative frequencies."""
     return _transform("rfft", samples, None, axis=axis)
 
 
 def irfft(spectrum: Field, count: int, *, axis: int) -> NDArray[np.float32]:
-    """Return `count` real samples from a spectrum of `rfft` along one axis; the spectrum is overwritten."""
+    """Return `count` real samples along one axis from a spectrum of `rfft`, which is overwritten."""
     return _transform("irfft", spectrum, None, n=count, axis=axis)
 
 
@@ -165,9 +165,9 @@ def _transform(name: str, field: Any, workers: int | None, **options: Any) -> An
 
 
 def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -> Any:
-    """Transform a field of rows and columns in a flat Dr.Jit array of 64-bit words (see `pack`).
+    """Return the transform of a field (rows, columns) in a flat Dr.Jit array of 64-bit words (see `pack`).
 
-    The result is an array of the same type; the memory of the given one may be overwritten.
+    The result is an array of the same type; the memory of the input may be overwritten.
     """
     words = type(packed)
     field = as_field(packed, shape)
@@ -177,21 +177,21 @@ def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -
 
 
 def pack(field: Any) -> Any:
-    """Lay a Dr.Jit complex array (``Complex2f``) out as 64-bit words. Carries no gradient."""
+    """Return a Dr.Jit complex array (``Complex2f``) as 64-bit words, without gradient."""
     types = array_types(field.real)
     real, imaginary = (types.UInt64(dr.reinterpret_array(types.UInt32, part)) for part in (field.real, field.imag))
     return real | (imaginary << 32)
 
 
 def unpack(packed: Any) -> Any:
-    """Take 64-bit words apart into a Dr.Jit complex array (``Complex2f``). Carries no gradient."""
+    """Return 64-bit words as a Dr.Jit complex array (``Complex2f``), without gradient."""
     types = array_types(packed)
     real, imaginary = types.UInt32(packed), types.UInt32(packed >> 32)
     return types.Complex2f(dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary))
 
 
 def as_field(packed: Any, shape: tuple[int, ...]) -> Field:
-    """Return the memory of a flat Dr.Jit array of 64-bit words as a field, of which everything is computed."""
+    """Return the evaluated memory of a flat Dr.Jit array of 64-bit words as a complex field."""
     dr.eval(packed)
     return backend_of(packed).from_drjit(packed).view(np.complex64).reshape(shape)
 
@@ -202,7 +202,7 @@ def as_words(field: Field) -> Any:
 
 
 def array_types(array: Any) -> Any:
-    """Dr.Jit's module of array types that go with a flat array: of its backend, with or without gradients."""
+    """Return Dr.Jit's module of array types for a flat array: of its backend, with or without gradients."""
     types = backend_of(array).types
     return types.ad if dr.is_diff_v(array) else types
 
@@ -215,7 +215,7 @@ def rows_and_columns(types: Any, rows: int, columns: int) -> tuple[Any, Any]:
 
 
 def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, Any]:
-    """Take a flat index apart into that of an image, its row and its column."""
+    """Return a flat index as the indices of image, row and column."""
     line = quotient(index, columns, types)
     image = quotient(line, rows, types)
     return (
@@ -246,7 +246,7 @@ def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def blur(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the part of the convolution that lies on the image, with the kernel's middle on each sample."""
+    """Return the convolution cropped to the image, with the kernel's middle on each sample."""
     rows, columns = ((k - 1) // 2 for k in kernel.shape)
     return convolve(image, kernel)[rows : rows + image.shape[0], columns : columns + image.shape[1]]
 

@@ -1,4 +1,4 @@
-"""Files: read within bounds on what they may claim, and written whole or not at all."""
+"""Files: read within bounds on the sizes that they claim, and written completely or not at all."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class FilesUsed:
-    """The files that were read and written within `files_used`, by their absolute paths."""
+    """The files read and written within `files_used`, by absolute path."""
 
     read: set[Path] = field(default_factory=set)
     written: set[Path] = field(default_factory=set)
@@ -92,7 +92,7 @@ def require_different(*paths: Path | None) -> None:
 
 
 def require_file(path: str | Path) -> Path:
-    """Check that a file can be read."""
+    """Return a path after a check that its file can be read."""
     path = _path(path)
     try:
         there, regular = path.exists(), path.is_file()
@@ -161,7 +161,7 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
 
 
 class Sink(io.FileIO):
-    """File that holds its write errors until `check`, as HDF5 would crash at the end of the process after one."""
+    """A file that keeps its write errors until `check`, as HDF5 would crash at the end of the process after one."""
 
     error: OSError | None = None
 
@@ -185,13 +185,13 @@ class Sink(io.FileIO):
             return self.tell()
 
     def check(self, path: Path) -> None:
-        """Raise the error that a write met."""
+        """Raise the error of a failed write, if any."""
         if self.error:
             raise InputError(f"{path}: it cannot be written: {self.error.strerror}")
 
 
 def write_text(path: str | Path, text: str, *suffixes: str) -> None:
-    """Write a text file in UTF-8, whole or not at all."""
+    """Write a text file in UTF-8, completely or not at all."""
     with atomic_output(path, *suffixes) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -205,9 +205,9 @@ def remove_leftovers(path: str | Path) -> None:
 
 @contextlib.contextmanager
 def native_output_dropped() -> Iterator[None]:
-    """Suppress messages of C++ libraries about damaged files on standard output and error.
+    """Suppress, within the context, messages of C++ libraries about damaged files on standard output and error.
 
-    Their exceptions say it again.
+    The libraries' exceptions repeat them.
     """
     with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
         saved = [(number, os.dup(number)) for number in (1, 2)]
@@ -226,10 +226,10 @@ _LARGEST_JSON = 2**26
 
 
 class _Loader(yaml.SafeLoader):
-    """Loader of YAML 1.2 and JSON, without YAML's common traps.
+    """Loader of YAML 1.2 and JSON that avoids common traps of YAML.
 
-    PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Names given twice, and
-    aliases, by which a small file grows endless, are refused.
+    PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Repeated names, and
+    aliases, with which a small file can grow without end, are refused.
     """
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
@@ -264,7 +264,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the data of a text in YAML or JSON, without aliases."""
+    """Return the data in a YAML or JSON text without aliases."""
     with refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
         return yaml.load(text, Loader=_Loader)
 
@@ -273,7 +273,7 @@ _LARGEST_TABLE = 2**22
 
 
 def read_table(path: str | Path) -> NDArray[np.float64]:
-    """Return the numbers of a CSV file of at most 4 MiB, all columns of all rows; the first line may hold names."""
+    """Return all numbers of a CSV file of at most 4 MiB, (rows, columns); the first line may hold names."""
     lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
     for cell in lines[0].split(",") if lines else ():
         with contextlib.suppress(ValueError):
@@ -295,15 +295,15 @@ _SMALL = 2**20
 
 
 def h5py_module(purpose: str) -> Any:
-    """Return the module h5py."""
+    """Return the module h5py; without it, say what it is needed for."""
     return require_module("h5py", f"{purpose} needs the package h5py: pip install h5py")
 
 
 def stored_array(group: Any, name: str) -> Any:
-    """Return a dataset of numbers in HDF5 by its name, None without such an entry; links are refused.
+    """Return a numeric dataset in HDF5 by name, None if it is missing; links are refused.
 
-    HDF5 can link to other files, keep data in other files and assemble them from other files; of a file from a
-    stranger that would read files of the user's.
+    HDF5 can link to other files, store data in other files and assemble them from other files; a stranger's file could
+    thus read the user's files.
     """
     h5py = h5py_module("HDF5")
     refuse_if(not isinstance(group, h5py.Group), f"{name} is in no structure")

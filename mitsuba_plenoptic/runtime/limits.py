@@ -1,4 +1,4 @@
-"""How much memory a piece of work may take: estimated before anything is allocated, refused with what would fit."""
+"""Limits of the memory of a computation, estimated before allocation; a refusal says what would fit."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.lim
 
 
 def memory_limit() -> float:
-    """Bytes that one piece of work may take.
+    """Return the bytes that one computation may take.
 
-    Three quarters of the memory that the machine, or the container that the process runs in, has; or as many GiB as
-    the environment variable ``MITSUBA_PLENOPTIC_MEMORY`` says.
+    The limit is three quarters of the memory of the machine, or of the container that the process runs in; or as many
+    GiB as the environment variable ``MITSUBA_PLENOPTIC_MEMORY`` says.
     """
     text = os.environ.get(VARIABLE)
     if text is None:
@@ -74,7 +74,7 @@ _asked: list[list[float]] = []
 
 @contextmanager
 def memory_asked() -> Iterator[list[float]]:
-    """Gather the bytes of all work for which `require_memory` is asked."""
+    """Collect the bytes of all computations that call `require_memory` within the context."""
     sizes: list[float] = []
     _asked.append(sizes)
     try:
@@ -84,17 +84,27 @@ def memory_asked() -> Iterator[list[float]]:
 
 
 def unit_hint(needed: float, limit: float) -> str:
-    """Return an addition to a refusal of memory, if lengths are likely not in millimetres."""
+    """Return a sentence to add to a refusal of memory, if lengths are probably not in millimetres."""
     return "; lengths are millimetres: check their unit" if not needed <= _OTHER_UNITS * limit else ""
 
 
 def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int) -> int:
-    """Find the largest count whose estimate is within a limit, for an estimate that grows with the count."""
+    """Return the largest count whose estimate is within a limit, for an estimate that grows with the count."""
     low, high = 0, highest + 1
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if estimate(middle) <= limit else (low, middle)
     return low
+
+
+def require_memory_for(memory: Callable[[int], float], size: int, what: str, words: Callable[[int], str]) -> None:
+    """Refuse work of a size, whose bytes `memory` gives, as `require_memory` does; `words` state a size that fits."""
+
+    def fitting(limit: float) -> str | None:
+        largest = largest_fitting(memory, limit, size)
+        return words(largest) if largest else None
+
+    require_memory(memory(size), what, fitting)
 
 
 # The memory of a machine does not change.
@@ -126,7 +136,7 @@ _SHOWING = {"report", "cli"}
 # The versions are those of the loaded modules.
 @cache
 def software() -> dict[str, str]:
-    """Return {package: version} of what results depend on; for this package, the hash of its source files."""
+    """Return {package: version} for all packages that results depend on, and a source hash for this package."""
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
@@ -138,14 +148,14 @@ def software() -> dict[str, str]:
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Keep the linear algebra of NumPy and SciPy on the calling thread; a context, or a decorator when called."""
+    """Keep NumPy's and SciPy's linear algebra on the calling thread; a context, or a decorator when called."""
     with _libraries().limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
 def _libraries() -> ThreadpoolController:
-    """Return the libraries of linear algebra, which take longer to find than many a product takes."""
+    """Return the linear algebra libraries, cached as finding them takes longer than many a product."""
     # SciPy may have a library of its own, which is found once it is loaded.
     import scipy.linalg  # noqa: F401
 

@@ -1,9 +1,9 @@
-"""Choose and check the LLVM library that Dr.Jit compiles with.
+"""Choice and check of the LLVM library with which Dr.Jit compiles.
 
-Dr.Jit loads LLVM when it is first imported, from where ``DRJIT_LIBLLVM_PATH`` says or else from a few folders
-that it searches itself, and it takes what it finds: 14 is refused, and with 15 and 16 the process aborts at
-the first kernel that needs a minimum or maximum. So `choose` looks in more folders and names a usable library
-before Dr.Jit loads, and `require` explains what to do where there is no library, before a kernel is compiled.
+Dr.Jit loads LLVM when it is first imported, from ``DRJIT_LIBLLVM_PATH`` or else from a few folders that it searches,
+and accepts what it finds: 14 is refused, and with 15 and 16 the process aborts at the first kernel that needs a minimum
+or maximum. So `choose` searches more folders and names a usable library before Dr.Jit loads, and `require` explains,
+before a kernel is compiled, what to do if there is no library.
 
 Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.
 """
@@ -55,7 +55,7 @@ def format_version(version: tuple[int, ...]) -> str:
 
 
 def library(path: str | Path) -> Library:
-    """Describe a library by its name, or else by the folder that it lies in."""
+    """Return the library at a path, with the version stated by its name or by its folder."""
     real = Path(path).resolve()
     name = _NAME.fullmatch(real.name)
     digits = (name["stem"] or name["suffix"]) if name else None
@@ -75,9 +75,9 @@ def candidates() -> list[Library]:
 
 
 def choose() -> None:
-    """Let Dr.Jit load the newest usable LLVM; to be called before Dr.Jit is imported.
+    """Set the newest usable LLVM for Dr.Jit to load; call it before Dr.Jit is imported.
 
-    A choice of the user's stays, and after Dr.Jit has loaded there is nothing left to choose.
+    A choice of the user's stays, and after Dr.Jit has loaded the choice has no effect.
     """
     if "drjit" not in sys.modules and not os.environ.get(VARIABLE) and (best := _newest_usable(candidates())):
         os.environ[VARIABLE] = str(best.path)
@@ -86,7 +86,7 @@ def choose() -> None:
 def problem() -> str | None:
     """Return why Dr.Jit's LLVM is unusable and how to mend it, in one sentence; None if it is usable.
 
-    Nothing is compiled, since that is what aborts the process.
+    Nothing is compiled, since compiling would abort the process.
     """
     import drjit
 
@@ -98,7 +98,7 @@ def problem() -> str | None:
 
 
 def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
-    """Word the complaint about an unusable LLVM."""
+    """Return the sentence on an unusable LLVM and its remedy."""
     need = f"but the llvm variants need LLVM {MINIMUM} or newer"
     if named and not Path(named).is_file():
         fault = f"{VARIABLE} = {named!r}: there is no such file"
@@ -123,7 +123,7 @@ def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
 
 
 def install_command() -> str | None:
-    """Return the one command that installs a usable LLVM here, or None where no known package manager is."""
+    """Return the command that installs a usable LLVM here, None without a known package manager."""
     if shutil.which("apt-get"):
         sudo = "" if os.geteuid() == 0 else "sudo "
         if package := newest_apt_package():
@@ -156,7 +156,7 @@ def _newest_usable(found: list[Library]) -> Library | None:
 
 
 def _folders() -> Iterator[Path]:
-    """Yield the folders in which package managers put LLVM."""
+    """Yield the folders in which package managers install LLVM."""
     root = Path("/")
     # Only this machine's own architecture: Debian's multiarch puts foreign ones next to it.
     yield root / "usr/lib" / f"{platform.machine()}-linux-gnu"

@@ -16,12 +16,15 @@ if TYPE_CHECKING:
 FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 1.0, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
+INTERRUPTED = threading.Event()
+"""Set by commands on Ctrl-C: where C++ libraries try to convert an object of Python they drop the KeyboardInterrupt."""
+
 SETTLED, MINUTE = 5.0, 60.0
 """Seconds of work after which its speed is known, and seconds in a minute."""
 
 
 def in_words(seconds: float) -> str:
-    """Return a time in the unit that people use for one as long: seconds, minutes or hours."""
+    """Return a time as text in a suitable unit: seconds, minutes or hours."""
     if seconds < MINUTE:
         return f"{seconds:.3g} s"
     minutes = seconds / MINUTE
@@ -29,21 +32,23 @@ def in_words(seconds: float) -> str:
 
 
 class ProgressBar:
-    """Takes progress as every long computation of this package reports it, and shows it."""
+    """Display of progress, for the argument `progress` of this package's long computations."""
 
     def __init__(self, label: str, show: Callable[[int, int], None] | None = None) -> None:
         self.fraction, self.label = 0.0, label
         self._show = show
 
     def __call__(self, done: int, total: int) -> None:
-        """Show the fraction of the total that is done."""
+        """Show the fraction of the total that is done; end the work if Ctrl-C was pressed."""
+        if INTERRUPTED.is_set():
+            raise KeyboardInterrupt
         self.fraction = done / max(total, 1)
         if self._show:
             self._show(done, total)
 
 
 class Forecast:
-    """Passes progress on, and tells once, as soon as they are known, the seconds that all of the work takes."""
+    """Passes progress on, and reports once, when it can be estimated, how many seconds the whole work takes."""
 
     def __init__(self, tell: Callable[[float], None], progress: Callable[[int, int], None] | None = None) -> None:
         self._progress, self._tell = progress, tell
@@ -52,7 +57,7 @@ class Forecast:
         self._known = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Take the fraction of the total that is done; see `ProgressBar`."""
+        """Pass on the finished fraction of the total; see `ProgressBar`."""
         if self._progress:
             self._progress(done, total)
         now, fraction = time.monotonic(), done / max(total, 1)
@@ -96,7 +101,7 @@ def progress_bar(label: str) -> Iterator[ProgressBar]:
 
 
 def moving_bar() -> Progress:
-    """Return bars with percentage and time left on standard error, which show where they can move."""
+    """Return progress bars with percentage and remaining time on standard error, shown where they can move."""
     # Not needed for the help of commands, which imports this module.
     from rich import progress
     from rich.console import Console
@@ -108,7 +113,7 @@ def moving_bar() -> Progress:
 
 
 def is_quiet() -> bool:
-    """Return whether progress is hidden, as the package logs only critical messages."""
+    """Return whether progress is hidden, which is so if the package logs only critical messages."""
     return logging.getLogger("mitsuba_plenoptic").level == logging.CRITICAL
 
 
@@ -126,9 +131,9 @@ _under_way: list[ProgressBar] = []
 
 @contextlib.contextmanager
 def plain_lines(label: str) -> Iterator[ProgressBar]:
-    """Print progress and elapsed time now and then on standard error, unless a bar can move there.
+    """Print progress and elapsed time at intervals on standard error, unless a bar can move there.
 
-    Within another such context it is the outer one that prints, what the inner one reports.
+    Of nested contexts the outer one prints, with the progress that the inner one reports.
     """
     line = ProgressBar(label)
     _under_way.append(line)

@@ -1,4 +1,4 @@
-"""How well the views of a light field agree that a bin is at some distance."""
+"""Agreement of the views of a light field on the distance of each bin."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ _COARSE, _FINE = 0.33, 0.37
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the unexplained fraction of the variance between views, moved so that points of one disparity coincide.
+    """Return the unexplained fraction of the variance between views that are shifted for one disparity.
 
-    The results, each (t, s): that ratio, from 0 to 1, which noise alone reaches, and NaN where too few views see a bin;
-    the variance that is to be explained; and the samples, over which 1 is the variance of the ratio of noise alone.
+    Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a bin;
+    the variance to be explained; and the number of samples, over which 1 is the variance of the ratio of pure noise.
 
-    To be explained are the variance of the views in each bin, which is left unexplained, and that of their mean among
-    the neighbouring bins. Interpolation lessens both alike. Where the ratio is less than half as great for the upper,
-    lower, left or right half of the pupil, twice that counts: next to an occluder's edge, one half of the pupil sees
-    past it.
+    The variance to be explained is that of the views in each bin, which is left unexplained, plus that of their mean
+    among neighbouring bins. Interpolation reduces both alike. Where the ratio for the upper, lower, left or right half
+    of the pupil is less than half as large, twice that ratio counts: next to an occluder's edge, one half of the pupil
+    sees past it.
     """
     variance, mean, count = _moved_views(lf, slope)
     seen, parts, means, squares = (
@@ -67,16 +67,16 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
 
 
 def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Return the probability that an image in focus everywhere, (rows, columns), shows stripes finer than two lenses.
+    """Return the probability (rows, columns) that an all-in-focus image shows stripes finer than two lenses.
 
-    Of a texture with a single frequency f, in cycles per lens, a view sampled once a lens is the same for the frequency
-    1 - f, which moves otherwise from view to view: the depth at which views agree is not the true one then. A lens
-    averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at most
-    sinc(1 - f). With any complex amplitude up to these alike before, one that both can have is that of the finer ones
-    with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. Texture of many frequencies agrees only
-    at its depth; but on other lattices interpolation between lenses adds frequencies to those of finer stripes. These
-    are recognised by a mean frequency that is higher than moving views by more than a lens, where `moved`, leaves of
-    any other texture.
+    If a texture has a single frequency f, in cycles per lens, a view with one sample per lens is the same for the
+    frequency 1 - f, which moves differently from view to view: the depth at which views agree is then not the true one.
+    A lens averages over its width, so that the coarser stripes have a contrast of at most sinc(f), the finer ones of at
+    most sinc(1 - f). If all complex amplitudes up to these are equally likely beforehand, an amplitude possible for
+    both belongs to the finer stripes with a probability of sinc(f)^2 / (sinc(f)^2 + sinc(1 - f)^2), 1/2 or more. A
+    texture of many frequencies agrees only at its depth; but on other lattices interpolation between lenses adds
+    frequencies to finer stripes. Finer stripes are recognised by their mean frequency, above that of any other texture
+    in views shifted by more than a lens (`moved`).
     """
     if min(image.shape) < 3:
         return np.zeros(image.shape)
@@ -105,9 +105,9 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
 
 
 def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return variance, mean and count of the views that see each bin, moved so that points of one disparity coincide.
+    """Return variance, mean and number of the views that see each bin, shifted for one disparity.
 
-    Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, a mean over the channels.
+    Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
     Samples at the pupil's edge are left out.
     """
     weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The axes of a light field, and how far a point at some distance moves from view to view.
+"""The axes of a light field, and the displacement of a point from view to view by its distance.
 
 A light field is an `xarray.DataArray` with the dimensions ``v, u, t, s`` (and ``c`` where it has colour):
 
@@ -55,7 +55,7 @@ def light_field(
     bins : LensGrid, optional
         Upright grid of the bins on the detector; needed with a camera.
     lenses : LensGrid, optional
-        Grid of the micro-images that it was decoded from.
+        Grid of the micro-images from which the light field was decoded.
 
     Returns
     -------
@@ -88,7 +88,14 @@ def light_field(
             pupil_places(camera, views),
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
-        coordinates[spatial] = (spatial, *_object_coordinate(lens_places(camera, bins, axis), camera, "xy"[axis]))
+        places, distance = -lens_places(camera, bins, axis), camera.focus_distance
+        if 0 < distance < math.inf:
+            places, units = places * distance / camera.mla_distance, "mm"
+            name = f"{'xy'[axis]} in the object plane at {distance:.6g} mm"
+        else:
+            places, units = places / camera.mla_distance, "1"
+            name = f"slope in {'xy'[axis]}; no real plane is in focus"
+        coordinates[spatial] = (spatial, places, {"units": units, "long_name": name})
     attributes = {}
     if camera is not None:
         attributes["camera"] = json.dumps(camera.to_dict())
@@ -98,34 +105,23 @@ def light_field(
 
 
 def labelled(values: np.ndarray, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
-    """Return radiance (v, u, t, s[, 3]) with its coordinates and attributes."""
+    """Return radiance (v, u, t, s[, 3]) as an array with coordinates and attributes."""
     colours = {"c": ("c", list(CHANNELS))} if values.ndim == 5 else {}
     dims = (*DIMS, *colours)
     return xr.DataArray(values, dims=dims, coords=coordinates | colours, name="radiance", attrs=attributes)
 
 
 def pupil_places(camera: PlenopticCamera, views: int) -> np.ndarray:
-    """Return the coordinates on the pupil of `count` views, along x or y."""
+    """Return the coordinates in mm, on the pupil, of `count` views along x or y."""
     # A pixel one step to the right of its micro-image's centre looks one step to the left on the pupil axis.
     return -(np.arange(views) - (views - 1) / 2) * camera.pupil_step
 
 
 def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> np.ndarray:
-    """Return the coordinates on the microlens array of the bins of an upright grid, along x (axis 0) or y (axis 1)."""
+    """Return the coordinates in mm, on the array, of an upright grid's bins along x (axis 0) or y (axis 1)."""
     pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
     return np.asarray(rays.chief_point(p, camera.mla_distance, camera.reduced_distance))
-
-
-def _object_coordinate(c: np.ndarray, camera: PlenopticCamera, axis: str) -> tuple[np.ndarray, dict[str, str]]:
-    """Return lens coordinates in millimetres in the plane in focus, or as slopes if there is no such plane."""
-    distance = camera.focus_distance
-    if 0 < distance < math.inf:
-        return -c * distance / camera.mla_distance, {
-            "units": "mm",
-            "long_name": f"{axis} in the object plane at {distance:.6g} mm",
-        }
-    return -c / camera.mla_distance, {"units": "1", "long_name": f"slope in {axis}; no real plane is in focus"}
 
 
 def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
@@ -139,7 +135,7 @@ def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     Raises
     ------
     InputError
-        If it has none.
+        If the light field has no camera.
     """
     if not lf.attrs.get("camera"):
         instead = advice(python="give a disparity", shell="use a capture, or a light field that has its camera")
@@ -148,7 +144,7 @@ def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
 
 
 def grid_of(lf: xr.DataArray) -> LensGrid | None:
-    """Return the grid of the micro-images that a light field was decoded from, None where it is unknown."""
+    """Return the grid of micro-images from which a light field was decoded, None if unknown."""
     return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
 
 
@@ -161,7 +157,7 @@ def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
 
 
 def require_light_field(lf: Any) -> xr.DataArray:
-    """Check that something is a light field.
+    """Return a light field after a check of its type and dimensions.
 
     Raises
     ------
@@ -188,7 +184,7 @@ def view_steps(lf: xr.DataArray, axis: str) -> np.ndarray:
 
 
 def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
-    """Return the camera of a light field, or refuse one whose points do not move evenly from view to view."""
+    """Return a light field's camera; refuse one whose points do not move evenly from view to view."""
     camera = camera_of(lf)
     camera.require_lens("an even parallax between views")
     return camera
@@ -201,10 +197,10 @@ def channel_planes(lf: xr.DataArray) -> list[np.ndarray]:
 
 
 def depth_range(lf: xr.DataArray) -> tuple[float, float]:
-    """Nearest and farthest distance at which a point moves by at most one lens from view to view.
+    """Nearest and farthest distance in mm at which a point moves by at most one lens from view to view.
 
-    Beyond it the parallax is ambiguous where the scene has fine detail. The far end is infinite if points that far
-    still move less.
+    Outside this range the parallax is ambiguous for fine detail. The far end is infinite if points at infinity move
+    less.
 
     Parameters
     ----------
@@ -242,7 +238,7 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
 
 
 def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
-    """Return the distance for a disparity, the inverse of `disparity`; infinity where there is none.
+    """Return the distance in mm for a disparity, the inverse of `disparity`; infinity where there is none.
 
     Parameters
     ----------

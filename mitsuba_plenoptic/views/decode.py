@@ -1,8 +1,9 @@
-"""From a capture to a light field: every micro-image sampled about its true centre, and vignetting removed."""
+"""Decoding of captures to light fields: micro-images sampled about their true centres, vignetting removed."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import scipy
@@ -18,7 +19,7 @@ from ..runtime.limits import require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .lens_grid import LensGrid, bin_grid, lens_grid
-from .white_image import divide_by_white, recorded_white, scaled_white, white_image
+from .white_image import divide_by_weight, recorded_white, white_image
 
 
 @suggest_keywords
@@ -30,34 +31,33 @@ def decode(
     grid: LensGrid | None = None,
     truth: GroundTruth | None = None,
 ) -> xr.DataArray:
-    """Turn a capture into a light field with one sample a pixel across the pupil and one a lens across the field.
+    """Return a capture as a light field with one sample per pixel across the pupil and one per lens across the field.
 
-    Micro-images are not an integer of pixels apart. Each is resampled about its own centre by linear
-    interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The
-    capture and the white image are sampled alike and then divided. A lattice that is not upright and square is
-    resampled to one that is, linearly along its rows and between them.
+    The distance between micro-images is not an integer number of pixels. Each micro-image is resampled about its centre
+    by linear interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is
+    lost. The capture and the white image are sampled alike and then divided. A lattice that is not upright and square
+    is resampled to an upright square one, linearly along its rows and between them.
 
-    A lens of a Fourier light-field microscope makes a picture of the whole object instead: each is a view, with one
+    In a Fourier light-field microscope each lens makes a picture of the whole object: each picture is a view, with one
     sample a pixel across the field. Light fields of a microscope with the array in the native image plane are not
     decoded.
 
     Parameters
     ----------
     capture : Capture or (rows, columns[, 3]) array
-        What the detector recorded. A plain array needs `camera` or `grid`.
+        The capture. A plain array needs `camera` or `grid`.
     camera : PlenopticCamera, optional
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
-        (see `mitsuba_plenoptic.views.white_image.scaled_white`). Default: computed by rays from the camera's pupil;
-        diffraction blurs the rims of micro-images, so that a wave capture is better served by one rendered alike.
-        Where there is no camera it is needed, and its brightness in the middle of the micro-images counts as 1.
+        (see `mitsuba_plenoptic.views.white_image.recorded_white`). Default: computed by rays from the camera's pupil;
+        diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
+        camera a white picture is needed; its brightness in the middle of micro-images counts as 1.
     grid : LensGrid, optional
         Micro-image centres, as `estimate_lens_grid` finds them. Default: those of the camera.
     truth : GroundTruth, optional
-        What the samples see, as `ground_truth` finds it for the same camera; it goes into the light field as
-        coordinates over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and
-        ``shape_index``.
+        Ground truth of the samples, from `ground_truth` for the same camera; it becomes coordinates of the light field
+        over v, u, t and s: ``depth``, ``position_x``, ``normal_x``, ``albedo_r`` and so on, and ``shape_index``.
 
     Returns
     -------
@@ -77,30 +77,48 @@ def decode(
     >>> dict(lf.sizes)
     {'v': 11, 'u': 11, 't': 48, 's': 48}
     """
-    image, pixels, camera = _checked(capture, camera, white, grid)
+    image, reference, camera = checked_images(capture, camera, white, grid)
     if camera is not None and camera.lens_data.images_stop:
         for name, given in (("grid", grid), ("truth", truth)):
             refuse_if(
                 given is not None,
                 f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
             )
-        return decode_views(image, camera, objective_of(camera), pixels)
-    reference = _reference(camera, pixels, grid)
+        return decode_views(image, camera, objective_of(camera), reference)
     if camera is not None:
         lenses, bins = grid or lens_grid(camera), bin_grid(camera)
     elif grid is not None:
         lenses, bins = grid, _upright(grid)
     half, alone = view_window(camera, lenses)
-    _require_memory(image, bins, lenses, half)
+    views, (height, width, channels) = 2 * half + 1, image.shape
+    # Light and white, each as sampled and in the order of the light field; and the images.
+    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
+    require_memory(
+        4.0 * samples + 12.0 * height * width,
+        f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
+    )
     resampling = None if lenses == bins else _between_lenses(lenses, bins)
 
     light = _sample(image, lenses, half, resampling, bins)
     fraction = _sample(reference, lenses, half, resampling, bins)[..., 0]
     if camera is None:
-        fraction /= _brightness(fraction[half, half])
-    divide_by_white(light, fraction, alone[:, :, None, None])
-    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], np.minimum(fraction, 1), camera, bins, lenses)
-    return lf if truth is None else lf.assign_coords(_coordinates(truth, camera, lf.shape[:4]))
+        middle = fraction[half, half]
+        refuse_if(not (middle > 0).any(), "white: it is black in the middle of every micro-image")
+        fraction /= np.float32(np.median(middle[middle > 0]))
+    weight = divide_by_weight(light, fraction, alone[:, :, None, None])
+    lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses)
+    if truth is None:
+        return lf
+    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
+    refuse_if(
+        not are_alike(regular_array(truth.camera), camera)
+        or any(plane.shape != lf.shape[:4] for plane in planes.values()),
+        "truth: it is of another camera than the light field",
+    )
+    whole = {"shape_index": np.int32}
+    return lf.assign_coords(
+        {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
+    )
 
 
 def checked_images(
@@ -108,22 +126,12 @@ def checked_images(
     camera: PlenopticCamera | None,
     white: Capture | np.ndarray | None,
     grid: LensGrid | None,
-) -> tuple[np.ndarray, np.ndarray, PlenopticCamera | None]:
-    """Return the capture's image, the white image and the camera for `decode`; refuse unsuitable ones.
+) -> tuple[np.ndarray, Any, PlenopticCamera | None]:
+    """Return the image (rows, columns, channels), the white image (rows, columns, 1) and the camera for `decode`.
 
-    The result has the shape (rows, columns, channels), (rows, columns, 1).
+    The white image is in units of the radiance 1, but for Fourier microscopes: the recorded one as it is, if there is
+    one, since views of it are scaled.
     """
-    image, pixels, known = _checked(capture, camera, white, grid)
-    return image, _reference(known, pixels, grid), known
-
-
-def _checked(
-    capture: Capture | np.ndarray,
-    camera: PlenopticCamera | None,
-    white: Capture | np.ndarray | None,
-    grid: LensGrid | None,
-) -> tuple[np.ndarray, np.ndarray | None, PlenopticCamera | None]:
-    """Return the image, the recorded white image (rows, columns, 1) if there is one, and the camera."""
     cameras = [] if camera is None else [camera]
     if isinstance(capture, Capture):
         require_demosaiced(capture)
@@ -143,56 +151,23 @@ def _checked(
     known = regular_array(require_camera(cameras[0])) if cameras else None
     if known is not None and image.shape[:2] != known.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {known.shape}")
-    pixels = None
-    if white is not None:
-        pixels = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(axis=2, keepdims=True)
-    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), pixels, known
-
-
-def _reference(camera: PlenopticCamera | None, white: np.ndarray | None, grid: LensGrid | None) -> np.ndarray:
-    """Return the white image, (rows, columns, 1): the recorded one in units of the radiance 1, or the computed one."""
-    if camera is None:
-        if white is None:
-            raise InputError("white = None: without a camera the pupil is known from a white image only")
-        return white
-    camera.require_thin("captures are decoded")
-    computed = white_image(camera, grid)
-    return computed[..., None] if white is None else scaled_white(white, computed, camera)
-
-
-def _coordinates(
-    truth: GroundTruth, camera: PlenopticCamera | None, shape: tuple[int, ...]
-) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Return ground truth as coordinates of its camera's light field."""
-    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
-        not are_alike(regular_array(truth.camera), camera) or any(plane.shape != shape for plane in planes.values()),
-        "truth: it is of another camera than the light field",
+        known is None and white is None, "white = None: without a camera the pupil is known from a white image only"
     )
-    whole = {"shape_index": np.int32}
-    return {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
-
-
-def _require_memory(image: np.ndarray, bins: LensGrid, lenses: LensGrid, half: int) -> None:
-    """Refuse a light field too large, before it is sampled."""
-    views, channels = 2 * half + 1, image.shape[2]
-    # Light and white, each as sampled and in the order of the light field; and the images.
-    samples = (math.prod(bins.shape) + math.prod(lenses.shape)) * views**2 * (channels + 1)
-    require_memory(
-        4.0 * samples + 12.0 * image.shape[0] * image.shape[1],
-        f"light field of {views} x {views} views of {bins.shape[1]} x {bins.shape[0]} pixels",
-    )
-
-
-def _brightness(middle: np.ndarray) -> np.float32:
-    """Return a typical value of a white image in the middle of micro-images."""
-    lit = middle[middle > 0]
-    refuse_if(not lit.size, "white: it is black in the middle of every micro-image")
-    return np.float32(np.median(lit))
+    reference = None
+    if white is not None:
+        reference = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
+    if known is not None and not known.lens_data.images_stop:
+        known.require_thin("captures are decoded")
+        computed = white_image(known, grid)
+        reference = (
+            computed[..., None] if reference is None else recorded_white(reference, reference.shape, [known], computed)
+        )
+    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, known
 
 
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
-    """Return the number of views on either side of the central one, and a mask of views that see this lens alone.
+    """Return the number of views on either side of the central one, and a mask of views through one lens only.
 
     The result has the shape (2 half + 1, 2 half + 1).
     """
@@ -211,7 +186,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
 
 
 def _upright(lenses: LensGrid) -> LensGrid:
-    """Return a square upright grid of the same density over the area of the lenses."""
+    """Return an upright square grid of equal density over the area of the lenses."""
     pitch = lenses.pitch
     low, high = (edge(lenses.centres().reshape(-1, 2), axis=0) for edge in (np.min, np.max))
     if lenses.rotation == 0 and lenses.shifted_rows is None and lenses.spacing[0] == lenses.spacing[1]:
@@ -223,9 +198,9 @@ def _upright(lenses: LensGrid) -> LensGrid:
 
 
 def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
-    """Weights that interpolate from lenses to bins, (bins, lenses): linearly along the rows, and between two rows.
+    """Return weights (bins, lenses) that interpolate from lenses to bins: linearly along rows, and between two rows.
 
-    Lenses that would be needed beyond the grid's edge are left out, so that weights there sum to less than 1.
+    Lenses beyond the grid's edge are left out, so that weights there sum to less than 1.
     """
     rows, columns = lenses.shape
     dx, dy = (bins.centres().reshape(-1, 2) - lenses.offset).T
@@ -259,7 +234,7 @@ def _sample(
 
 
 def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
-    """Return samples of an image at whole-pixel steps about each micro-image centre.
+    """Return samples of an image at whole-pixel steps about each micro-image's centre.
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """

@@ -1,4 +1,4 @@
-"""Depth from a light field, by how well the views agree."""
+"""Depth from a light field, by the agreement of its views."""
 
 from __future__ import annotations
 
@@ -49,18 +49,19 @@ def depth_map(
 ) -> xr.Dataset:
     r"""Return the depth of every bin of the central view, with a confidence.
 
-    For planes spaced in disparity it is measured how much of the variance views leave unexplained: those of an
-    unfocused camera by `agreement.view_disagreement`, micro-images of a focused one by `lens_agreement.LensComparison`.
-    `plane_choice` makes probabilities of it, with those of neighbouring bins, takes the most probable plane, refined by
-    a parabola, and tests whether it explains more than it would of noise alone, and how many neighbours agree.
+    For planes spaced in disparity the unexplained fraction of the variance of views is measured: for an unfocused
+    camera by `agreement.view_disagreement`, for the micro-images of a focused one by `lens_agreement.LensComparison`.
+    `plane_choice` turns the fractions of each bin and its neighbours into probabilities, takes the most probable plane,
+    refined by a parabola, and tests whether it explains more than it would for pure noise, and how many neighbours
+    agree.
 
     The confidence is an estimate of the probability that a depth is within 1 % of the true one. Where it is less than
     1/2 the depth is unknown, NaN: without texture, in noise, where views agree at several distances about as well, and
-    where stripes may be finer than two lenses or, of a focused camera, have a period of less than five pixels within
-    micro-images. It is unknown, too, where most neighbours are at other distances. The confidence is 0 where views
-    agree best at an end of the search, or within 1 % of it: the depth is then unknown, at least that near or that far.
-    Near the plane that is in focus on the array of a focused camera neighbouring lenses see nothing in common; what is
-    there is unknown in the same way.
+    where stripes may be finer than two lenses or, for a focused camera, have a period of less than five pixels within
+    micro-images. It is also unknown where most neighbours are at other distances. The confidence is 0 where views agree
+    best at an end of the search, or within 1 % of it: the point is then probably at least that near, or that far. Near
+    the plane in focus on a focused camera's array, neighbouring lenses see nothing in common; depths there are unknown
+    for the same reason.
 
     Parameters
     ----------
@@ -70,11 +71,11 @@ def depth_map(
         Range of distances in millimetres to search. Default: where a point moves by at most two lenses from view to
         view, twice as far as `depth_range`; of a focused camera `depth_range`.
     micro_images : MicroImages, optional
-        What `micro_images` makes of the same capture. A focused camera whose lenses are not upright and square needs
-        them, as its light field is interpolated between lenses; others do without.
+        The micro-images of the same capture, from `micro_images`. A focused camera whose lenses are not upright and
+        square needs them, as its light field is interpolated between lenses; others do without.
     planes : int, optional
-        How many planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart, or
-        micro-images of a focused camera would move by more than a quarter of a pixel between them.
+        Number of planes, at least 3. Default: 64, and more where they would be farther than 1/32 lens per view apart,
+        or micro-images of a focused camera would move by more than a quarter of a pixel between them.
     progress : callable, optional
         Called with the planes done and their number.
 
@@ -151,7 +152,7 @@ def depth_map(
 
 
 def beyond_search(found: xr.Dataset) -> tuple[float, float]:
-    """Return the probable fractions of bins that see points nearer, and farther, than the search of a depth map.
+    """Return the fractions of bins that probably see points nearer, and farther, than the range of a depth search.
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
@@ -162,10 +163,10 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
-    """Return the nearest and farthest distance whose depth views or micro-images can show.
+    """Return the nearest and farthest distance in mm at which views or micro-images can show depth.
 
-    Views show it while they move by up to `_WIDEST` lenses, twice as far as `depth_range`; micro-images of focused
-    cameras while their lenses are not farther apart than what they show.
+    Views can while they move by up to `_WIDEST` lenses, twice as far as in `depth_range`; micro-images of focused
+    cameras can while their lenses are no farther apart than the field that each shows.
     """
     if is_focused(lf):
         return depth_range(lf)
@@ -181,11 +182,11 @@ def default_slopes(lf: xr.DataArray) -> np.ndarray:
 
 
 def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> np.ndarray:
-    """Return the disparities of the planes, from the first to the last.
+    """Return the disparities of the search planes, from the first to the last.
 
     Views move evenly from plane to plane. Micro-images of focused cameras move by the inverse of the disparity, so that
-    planes are the denser the smaller it is, and those at which neighbouring lenses have nothing in common are left out,
-    but for one in the middle of them.
+    planes are denser for smaller disparities; planes at which neighbouring lenses have nothing in common are left out,
+    except one in their middle.
     """
     if not is_focused(lf):
         return np.linspace(first, last, planes or max(64, math.ceil(_PER_LENS * (last - first)) + 1))
@@ -194,7 +195,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
     dense = math.sqrt(_PER_PIXEL / _PER_LENS)
 
     def steps(slope: np.ndarray | float) -> Any:
-        """Return the number of planes from a disparity of `dense` on: the integral of the greater of both densities."""
+        """Return the number of planes from a disparity `dense` on: the integral of the larger of both densities."""
         return np.where(
             slope < dense, _PER_PIXEL * (1 / dense - 1 / np.maximum(slope, 1e-9)), _PER_LENS * (slope - dense)
         )
@@ -220,7 +221,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
 
 
 def is_focused(lf: xr.DataArray) -> bool:
-    """Return whether all microlenses of a light field's camera are focused on the main lens's image."""
+    """Return whether all microlenses of a light field's camera are focused on the image of the main lens."""
     return "unfocused" not in focus_types(camera_of(lf))
 
 
@@ -230,9 +231,9 @@ def disagreement_of_planes(
     progress: Progress | None = None,
     micro_images: MicroImages | None = None,
 ) -> tuple[Disagreement, float]:
-    """Return the disagreement of views on planes of rising disparities, and the number of samples.
+    """Return the disagreement of views on planes of rising disparity, and the number of samples.
 
-    `micro_images` are those of a focused camera; those of another camera are refused.
+    `micro_images` must be those of a focused camera.
     """
     central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):
@@ -262,7 +263,7 @@ class DepthError:
     Attributes
     ----------
     median, percentile_90 : float
-        Of the bins that are sure; NaN if there is none.
+        Errors of the bins that are sure; NaN if there is none.
     share : float
         Fraction of the bins with a finite true depth that are sure.
     """
@@ -273,12 +274,12 @@ class DepthError:
 
 
 def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
-    """Compare the depths of `depth_map` with the truth, where the confidence is above a bound.
+    """Return the errors of the depths of `depth_map` where the confidence is above a bound.
 
     Parameters
     ----------
     found : xarray.Dataset
-        What `depth_map` returned.
+        The depth map, from `depth_map`.
     confidence : float
         Depths of a higher confidence are compared.
 

@@ -1,9 +1,9 @@
-r"""Light fields of the Fourier light-field microscope: the picture that each lens makes is a view of the whole object.
+r"""Light fields of the Fourier light-field microscope, in which the picture under each lens is a view.
 
-The lens at c in the image of the stop gets the light that has passed the stop at :math:`-c f_T / f_F`, and shows the
-object upright in the camera frame at the scale :math:`z M / f_F`, about its own centre
-(`mitsuba_plenoptic.lenses.telecentric`). A view's pixels are those of the detector, so that nothing is interpolated but
-what lies between pixels.
+The lens at c in the image of the stop receives the light that passed the stop at :math:`-c f_T / f_F`, and shows the
+object upright in the camera frame at the scale :math:`z M / f_F`, about the lens's centre
+(`mitsuba_plenoptic.lenses.telecentric`). A view has the pixels of the detector; interpolation is only by fractions of a
+pixel.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..lenses.common import main_lens
 from ..prescription.objective import Objective
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, labelled
-from .white_image import MINIMUM_WEIGHT, divide_by_white, scaled_white
+from .white_image import MINIMUM_WEIGHT, divide_by_weight, recorded_white
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""
@@ -33,7 +33,7 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LensViews:
-    """The lenses of a Fourier microscope whose pictures are views, on a grid of columns and rows."""
+    """The lenses of a Fourier microscope whose pictures are views, on a grid of rows and columns."""
 
     # Positions of the columns and rows on the array in millimetres, rising; (columns,).
     across: NDArray[np.float64]
@@ -46,14 +46,17 @@ class LensViews:
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
-        """Return the lenses in the image of the stop."""
+        """Return the lenses that lie in the image of the stop."""
         lattice, p = camera.lattice, camera.pixel_size
         refuse_if(
             abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
             f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
             "of the detector; turn the array by a whole number of right angles",
         )
-        half = tuple(math.floor(width / (2 * p) - 0.5) for width in _room(camera))
+        # Width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle.
+        room = float(lattice.pitches[0]), float(lattice.row_distance)
+        upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
+        half = tuple(math.floor(width / (2 * p) - 0.5) for width in (room if upright else room[::-1]))
         refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
         reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
         lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
@@ -72,7 +75,7 @@ class LensViews:
 def decode_views(
     image: NDArray[np.float32], camera: PlenopticCamera, lens: Objective, white: NDArray[np.float32] | None
 ) -> xr.DataArray:
-    """Turn a capture of a Fourier microscope into a light field; see `decode`.
+    """Return a capture of a Fourier microscope as a light field; see `decode`.
 
     Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
     """
@@ -89,10 +92,11 @@ def decode_views(
         number = np.arange(views.fraction.size).reshape(views.fraction.shape)
         away = np.hypot(views.across, views.down[:, None])
         lenses = (np.broadcast_to(number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
-        weight = scaled_white(_sampled(white, camera, views), weight, camera, lenses)[..., 0]
-    divide_by_white(values, weight)
+        recorded = _sampled(white, camera, views)
+        weight = recorded_white(recorded, recorded.shape, [camera], weight, lenses)[..., 0]
+    weight = divide_by_weight(values, weight)
     scale = -lens.tube_focal_length / lens.last_focal_length
-    coordinates: dict[str, object] = {"weight": (DIMS, np.minimum(weight, 1))}
+    coordinates: dict[str, object] = {"weight": (DIMS, weight)}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
         coordinates[name] = (name, scale * positions, {"units": "mm", "long_name": f"{axis} on the stop"})
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
@@ -102,18 +106,10 @@ def decode_views(
     return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
 
 
-def _room(camera: PlenopticCamera) -> tuple[float, float]:
-    """Return width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle."""
-    lattice = camera.lattice
-    along, across = float(lattice.pitches[0]), float(lattice.row_distance)
-    upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
-    return (along, across) if upright else (across, along)
-
-
 def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Return the light that apertures of lenses receive, relative to an evenly lit stop."""
+    """Return the light that lens apertures receive, relative to a uniformly lit stop."""
     lattice, stop = camera.lattice, main_lens(camera)
     reach = lattice.cell_reach
     offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
@@ -142,7 +138,7 @@ def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np
 
 
 def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensViews) -> NDArray[np.float32]:
-    """Return the pictures upright, (v, u, rows, columns, channels): linear between pixels, 0 beyond the image."""
+    """Return the pictures upright, (v, u, rows, columns, channels), interpolated linearly; 0 beyond the image."""
     channels = image.shape[2]
     half = views.half
     result = np.zeros((*views.fraction.shape, 2 * half[1] + 1, 2 * half[0] + 1, channels), np.float32)

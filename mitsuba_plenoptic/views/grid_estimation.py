@@ -1,4 +1,4 @@
-"""Finding the micro-images of a camera of which only a white image is known."""
+"""Location of micro-images if only a white image of a camera is known."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
 
 
 def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Read two lattice vectors (rows of a matrix, in pixels) and one centre off the spectrum of the middle."""
+    """Return two lattice vectors (rows, in pixels) and one centre, read off the spectrum of the image's middle."""
     rows, columns = image.shape
     height, width = min(rows, _CROP), min(columns, _CROP)
     top, left = (rows - height) // 2, (columns - width) // 2
@@ -112,7 +112,7 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Position of a peak between samples, by a parabola through the logarithm."""
+    """Return the position of a peak between samples, by a parabola through logarithms."""
     result = position.astype(np.float64)
     for axis in (0, 1):
         step = np.eye(2, dtype=int)[axis]
@@ -123,7 +123,7 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Fit the lattice to the micro-images' centroids, about the middle first and then everywhere."""
+    """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
     size = np.array(image.shape[::-1])
     radius = min(math.hypot(*step) for step in (*vectors, vectors.sum(0))) / 2
     reach = _FIRST_REACH
@@ -135,10 +135,16 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
         inside = ((centres > radius + 1) & (centres < size - radius - 1)).all(1)
         refuse_if(inside.sum() < 16, f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
         index, centres = index[inside], centres[inside]
-        blocks = np.array_split(centres, -(-len(centres) // _BLOCK))
-        measured, light = (
-            np.concatenate(parts) for parts in zip(*(_centroids(image, block, radius) for block in blocks), strict=True)
+        # Of the light within a disc about each centre.
+        of_blocks = (
+            centroids(
+                pixels_around(image, block, math.ceil(radius) + 1),
+                block,
+                lambda distance: (radius + 0.5 - distance).clip(0, 1),
+            )
+            for block in np.array_split(centres, -(-len(centres) // _BLOCK))
         )
+        measured, light = (np.concatenate(parts) for parts in zip(*of_blocks, strict=True))
         used = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
         used &= moved < 3 * np.median(moved[used]) + 0.5
@@ -157,14 +163,8 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
     return *_rows_at_right_angles(steps, measured[used]), shifted
 
 
-def _centroids(image: np.ndarray, centres: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Centroid and brightness of the image within a disc about each centre, over the darkest in it."""
-    patches = pixels_around(image, centres, math.ceil(radius) + 1)
-    return centroids(patches, centres, lambda distance: (radius + 0.5 - distance).clip(0, 1))
-
-
 def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the columns (n, k) and the rows (n, k) of the pixels about each centre, and their values (n, k, k)."""
+    """Return the columns (n, k) and rows (n, k) of the pixels around each centre, and their values (n, k, k)."""
     window = np.arange(-half, half + 1)
     base = np.floor(centres).astype(np.int64)
     x, y = (base[:, axis, None] + window for axis in (0, 1))

@@ -1,4 +1,4 @@
-"""Ground truth of captures and of the light fields that are decoded from them."""
+"""Ground truth of captures, and of light fields decoded from them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _REFLECTIONS = 8
 
 
 class FirstHits:
-    """Finder of the first surface that rays meet in a scene, as Mitsuba's integrator ``aov`` reports it."""
+    """Finder of the surfaces that rays meet first in a scene, as in Mitsuba's integrator ``aov``."""
 
     def __init__(
         self,
@@ -91,10 +91,15 @@ class FirstHits:
         return {name: values.numpy().T for name, values in found.items()}
 
     def _unfolded(self, ray: Any, hit: Any, met: Any) -> Any:
-        """Return lengths of rays unfolded at plane mirrors, which show a point as far behind them as it is in front."""
+        """Return lengths of rays unfolded at plane mirrors, up to the mirror image."""
         length = dr.select(met, hit.t, dr.inf)
         for _ in range(_REFLECTIONS):
-            met = met & _is_plane_mirror(hit, ray)
+            # Plane surfaces that only reflect, without scattering.
+            flags = hit.bsdf(ray).flags()
+            reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
+            both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
+            is_plane = dr.squared_norm(hit.dn_du) + dr.squared_norm(hit.dn_dv) == 0
+            met = met & reflects & is_plane & (both_sides | (hit.wi.z > 0))
             onward = hit.to_world(mi.reflect(hit.wi))
             # Mitsuba's rays start off the surface, along its normal; these start as far off it along themselves.
             gap = dr.dot(hit.spawn_ray(onward).o - hit.p, hit.n) / dr.dot(onward, hit.n)
@@ -106,38 +111,28 @@ class FirstHits:
 
 
 def _flags() -> Any:
-    """Return the flags of an intersection, with derivatives of normals, by which plane surfaces are known."""
+    """Return the flags of an intersection with derivatives of normals, by which plane surfaces are recognised."""
     return mi.RayFlags.All | mi.RayFlags.dNSdUV
-
-
-def _is_plane_mirror(hit: Any, ray: Any) -> Any:
-    """Return a mask of hits on plane surfaces that only reflect, without scattering."""
-    flags = hit.bsdf(ray).flags()
-    reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
-    both_sides = mi.has_flag(flags, mi.BSDFFlags.BackSide)
-    plane = dr.squared_norm(hit.dn_du) + dr.squared_norm(hit.dn_dv) == 0
-    return reflects & plane & (both_sides | (hit.wi.z > 0))
 
 
 @suggest_keywords
 @one_at_a_time
 def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor: int | Any = 0) -> GroundTruth:
-    """Return the ground truth of a plenoptic camera's scene, for each pixel and each sample of the light field.
+    """Return a plenoptic camera's ground truth in a scene, for each pixel and each sample of the light field.
 
     A pixel sees a part of the scene, through all of its lens and so through a part of the pupil. Its ground truth is
-    that of one ray, from its middle through the centre of its lens. A sample of the light field that `decode` makes
-    stands for a point of the pupil and a bin; its ground truth is that of the ray through these, whichever pixels it
-    is interpolated from. Rays end at the first surface, as in Mitsuba's integrator ``aov``: at mirrors and glass, and
-    at masks and cut-outs, too. Only ``virtual_depth`` follows them over plane mirrors, up to eight in a row; pixels
-    where it exceeds ``depth`` show a mirror. Curved mirrors, and surfaces that also scatter or let light through, are
-    not followed.
+    that of one ray, from its middle through the centre of its lens. A sample of the light field from `decode`
+    represents a point of the pupil and a bin; its ground truth is that of the ray through these two, whichever pixels
+    it is interpolated from. Rays end at the first surface, as in Mitsuba's integrator ``aov``: also at mirrors, glass,
+    masks and cut-outs. Only ``virtual_depth`` follows rays over plane mirrors, up to eight in a row; pixels where it
+    exceeds ``depth`` show a mirror. Curved mirrors, and surfaces that also scatter or transmit light, are not followed.
 
     Parameters
     ----------
     scene : mitsuba.Scene
         A scene with a sensor of type ``plenoptic``.
     names : sequence of str
-        What to find: ``depth``, ``virtual_depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see
+        Quantities: ``depth``, ``virtual_depth``, ``position``, ``normal``, ``albedo``, ``shape_index``; see
         `GroundTruth`.
     sensor : int or mitsuba.Sensor
         As for `render_capture`.

@@ -1,16 +1,17 @@
-r"""How well the micro-images of neighbouring lenses of a focused camera agree that a bin is at some distance.
+r"""Agreement of the micro-images of neighbouring lenses of a focused camera on the distance of each bin.
 
-They hold detail that is finer than the pitch of the lenses, so that views, of one sample a lens, are aliased. What a
-lens shows at the view u, its neighbour, k lens pitches from it, shows at :math:`u + k / \delta`, for the disparity
+Micro-images hold detail finer than the pitch of the lenses, so that views, with one sample per lens, are aliased. What
+a lens shows at the view u, a neighbour k lens pitches from it shows at :math:`u + k / \delta`, for the disparity
 :math:`\delta` in lenses per view: samples are interpolated within micro-images, never between lenses (Perwass and
-Wietzke 2012). Neighbours are those of any lattice, and of any type: of a multi-focus array the nearest are of others.
+Wietzke 2012). Neighbours are lenses of any lattice and of any type: in a multi-focus array the nearest neighbours have
+other types.
 
-A sample near the rim of its micro-image gets light through a part of its lens only, whose middle is a mean point
-:math:`\bar m` beside the lens's centre. Where the lens is out of focus it then shows what one through the centre shows
-:math:`\bar m (\kappa / \Delta P + 1 / (\delta D_2))` views away: the difference, on the detector, of the pencils
+A sample near the rim of its micro-image receives light only through a part of its lens, whose mean point :math:`\bar m`
+lies beside the lens's centre. If the lens is out of focus, the sample shows what a sample through the centre shows
+:math:`\bar m (\kappa / \Delta P + 1 / (\delta D_2))` views away: the difference on the detector between the pencils
 through both points, with :math:`\kappa` of `PlenopticCamera.pupil_shift` and the step :math:`\Delta P` of the pupil
-from view to view. Where a sample was recorded that belongs at a place is found by repetition, as its mean point is not
-known before; with the mean point of that place, depths of a camera of three focal lengths were 1 % off.
+from view to view. The recorded place of a sample is found iteratively, as its mean point is not known before; with the
+mean point at the nominal place, depths of a camera of three focal lengths were 1 % off.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..camera import PlenopticCamera
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
@@ -57,19 +57,24 @@ _POINTS = 32
 
 
 class LensComparison:
-    """Micro-images of a capture, compared plane by plane."""
+    """The micro-images of a capture, for comparison plane by plane."""
 
     def __init__(self, images: MicroImages) -> None:
         self._images = images
-        self._values = _smoothed(images.values, images.weight)
+        # Smoothed within micro-images, weighted by the part of the pupil that samples see.
+        total, seen = images.values * images.weight[..., None], images.weight
+        for axis in (2, 3):
+            total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
+            seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
+        self._values = np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
-        The results are those of `agreement.view_disagreement`; the ratio is NaN where lenses compare nothing. The
-        variance that samples of a bin have is to be explained, and that between samples of neighbouring lenses is left
-        unexplained. Interpolation lessens both alike.
+        The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. To be
+        explained is the variance of a bin's samples; the variance between samples of neighbouring lenses is left
+        unexplained. Interpolation reduces both alike.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
@@ -109,9 +114,9 @@ class LensComparison:
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
-        """Return each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
+        """Each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
 
-        The way is in pitches of the bins, along columns and rows.
+        The offset is in pitches of the bins, along columns and rows.
         """
         grid, bins = self._images.grid, self._images.bins
         rows, columns = grid.shape
@@ -139,7 +144,7 @@ class LensComparison:
         return pairs
 
     def _straightened(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return samples at the positions where a pencil through the lens's centre shows them, and a mask."""
+        """Return samples at the positions where a pencil through the lens's centre would show them, and a mask."""
         images = self._images
         values, weight = np.empty_like(self._values), np.empty_like(images.weight)
         types = images.types
@@ -170,14 +175,16 @@ class LensComparison:
 
     @cached_property
     def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Effects of the pupil's rim on the samples of a lens of each type, two arrays (2, v, u) along v and u.
+        """Effects of the pupil's rim on the samples of each lens type: two arrays (2, v, u), along v and u.
 
-        Mean point, in mm, of the part of the lens that a sample sees the pupil through; and by how many pixels the
-        light of the sample was recorded off it: inwards, as less comes from where less of the lens is open.
+        The first is the mean point, in mm, of the part of the lens through which a sample sees the pupil; the second is
+        the displacement in pixels of the sample's recorded light: inwards, as less light comes from where less of the
+        lens is open.
         """
         camera = self._images.camera
         position = (np.arange(_POINTS) + 0.5) / _POINTS
-        point = np.stack([np.asarray(axis).ravel() for axis in _aperture_points(camera, position)])
+        # Evenly on a lens's aperture, in mm from its centre.
+        point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
         found = []
         reach = len(_SPREAD) // 2
         offset = np.arange(-reach, reach + 1)
@@ -194,7 +201,7 @@ class LensComparison:
         return found
 
     def _bins_of(self, slope: float) -> np.ndarray:
-        """Return the number of the bin of the central view that each sample shows; one beyond the last for none."""
+        """Return the index of the central view's bin that each sample shows; the number of bins if there is none."""
         shape = self._images.bins.shape
         column, row = np.moveaxis(self._images.places, 2, 0)
         down, across = self._steps
@@ -205,35 +212,19 @@ class LensComparison:
 
 
 def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return weighted sums of samples along both axes, where all weights have samples."""
+    """Return weighted sums of samples along both axes, where samples exist for all weights."""
     part = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(part * 1.0, down, axis=0), across, axis=1)
     return np.asarray(part[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
 
 
-def _smoothed(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return samples smoothed within their micro-images, weighted by the part of the pupil that they see."""
-    total, seen = values * weight[..., None], weight
-    for axis in (2, 3):
-        total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
-        seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
-    return np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
-
-
-def _aperture_points(camera: PlenopticCamera, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points that lie evenly on a lens's aperture, in mm from its centre."""
-    s, t = np.meshgrid(position, position)
-    x, y = camera.lattice.aperture_point(s.ravel(), t.ravel())
-    return np.asarray(x), np.asarray(y)
-
-
 def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
-    """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view, one view fewer per axis."""
+    """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view; each axis has one view fewer."""
     part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
     return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:
-    """Return views that have a partner `move` views on, the partners' whole views, and the fraction between these."""
+    """Return views with a partner `move` views on, the partners' integer views, and the fraction between them."""
     whole = math.floor(move)
     first, last = max(0, -whole), min(views, views - 1 - whole)
     return slice(first, last), slice(first + whole, last + whole + 1), np.float32(move - whole)

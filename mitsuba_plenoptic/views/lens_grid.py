@@ -1,7 +1,7 @@
-"""Positions of the micro-images on the detector: the only module here that depends on the microlens lattice.
+"""Positions of the micro-images on the detector; only this decoding module depends on the microlens lattice.
 
-Everything that decodes a capture asks here for the centres of the micro-images, in the pixels of the recorded
-image, and for the lenses they belong to. Whatever the lattice is, only this module changes with it.
+All decoding code asks here for the centres of micro-images, in pixels of the recorded image, and for the lenses to
+which they belong.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class LensGrid:
         return min(across, down) if self.shifted_rows is None else min(across, math.hypot(across / 2, down), 2 * down)
 
     def centres(self) -> np.ndarray:
-        """Column and row coordinates of all centres.
+        """Return the column and row coordinates of all centres.
 
         Returns
         -------
@@ -103,11 +103,10 @@ class LensGrid:
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
-    """Return the centres on the detector of the bins that a light field of this camera has: square and upright.
+    """Return the detector positions of a light field's bins, which are square and upright.
 
-    The bins are those of a reconstruction, `PlenopticCamera.bin_count`; where the camera records a crop window,
-    those whose micro-image is centred in it. On an upright square lattice with a corner on the axis they are the
-    lenses.
+    The bins are those of a reconstruction, `PlenopticCamera.bin_count`; for a crop window, those with a micro-image
+    centred in it. On an upright square lattice with a corner on the axis they are the lenses.
     """
     camera.require_thin("light fields are decoded")
     camera.require_resolved()
@@ -126,8 +125,8 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
 def lens_grid(camera: PlenopticCamera) -> LensGrid:
     """Return the micro-image centres of a camera's lenses on its recorded image.
 
-    They are chief-ray images of the lens centres: at c (b + z) / b on the detector, not at c. Of a lattice in another
-    position than the default they are all lenses whose micro-image is centred in the image, in whole rows and
+    They are chief-ray images of the lens centres: at c (b + z) / b on the detector, not at c. For a lattice in another
+    position than the default, the grid has all lenses whose micro-image is centred in the image, in whole rows and
     columns, as `estimate_lens_grid` finds them.
 
     Parameters
@@ -172,9 +171,9 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
 
 
 def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
-    """Return the type of the lens of each micro-image: the index of its focal length.
+    """Return the lens type of each micro-image: the index of its focal length.
 
-    The centres, (..., 2) columns and rows on the recorded image, are those of the model or of its estimate.
+    The centres, (..., 2) columns and rows on the recorded image, are computed or estimated ones.
     """
     if len(camera.mla_focal_lengths) == 1:
         return np.zeros(centres.shape[:-1], dtype=np.int64)
@@ -201,10 +200,10 @@ def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
 
 
 def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:
-    """Turn two lattice vectors into the steps along and across the rows, rows nearest to level.
+    """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
 
-    Rows and the direction across them are at right angles. With a and b the two shortest vectors, they are along a
-    and b in a rectangular lattice. In a hexagonal one, stretched or not, they are along a + b and a - b, or along a and
+    Rows and the direction across them are at right angles. With a and b the two shortest vectors, these are along a and
+    b in a rectangular lattice. In a hexagonal one, stretched or not, they are along a + b and a - b, or along a and
     across it, and every second row is shifted; if it is not stretched, there are three such pairs.
 
     Shapes: `vectors` (2, 2); the result (2, 2).
@@ -230,7 +229,7 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarr
 
 
 def reduced(vectors: np.ndarray) -> np.ndarray:
-    """Return the two shortest vectors of the lattice that two span, at no less than a right angle (Lagrange)."""
+    """Return the two shortest vectors of the lattice that two vectors span, at no less than 90 degrees (Lagrange)."""
     a, b = vectors
     while True:
         if a @ a > b @ b:
@@ -243,7 +242,7 @@ def reduced(vectors: np.ndarray) -> np.ndarray:
 
 
 def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarray, shifted: bool) -> LensGrid:
-    """Return the grid of a lattice's lenses, counted from the first row and column that an image needs.
+    """Return the grid of a lattice's lenses, counted from the first row and column needed for an image.
 
     Shapes: `shape` (int, int), `origin` (2,).
     """
@@ -263,6 +262,6 @@ def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarra
 
 
 def _pixel(camera: PlenopticCamera, centre: Any, axis: int) -> Any:
-    """Coordinate on the recorded image of the micro-image of a lens."""
+    """Return the coordinate of a lens's micro-image on the recorded image, in pixels."""
     p = rays.chief_detector_point(centre, camera.mla_distance, camera.reduced_distance)
     return p / camera.pixel_size + camera.resolution[axis] / 2 - camera.crop_offset[axis]

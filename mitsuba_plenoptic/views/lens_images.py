@@ -1,7 +1,7 @@
-"""Micro-images as they were recorded, lens by lens: the basis of a focused camera's depth.
+"""Micro-images as recorded, lens by lens: the basis of depth from focused cameras.
 
-A light field has square upright bins, which on other lattices are interpolated between lenses. Of a focused camera that
-destroys what its micro-images hold: detail finer than the pitch of the lenses.
+A light field has square upright bins, which on other lattices are interpolated between lenses. For a focused camera
+this destroys detail finer than the pitch of the lenses, which its micro-images hold.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from ..runtime.limits import require_memory
 from .coordinates import camera_of, grid_of, view_steps
 from .decode import checked_images, sample_lenses, view_window
 from .lens_grid import LensGrid, bin_grid, lens_grid, lens_types
-from .white_image import divide_by_white
+from .white_image import divide_by_weight
 
 
 @dataclass(frozen=True, eq=False)
 class MicroImages:
-    """Micro-images, sampled at steps of a pixel about each one's centre.
+    """Micro-images, sampled in steps of a pixel about each centre.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class MicroImages:
 
     @property
     def places(self) -> np.ndarray:
-        """Column and row among the bins, with fractions, of the middle of each lens, (rows, columns, 2)."""
+        """Column and row of the middle of each lens among the bins, with fractions, (rows, columns, 2)."""
         return (self.grid.centres() - self.bins.offset) / self.bins.spacing
 
 
@@ -95,12 +95,11 @@ def micro_images(
         f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
     )
     values, weight = sample_lenses(image, lenses, half), sample_lenses(reference, lenses, half)[..., 0]
-    divide_by_white(values, weight, alone)
-    return MicroImages(values, np.minimum(weight, 1), lenses, bin_grid(known), known)
+    return MicroImages(values, divide_by_weight(values, weight, alone), lenses, bin_grid(known), known)
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:
-    """Return the micro-images of a light field that was decoded without interpolation between lenses."""
+    """Return the micro-images of a light field decoded without interpolation between lenses."""
     camera = camera_of(lf)
     bins = bin_grid(camera)
     refuse_if(

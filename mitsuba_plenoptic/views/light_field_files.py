@@ -1,9 +1,10 @@
-"""Light fields by file name: which reader and writer a suffix means."""
+"""Light fields by file name: the reader and writer for each suffix."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,7 +27,7 @@ _LENSES = ".eslf.png"
 HCI = "parameters.cfg"
 """File in each folder of the 4D Light Field Benchmark, which belongs to an extension."""
 
-_SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
+SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
 """Of files to write; ``.mat`` belongs to an extension."""
 
 
@@ -39,7 +40,7 @@ def open_light_field(
     camera: PlenopticCamera | None = None,
     truth: str | Path | bool = False,
 ) -> xr.DataArray:
-    """Read a light field, or decode one from a capture.
+    """Return a light field read from a file, or decoded from a capture.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def open_light_field(
         f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
     )
     raise InputError(
-        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(_SUFFIXES)} or .tiff, or is a "
+        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(SUFFIXES)} or .tiff, or is a "
         f"folder with {HCI}"
     )
 
@@ -122,7 +123,7 @@ def open_micro_images(
     linear: bool = False,
     camera: PlenopticCamera | None = None,
 ) -> MicroImages | None:
-    """Return the micro-images of a capture's file, for depth maps of focused cameras; None for other cameras.
+    """Return the micro-images in a capture's file, for depth maps of focused cameras; None for other cameras.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def open_micro_images(
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
-    """Write a light field to keep, or for another program.
+    """Write a light field to a file, in a format of this package or of another program.
 
     Parameters
     ----------
@@ -184,11 +185,11 @@ def require_light_field_path(path: str | Path) -> Path:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    return require_writable(path, *_SUFFIXES)
+    return require_writable(path, *SUFFIXES)
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:
-    """Return the ground truth of a capture: from a file, or from the capture's own file if it exists; else None."""
+    """Return the ground truth of a capture, from a given file or the capture's own; None if there is none."""
     if not isinstance(truth, bool):
         return read_ground_truth(truth)
     name = capture.metadata.get(NAME)
@@ -202,7 +203,7 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
 
 
 def read_recording(path: str | Path, linear: bool) -> Capture | np.ndarray:
-    """Read a capture with its camera, or the pixels of a picture, which has no camera."""
+    """Read a capture with its camera, or the pixels of a picture without a camera."""
     return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
 
 
@@ -220,7 +221,7 @@ _LARGEST_RECORD = 2**24
 
 
 def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
-    """Write a light field whose file `read_labelled` or ``xarray.open_dataarray`` opens.
+    """Write a light field to a file that `read_labelled` or ``xarray.open_dataarray`` opens.
 
     Parameters
     ----------
@@ -247,7 +248,7 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
 def read_labelled(path: str | Path) -> xr.DataArray:
     """Read a light field that `write_labelled` wrote.
 
-    NetCDF 4 is HDF5, whose files can link to others, and is not read here.
+    NetCDF 4 is HDF5, whose files can link to others, and is not read.
 
     Parameters
     ----------
@@ -275,8 +276,16 @@ def read_labelled(path: str | Path) -> xr.DataArray:
                 not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
                 f"{path}: there is no such folder of Zarr",
             )
-            require_zarr(path)
-            _require_zarr_memory(path)
+            zarr = require_zarr(path)
+            for record in path.rglob("*"):
+                if record.name in _ZARR_RECORDS:
+                    require_size(record, _LARGEST_RECORD)
+            # Chunks may be larger than their arrays.
+            sizes = [
+                array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
+                for _, array in zarr.open_group(str(path), mode="r").arrays()
+            ]
+            require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
             stored = xr.load_dataarray(path, engine="zarr")
     with naming(path):
         lf = require_light_field(stored)
@@ -285,20 +294,6 @@ def read_labelled(path: str | Path) -> xr.DataArray:
     return lf
 
 
-def _require_zarr_memory(path: Path) -> None:
-    """Refuse a folder with arrays, or chunks of arrays, that would not fit into memory."""
-    import zarr
-
-    for file in path.rglob("*"):
-        if file.name in _ZARR_RECORDS:
-            require_size(file, _LARGEST_RECORD)
-    sizes = [
-        array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
-        for _, array in zarr.open_group(str(path), mode="r").arrays()
-    ]
-    require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
-
-
-def require_zarr(path: Path) -> None:
-    """Refuse a file of Zarr where the package is not installed."""
-    require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")
+def require_zarr(path: Path) -> Any:
+    """Return the package zarr, or refuse a file of Zarr without it."""
+    return require_module("zarr", f"{path}: Zarr needs a package: pip install zarr")

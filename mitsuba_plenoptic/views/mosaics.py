@@ -1,4 +1,4 @@
-"""Mosaics of light fields in pictures: the samples of each lens, or of each view, together."""
+"""Mosaics of light fields as pictures, with the samples of each lens, or of each view, together."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LAYOUTS = ("lenses", "views")
 
 
 def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") -> None:
-    """Write a light field as a 16-bit PNG mosaic, its largest value white.
+    """Write a light field as a 16-bit PNG mosaic, with its largest value as white.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-r"""Which of some planes each bin is on: probabilities from how well views agree, each with those of its neighbours.
+r"""The choice of a plane for each bin: probabilities from the agreement of views in the bin and its neighbours.
 
-The evidence is the logarithm of the ratio :math:`r_d` of the variance that views keep when they are moved for the plane
-d to the variance that is to be explained, as in an analysis of variance: N independent samples of unknown deviation
-have a likelihood proportional to :math:`r_d^{-N/2}`. Of noise alone the ratio is 1 on every plane, with a deviation
-that follows from the number of samples, so that it can be tested whether there is anything to see at all.
+The evidence is the logarithm of a ratio :math:`r_d`, as in an analysis of variance: the variance that is left between
+views moved for the plane d, over the variance to be explained. N independent samples of unknown deviation have a
+likelihood proportional to :math:`r_d^{-N/2}`. For pure noise the ratio is 1 on every plane, with a deviation that
+follows from the number of samples, so that the presence of any texture can be tested.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Disagreement:
 def disagreement(
     ratio: np.ndarray, whole: np.ndarray, samples: np.ndarray, brightness: np.ndarray, inverse: np.ndarray
 ) -> Disagreement:
-    """Return the disagreement of views; deviations too small for the brightness of bins count as noise."""
+    """Return the disagreement of views; deviations too small for the bins' brightness count as noise."""
     bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -103,9 +103,9 @@ def disagreement(
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
-    """Return the most probable plane of each bin, for surroundings with enough samples of `VIEWS` or `LENSES`.
+    """Return the most probable plane of each bin, if its surroundings have enough samples of `VIEWS` or `LENSES`.
 
-    `tolerance` is the relative error of a distance that counts as right.
+    `tolerance` is the relative error up to which a distance counts as right.
     """
     plane, evidence, agreeing = indications(found, samples, tolerance)
     probability = expit(np.tensordot(WEIGHTS, evidence, 1))
@@ -117,10 +117,10 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
 def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
     """Return a mask of bins whose true plane may lie beyond the last plane.
 
-    That is so within the tolerance of the first or the last plane, and where no valley of the disagreement is closed at
-    the chosen one: on both sides, among the planes that can be compared, the logarithm of the deviation must rise by
-    some of what the chosen plane is below the median of all, on a side that ends before planes which cannot be compared
-    by less.
+    This is so within the tolerance of the first or the last plane, and where no minimum of the disagreement around the
+    chosen plane is closed. For a closed minimum the logarithm of the deviation must rise on both sides, among the
+    comparable planes, by a part of the difference between the chosen plane and the median of all; on a side that ends
+    before incomparable planes, by less.
     """
     ratio = found.ratio
     low, high = _around(found.inverse, plane, tolerance)
@@ -146,14 +146,15 @@ def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.nd
 def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the most probable planes with fractions, evidence on whether they are right, and agreeing neighbours.
 
-    Evidence, (4, rows, columns), is logarithms but for the first: one; the log odds that the plane is right, if the
-    evidence of the bin's surroundings, on average, is taken at its word, as repeated texture agrees at several
-    distances about as well; the deviation on the best plane over the brightness, or 0.06 where it is less, since at
-    edges of what is in front, on gloss and on steep surfaces no plane explains the views; and by how many deviations of
-    noise the surroundings' average ratio is below 1 on this plane, beyond what noise alone would leave on the best of
-    all planes.
+    The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane is
+    right, if the average evidence of the bin's surroundings is taken literally, since repeated texture agrees at
+    several distances about as well. The third is the deviation on the best plane over the brightness, or 0.06 where it
+    is less: at edges of foreground objects, on gloss and on steep surfaces no plane explains the views. The fourth is
+    by how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what pure noise
+    would leave on the best of all planes.
 
-    Last comes the fraction of the neighbours which by their own evidence are within twice the tolerance of this plane.
+    The last result is the fraction of neighbours that, by their own evidence, are within twice the tolerance of this
+    plane.
     """
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(found.ratio, axis=0)
@@ -184,7 +185,7 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
 
 
 def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the planes, with fractions, between which distances are within the tolerance of one, or the ends."""
+    """Return the planes, with fractions, that bound the distances within the tolerance of a plane, or the ends."""
     planes = np.arange(len(inverse))
     order = np.argsort(inverse)
     at = np.interp(plane, planes, inverse)
@@ -193,7 +194,7 @@ def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: float) -> tuple[n
 
 
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
-    """Return probabilities over the planes from their logarithms, up to a factor."""
+    """Return normalised probabilities over the planes, from logarithms of relative ones."""
     values = np.exp(logarithm - logarithm.max(axis=0))
     return np.asarray(values / values.sum(axis=0))
 

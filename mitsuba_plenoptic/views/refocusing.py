@@ -1,4 +1,4 @@
-"""Refocusing a light field by shifting its views and adding them up."""
+"""Refocusing of light fields by shifting and adding their views."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ METHODS = ("shift", "fourier")
 
 
 def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
-    """Return the average of views moved against their parallax.
+    """Return the average of the views, shifted against their parallax.
 
-    After R. Ng et al., "Light Field Photography with a Hand-held Plenoptic Camera" (2005), section 4. Views are
-    moved by linear interpolation and weighted by the fraction of the pupil that they see, so that the borders do not
-    darken.
+    After R. Ng et al., "Light Field Photography with a Hand-held Plenoptic Camera" (2005), section 4. Views are shifted
+    by linear interpolation and weighted by the fraction of the pupil that they see, so that borders do not darken.
 
     Parameters
     ----------
@@ -41,7 +40,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     Raises
     ------
     InputError
-        If it is no light field, or the disparity is not a number from -1e6 to 1e6.
+        If the argument is no light field, or the disparity is not a number from -1e6 to 1e6.
     """
     lf = require_light_field(lf)
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
@@ -56,7 +55,7 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
 
 @suggest_keywords
 def refocus(lf: xr.DataArray, distance: float, *, method: str = "shift") -> xr.DataArray:
-    """Refocus a light field to a distance.
+    """Return a light field refocused to a distance.
 
     Parameters
     ----------
@@ -97,7 +96,7 @@ def focal_stack(
     method: str = "shift",
     progress: Progress | None = None,
 ) -> xr.DataArray:
-    """Refocus a light field to several distances.
+    """Return a light field refocused to several distances.
 
     Parameters
     ----------
@@ -143,14 +142,14 @@ def focal_stack(
 
 
 def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
-    """Read an array at `shift` samples further along an axis, linearly; 0 comes in from outside."""
+    """Return an array read `shift` samples further along an axis, by linear interpolation; outside it is 0."""
     result = np.zeros_like(values)
     _add_shifted(result, values, shift, axis)
     return result
 
 
 def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int) -> None:
-    """Add the values that `shifted` reads to a total."""
+    """Add the values returned by `shifted` to a total."""
     whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
     part = np.float32(shift - whole)
     for count, factor in ((whole, 1 - part), (whole + 1, part)):
@@ -163,7 +162,7 @@ def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int)
 
 
 def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Return the sum of views (v, u, t, s), each read at its shift."""
+    """Return the sum of views (v, u, t, s), each read at its own shift."""
     by_column = np.zeros(values.shape[1:], dtype=np.float64)
     for row, shift in zip(values, down, strict=True):
         _add_shifted(by_column, row, shift, axis=1)
@@ -174,7 +173,7 @@ def _gather(values: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndar
 
 
 class FourierRefocuser:
-    r"""Refocus by the Fourier slice photography theorem: a photograph's spectrum is a slice of the light field's.
+    r"""Refocusing by the Fourier slice photography theorem: a photograph's spectrum is a slice of the light field's.
 
     After R. Ng, "Fourier Slice Photography" (2005). With :math:`\hat L` the spectrum of the light field, the
     photograph refocused to disparity :math:`\delta` has the spectrum

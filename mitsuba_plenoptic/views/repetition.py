@@ -1,7 +1,7 @@
-"""Where texture repeats within the micro-images of a focused camera, so that several planes explain it.
+"""Repeated texture within the micro-images of a focused camera, for which several planes explain the views.
 
-What neighbouring lenses show of stripes agrees again when it is moved by a whole period more. Within a micro-image
-stripes are sampled by pixels, so that their period is seen there even where it is finer than the pitch of the lenses.
+Stripes seen by neighbouring lenses agree again after a shift by a whole period. Within a micro-image stripes are
+sampled by pixels, so that their period can be measured there even if it is finer than the pitch of the lenses.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _BLURRED, _SLOPE, _LEAST, _MOST = 2.5, 3.0, 0.25, 0.87
 
 
 def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
-    """Return the probability, (t, s), that a bin's depth is wrong because texture repeats in the search.
+    """Return the probability (t, s) that a bin's depth is wrong because texture repeats within the search range.
 
-    It is 0 where no plane of the search is a whole period from another one.
+    It is 0 where no search plane is a whole period from another one.
     """
     rise, period = _repetition(images)
     # Neighbouring lenses show the same so many pixels apart.
@@ -50,7 +50,7 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
 
 
 def _repetition(images: MicroImages) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each lens, the renewed rise of the micro-image's correlation, and the period in pixels."""
+    """Return, for each lens, how far the micro-image's correlation rises again, and the period in pixels."""
     open_ = (images.weight >= _OPEN).astype(np.float32)[..., None]
     seen = np.maximum(open_.sum(axis=(2, 3), keepdims=True), 1)
     values = (images.values - (images.values * open_).sum(axis=(2, 3), keepdims=True) / seen) * open_

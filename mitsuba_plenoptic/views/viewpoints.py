@@ -54,7 +54,7 @@ def as_view(lf: xr.DataArray, image: np.ndarray) -> xr.DataArray:
 
 
 def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
-    """Return `count` views along each axis, in the middles of equal parts of the pupil.
+    """Return `count` views along each axis, from the middles of equal parts of the pupil.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
 
 
 def view_mosaic(lf: xr.DataArray) -> np.ndarray:
-    """Return the views side by side as they lie on the pupil, seen from behind the camera.
+    """Return the views side by side, arranged as on the pupil seen from behind the camera.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def view_mosaic(lf: xr.DataArray) -> np.ndarray:
 
 
 def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
-    """Lay the samples of each lens together, as on a detector with an integer of pixels a lens.
+    """Return the samples of each lens together, as on a detector with an integer number of pixels per lens.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def lens_mosaic(lf: xr.DataArray) -> np.ndarray:
 def epipolar_image(
     lf: xr.DataArray, axis: str = "horizontal", *, at: float | None = None, through: float | None = None
 ) -> xr.DataArray:
-    """Return one line of the field from every view along one line of the pupil, in which points draw slanted lines.
+    """Return an epipolar image: one line of the field from all views along one line of the pupil.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def epipolar_image(
 
 
 def _nearest(lf: xr.DataArray, **positions: tuple[str, float | None]) -> xr.DataArray:
-    """Return the samples nearest to positions on axes, named as in messages; None: nearest to the middle."""
+    """Return the samples nearest to given positions on axes; None means nearest to the middle."""
     wanted = dict.fromkeys(positions, 0.0)
     for axis, (name, value) in positions.items():
         if value is None:

@@ -1,4 +1,9 @@
-"""White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled."""
+"""White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled.
+
+Of a camera `white_image` is the one white capture by rays, and `recorded_white` the one that serves in its place. What
+a method of reconstruction makes of it is `mitsuba_plenoptic.refocus.radiance.white_sums`, its divisor.
+`mitsuba_plenoptic.design.white_mean` is a closed form, for sheets that take no capture.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +40,7 @@ _POINTS = 8
 
 
 class PupilFraction:
-    r"""Fraction of an endless pupil's light that each pixel gets through the camera's pupil.
+    r"""Fraction of the light from an endless pupil that each pixel receives through the camera's pupil.
 
     Seen through a point m of its lens, a pixel covers a square of the pupil plane of side :math:`\Delta p\, b/z`; its
     position moves with m by :math:`1 + b/z - b/f_2` times as much. The fraction of the square that
@@ -69,7 +74,7 @@ class PupilFraction:
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fraction for pixels that see (x, y) in the pupil plane through their lens's centre."""
+        """Return the fraction for pixels that see (x, y) of the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
@@ -81,7 +86,7 @@ class PupilFraction:
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
-    """Return the fraction of a unit square about (x, y) that lies within a disc of this radius about the origin."""
+    """Return the fraction of a unit square centred at (x, y) within a disc of this radius about the origin."""
     x, y = np.broadcast_arrays(x, y)
     distance = np.hypot(x, y)
     fraction = (distance < radius).astype(np.float64)
@@ -126,9 +131,7 @@ _log = logging.getLogger(__name__)
 
 
 def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.ndarray:
-    """Return the capture of a scene of uniform radiance 1 that a camera would record.
-
-    This is the one white capture by rays, of views and of all methods of reconstruction.
+    """Return the capture of a scene of uniform radiance 1, computed by rays.
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
@@ -139,8 +142,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     camera : PlenopticCamera
         The camera.
     grid : LensGrid, optional
-        Micro-image centres; default those of the camera, with the ones beyond the image that reach into it, displaced
-        as its tilt has it.
+        Micro-image centres. Default: the camera's, displaced by its tilt, including centres beyond the image whose
+        micro-images reach into it.
 
     Returns
     -------
@@ -200,14 +203,41 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
 
 def recorded_white(
-    white: Capture | np.ndarray, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera] = ()
+    white: Capture | np.ndarray,
+    shape: tuple[int, ...],
+    cameras: Sequence[PlenopticCamera] = (),
+    computed: np.ndarray | None = None,
+    lenses: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Return the pixels of a recorded white image, (rows, columns, channels), which can be of the capture's camera.
+    """Return a recorded white image, (rows, columns, channels), in units of its radiance if the computed one is given.
 
-    Without a camera, or before views are sampled, a white image is checked but not yet scaled.
+    The radiance of a channel is the median of recorded over computed light among the quarter of the lenses that is
+    nearest to the axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as
+    much between microlenses with gaps.
 
-    Refused are a mosaic of colours, many saturated pixels, a capture by none of these cameras, `lens_model` aside, and
-    an image of other pixels than `shape`, (rows, columns[, channels]), or of other channels than one or as many.
+    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
+    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+
+    Parameters
+    ----------
+    white : Capture or array
+        The recorded image.
+    shape : (rows, columns[, channels])
+        Shape of the capture to be divided; the image has one channel, or as many.
+    cameras : sequence of PlenopticCamera
+        Allowed cameras of a white `Capture`, apart from `lens_model`; the first one scales the image.
+    computed : (rows, columns) array, optional
+        `white_image` of the capture's camera. Default: the image is not scaled, as without a camera, or before views
+        are sampled.
+    lenses : pair of arrays, optional
+        For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
+        sample from the axis.
+
+    Raises
+    ------
+    InputError
+        If the image is a mosaic of colours, has many saturated pixels, is by another camera or of another shape, or
+        does not fill the view.
     """
     given = white.image if isinstance(white, Capture) else as_array("white", white)
     if isinstance(white, Capture):
@@ -226,46 +256,18 @@ def recorded_white(
                 f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
             )
     require_pixels("white", given)
-    if given.shape[:2] != shape[:2] or given.ndim not in (2, 3) or given.shape[2:] not in ((), (1,), shape[2:]):
+    if given.shape not in (shape[:2], (*shape[:2], 1), shape):
         raise InputError(f"white of shape {given.shape}: it must have the pixels of the capture, {shape[:2]}")
-    return np.atleast_3d(given)
-
-
-def scaled_white(
-    white: np.ndarray,
-    computed: np.ndarray,
-    camera: PlenopticCamera,
-    lenses: tuple[np.ndarray, np.ndarray] | None = None,
-) -> np.ndarray:
-    """Divide a recorded white image by its radiance, channel by channel, and refuse one that does not fill the view.
-
-    The radiance is the median of recorded over computed light among the quarter of the lenses that is nearest to the
-    axis, where main lenses hardly vignette. Within 5 % of 1 it counts as 1: wave captures may lose as much between
-    microlenses with gaps.
-
-    Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
-    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
-
-    Parameters
-    ----------
-    white, computed : arrays (rows, columns, channels) and (rows, columns)
-        The recorded image, and `white_image` of the camera.
-    camera : PlenopticCamera
-        The camera of both.
-    lenses : pair of arrays, optional
-        For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
-        sample from the axis.
-
-    Returns
-    -------
-    float32 array of the shape of `white`
-    """
+    image = np.atleast_3d(given)
+    if computed is None:
+        return image
     if lenses is None:
+        camera = cameras[0]
         x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
         lenses, computed = (lens_numbers(camera), np.hypot(x, y[:, None])), computed * _mean_response(camera)
     numbers, away, model = (values.ravel() for values in (*lenses, computed))
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
-    light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(white, -1, 0)], axis=-1)
+    light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
     expected = np.bincount(numbers, model)
     whole = (expected > 0) & (expected >= _WHOLE * expected.max(initial=0))
     ratio = light[whole] / expected[whole, None]
@@ -273,52 +275,48 @@ def scaled_white(
     refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
     limit = _DARKEST if least.min() < _DARKEST else _DIM
-    _require_most(
-        float(least.min()),
-        _DARKEST,
-        f"white: {np.count_nonzero(least < limit)} of {len(least)} lenses have less than {limit:g} of the light of the "
-        "brightest",
-        "it must fill the view",
-    )
+    # Where a lens's light lies: of white the common part of both images is nearly all.
+    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
+    scaled = image.sum(axis=-1).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[numbers]
+    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
+    for fraction, required, text in (
+        (
+            least.min(),
+            _DARKEST,
+            f"{np.count_nonzero(least < limit)} of {len(least)} lenses have less than {limit:g} of the light of the "
+            "brightest: it must fill the view",
+        ),
+        (
+            common,
+            _LEAST_COMMON,
+            f"{common:.0%} of its light is distributed over the micro-images as the camera distributes it: it must be "
+            "by this camera and fill the view of the whole pupil",
+        ),
+    ):
+        refuse_if(fraction < required, f"white: {text}")
+        if fraction < _DIM:
+            warn(f"white: {text}")
     near = radius[whole] <= np.quantile(radius[whole], _CENTRAL)
     radiance = np.median(ratio[near], axis=0)
     other = np.abs(radiance - 1) > _SAME_RADIANCE
     if other.any():
         _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
-    # Where a lens's light lies: of white the common part of both images is nearly all.
-    light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
-    scaled = white.sum(axis=-1).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[numbers]
-    common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
-    _require_most(
-        common,
-        _LEAST_COMMON,
-        f"white: {common:.0%} of its light is distributed over the micro-images as the camera distributes it",
-        "it must be by this camera and fill the view of the whole pupil",
-    )
-    return np.asarray(white / np.where(other, radiance, 1), np.float32)
+    return np.asarray(image / np.where(other, radiance, 1), np.float32)
 
 
-def divide_by_white(light: np.ndarray, fraction: np.ndarray, alone: np.ndarray | bool = True) -> None:
-    """Divide samples in place by the fraction of the pupil they see; set both to 0 where it is too small.
+def divide_by_weight(light: np.ndarray, weight: np.ndarray, alone: np.ndarray | bool = True) -> np.ndarray:
+    """Divide samples in place by their weights, the fractions of the pupil they see; return the weights, at most 1.
 
-    Views keep this fraction as their weight, where a method of reconstruction divides sums over bins.
-
-    So they do where a sample is not of one lens `alone`.
+    Both are set to 0 where the weight is too small, or where a sample is not of one lens `alone`.
     """
-    fraction[(fraction < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
-    np.divide(light, fraction[..., None], out=light, where=fraction[..., None] > 0)
-    light[fraction == 0] = 0
-
-
-def _require_most(fraction: float, least: float, text: str, rule: str) -> None:
-    """Refuse a white capture with less than a required fraction, and warn below one half."""
-    refuse_if(fraction < least, f"{text}: {rule}")
-    if fraction < _DIM:
-        warn(f"{text}: {rule}")
+    weight[(weight < MINIMUM_WEIGHT) | np.logical_not(alone)] = 0
+    np.divide(light, weight[..., None], out=light, where=weight[..., None] > 0)
+    light[weight == 0] = 0
+    return np.minimum(weight, 1)
 
 
 def _mean_response(camera: PlenopticCamera) -> float:
-    """Return the mean response of pixels to light of a lens on the axis, which computed white images leave out."""
+    """Return the mean response of pixels to light of an on-axis lens, which computed white images leave out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0
     # Importing this takes longer than most commands of a shell need in all.
@@ -339,7 +337,7 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
     """Return the white image of a camera with a real main lens, by rays from its pixels.
 
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
-    out over the pixels of a bin.
+    out within a bin.
     """
     types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
@@ -383,7 +381,7 @@ class _Fractions:
         self.half = math.ceil(max(pixels))
 
     def heights(self, centres: np.ndarray) -> np.ndarray:
-        """Return the heights towards the main lens of lenses of micro-images (n, 2), relative to one on the axis."""
+        """Return the heights, towards the main lens and relative to the axis, of lenses with micro-images at (n, 2)."""
         camera = self._camera
         p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
         chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)

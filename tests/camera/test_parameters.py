@@ -19,7 +19,6 @@ import pytest
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic import InputError, PlenopticCamera
-from mitsuba_plenoptic.camera.documentation import with_sensor_parameters
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.camera.vector import CameraVector, parts_of
 
@@ -54,10 +53,8 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
     assert list(arguments) == list(PARAMETERS)
     assert {each.name for each in fields(PlenopticCamera)} == {entry.attribute for entry in PARAMETERS.values()}
     assert all(argument.default == PARAMETERS[name].default for name, argument in arguments.items())
-    rows = with_sensor_parameters(" * - CAMERA")
     for name, entry in PARAMETERS.items():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
-        assert (f" * - {name}\n" in rows) == (name not in ("resolution", "crop_offset", "crop_size"))
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
         known |= {"PhaseScreen", "Collimator"}

@@ -1,35 +1,55 @@
-"""The choices and defaults that help shows are those of the library; help imports none of it."""
+"""The choices and defaults that commands state are those of the library; help imports none of it."""
 
-import inspect
+import re
 
+import numpy as np
 import pytest
 
-from mitsuba_plenoptic.cli import COMMANDS, choices
-from mitsuba_plenoptic.cli.render_command import expose
-from mitsuba_plenoptic.io import captures, examples
-from mitsuba_plenoptic.io import truth_files as ground_truth
-from mitsuba_plenoptic.light import detector, scene
-from mitsuba_plenoptic.onchip import LAYOUTS
-from mitsuba_plenoptic.refocus import methods, results
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.cli import COMMANDS
+from mitsuba_plenoptic.refocus import Volume, methods, write_volume
 from mitsuba_plenoptic.refocus_options import METHODS
-from mitsuba_plenoptic.report import images, output_files
-from mitsuba_plenoptic.views.refocusing import METHODS as VIEW_METHODS
-from mitsuba_plenoptic.views.viewpoints import AXES
+from mitsuba_plenoptic.views.light_field_files import save_light_field
 
-LIBRARY = {
-    "MODELS": captures.MODELS,
-    "UNITS": scene.UNITS,
-    "VIEW_METHODS": VIEW_METHODS,
-    "AXES": AXES,
-    "LAYOUTS": ["x".join(map(str, layout)) for layout in LAYOUTS],
-    "EXAMPLES": examples.NAMES,
-    "MOSAICS": captures.MOSAICS,
-    "ALL_MOSAICS": captures.ALL_MOSAICS,
-    "RAW_SUFFIXES": captures.RAW_SUFFIXES,
-    "PICTURES": output_files.SUFFIXES,
-    "ANIMATED": images.ANIMATED,
-    "VOLUMES": results.SUFFIXES,
-    "QUANTITIES": ground_truth.QUANTITIES,
+CAMERA = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.128)
+IMAGE = np.ones((64, 64), np.float32)
+
+
+def scene():
+    return mp.load_scene("letters", parameters={"resolution": "64"})
+
+
+# What the library refuses by naming the choices, and the command that does.
+REFUSED = {
+    "model": (lambda: mp.render_capture(scene(), model="?"), "render letters -o a.exr --model ?"),
+    "unit": (lambda: mp.load_scene("letters", unit="?"), "render letters -o a.exr --unit ?"),
+    "method of views": (
+        lambda: mp.views.focal_stack(mp.decode(IMAGE, camera=CAMERA), [240], method="?"),
+        "stack {raw} -o a.exr --distance 240 --method ?",
+    ),
+    "axis": (lambda: mp.views.epipolar_image(mp.decode(IMAGE, camera=CAMERA), "?"), "epi {raw} -o a.exr --axis ?"),
+    "example": (lambda: mp.example("?"), "example ?"),
+    "mosaic": (lambda: mp.Detector(mosaic="?"), "expose {raw} -o a.exr --photons 9 --mosaic ?"),
+    "method": (
+        lambda: mp.reconstruct(IMAGE, 240, camera=CAMERA, method="?"),
+        "reconstruct {raw} -o a.exr --distance 240 --method ?",
+    ),
+}
+
+# What the library refuses by the suffixes of files, and the command that does, which may know others, too.
+SUFFIXES = {
+    "raw pictures": (
+        lambda: mp.write_raw("a.jpg", mp.expose(mp.Capture(IMAGE, CAMERA), mp.Detector(), photons=100)),
+        "expose {raw} -o a.jpg --photons 9",
+    ),
+    "light fields": (
+        lambda: save_light_field("a.jpg", mp.decode(IMAGE, camera=CAMERA)),
+        "convert {raw} -o a.jpg",
+    ),
+    "volumes": (
+        lambda: write_volume("a.jpg", Volume(IMAGE[None], (240.0,), 0.1)),
+        "reconstruct {raw} -o a.jpg --distance 240",
+    ),
 }
 
 LIGHT = {
@@ -52,23 +72,42 @@ LIGHT = {
 SLOW = {"numpy", "scipy", "xarray", "pandas", "matplotlib", "h5py", "yaml", "OpenEXR", "PIL"}
 
 
-@pytest.mark.parametrize("name", LIBRARY)
-def test_choices_are_those_of_the_library(name):
-    assert getattr(choices, name) == tuple(LIBRARY[name])
+@pytest.mark.parametrize("name", REFUSED)
+def test_choices_are_those_of_the_library(name, raw, complaint):
+    call, line = REFUSED[name]
+    with pytest.raises(mp.InputError) as caught:
+        call()
+    rule = str(caught.value).partition(": it must be one of ")[2]
+    assert rule.count(", ") >= 1 and complaint(*line.format(raw=raw).split()).endswith(f": it must be one of {rule}")
+
+
+@pytest.mark.parametrize("name", SUFFIXES)
+def test_suffixes_are_those_of_the_library(name, raw, complaint):
+    call, line = SUFFIXES[name]
+    with pytest.raises(mp.InputError) as caught:
+        call()
+    known, stated = (
+        re.findall(r"\.\w+", text.partition("ends in ")[2])
+        for text in (str(caught.value), complaint(*line.format(raw=raw).split()))
+    )
+    assert len(known) >= 2 and set(known) <= set(stated)
+
+
+def test_quantities_are_those_of_ground_truth(complaint):
+    stated = complaint("render", "letters", "-o", "a.exr", "--aov", "?").partition(": it must be one of ")[2]
+    assert stated.split(", ") == list(mp.ground_truth(mp.with_camera(scene(), CAMERA)).pixels)
 
 
 def test_methods_are_those_that_are_registered():
     assert tuple(methods.METHODS) == METHODS
 
 
-def test_every_choice_is_compared():
-    assert {name for name in vars(choices) if name.isupper()} == set(LIBRARY)
-
-
-def test_defaults_of_the_detector_are_those_of_the_library():
-    shown = inspect.signature(expose).parameters
-    for name in ("quantum_efficiency", "full_well", "dark_electrons", "read_noise", "bits"):
-        assert shown[name].default == getattr(detector.Detector, name)
+def test_defaults_of_the_detector_are_those_of_the_library(raw, tmp_path, run):
+    run("expose", raw, "-o", tmp_path / "noisy.exr", "--photons", 500, "--seed", 1)
+    capture = mp.read_capture(raw)
+    np.testing.assert_array_equal(
+        mp.read_capture(tmp_path / "noisy.exr").image, mp.expose(capture, mp.Detector(), photons=500, seed=1).image
+    )
 
 
 def test_help_and_refused_options_import_no_library(python):

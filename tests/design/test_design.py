@@ -20,7 +20,6 @@ from mitsuba_plenoptic import (
     render_capture,
     scene_path,
 )
-from mitsuba_plenoptic.prescription.lens_data import image_distance
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 from tools.bench.measures import agreement
@@ -156,7 +155,7 @@ def test_at_the_ends_of_the_depth_range_a_point_is_a_pixel_wide(numbers):
     ((near, far),) = design.depth_ranges(camera)
     assert near < 240 < far
     for distance in (near, far):
-        a = camera.mla_distance - image_distance(camera.focal_length, distance)
+        a = camera.mla_distance - 1 / (1 / camera.focal_length - 1 / distance)
         behind = 1 / (1 / camera.mla_focal_length - 1 / a)  # where the microlens images the point
         assert camera.mla_pitch * abs(1 - camera.detector_distance / behind) == pytest.approx(camera.pixel_size)
     # With diffraction less is asked for.
@@ -381,6 +380,12 @@ def test_warnings(numbers, wavelength, words):
     assert any(words in warning for warning in design.design_warnings(PlenopticCamera(**numbers), wavelength))
 
 
+def test_cameras_that_exist_have_no_warnings_of_their_sizes():
+    """Nobody can mend them; the Raytrix's micro-images overlap by a tenth of a pixel."""
+    for name in ("paper", "lytro", "raytrix", "raytrix_double_gauss"):
+        assert design.design_warnings(PlenopticCamera.preset(name)) == []
+
+
 def test_no_warnings_where_all_is_well():
     narrow = {"lens_model": "parabolic", "detector_width": 2.048, "resolution": (1024, 1024)}
     for numbers, wavelength in ((KEPLERIAN, None), (GALILEAN, None), ({}, None), ({}, 633), (narrow, 633)):
@@ -388,19 +393,6 @@ def test_no_warnings_where_all_is_well():
     # The MLA stands within the focal length, as it must to see what is far.
     far = PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
     assert not any("no object plane" in text for text in design.design_warnings(far))
-
-
-@pytest.mark.parametrize("name", ["full_frame_dual", "phone_quad", "phone_quad_bayer"])
-@pytest.mark.parametrize("wavelength", [450, 550, 650])
-def test_dual_pixels_have_no_warnings_of_themselves(name, wavelength):
-    assert design.design_warnings(PlenopticCamera.preset(name), wavelength) == []
-
-
-def test_dual_pixels_whose_spots_are_wider_than_a_pixel_are_told():
-    camera = PlenopticCamera.preset("phone_quad")
-    wavelength = 550 * design.mla_fresnel_number(camera, 550) / 0.49
-    (warning,) = design.design_warnings(camera, wavelength)
-    assert "their Fresnel number is 0.49" in warning
 
 
 def test_remedy_for_overlap_makes_micro_images_touch():

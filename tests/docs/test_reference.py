@@ -113,7 +113,7 @@ def test_every_public_package_has_a_page():
     with_names = {path for path in offered if "__all__" in (path / "__init__.py").read_text()}
     root = Path(mitsuba_plenoptic.__file__).parent
     packages = {".".join(("mitsuba_plenoptic", *path.relative_to(root).parts)) for path in with_names}
-    assert packages - set(re.findall(r"automodule:: (\S+)", PAGES)) == {"mitsuba_plenoptic.points.derivatives"}
+    assert packages - set(re.findall(r"automodule:: (\S+)", PAGES)) == set()
 
 
 def test_every_option_has_a_help():

@@ -7,8 +7,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, demosaic, expose, read_raw, write_raw
-from mitsuba_plenoptic.cli.inputs import read_recorded
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, expose, read_raw, write_raw
 
 
 def capture_of(channels=3):
@@ -18,18 +17,16 @@ def capture_of(channels=3):
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff"])
 def test_a_mosaic_comes_back_as_it_was(tmp_path, suffix):
-    """Also its demosaicking, and the numbers are those that other programs see: 12 bits, black where it is dark."""
+    """The numbers are those that other programs see: 12 bits, black where it is dark."""
     raw = expose(capture_of(), Detector(mosaic="GBRG", bits=12, dark_electrons=3.0), photons=9000, seed=2)
     path = tmp_path / f"raw{suffix}"
     write_raw(path, raw)
     back = read_raw(path)
     np.testing.assert_allclose(back.image, raw.image, atol=1e-6)
     assert back.camera == raw.camera and back.metadata == json.loads(json.dumps(raw.metadata))
-    np.testing.assert_allclose(demosaic(back).image, demosaic(raw).image, atol=1e-5)
     seen = np.asarray(Image.open(path)) if suffix == ".png" else tifffile.imread(path)
     assert seen.dtype == np.uint16 and seen.shape == (33, 40)
     assert 40 < seen.max() <= 4095
-    assert (read_recorded(path, None, False).image == back.image).all()
 
 
 def test_three_channels_go_to_tiff(tmp_path):
@@ -40,15 +37,10 @@ def test_three_channels_go_to_tiff(tmp_path):
         write_raw(tmp_path / "raw.png", raw)
 
 
-def test_pictures_of_other_programs_need_a_camera_and_their_black_level(tmp_path):
-    camera = capture_of().camera
+def test_pictures_of_other_programs_need_a_camera(tmp_path, complaint):
     tifffile.imwrite(tmp_path / "other.tiff", np.full((33, 40), 1064, np.uint16))
-    with pytest.raises(
-        InputError, match=r"other.tiff: it states no camera and detector; such a raw picture needs its --camera"
-    ):
-        read_recorded(tmp_path / "other.tiff", None, True)
-    found = read_recorded(tmp_path / "other.tiff", camera, True, black_level=64)
-    np.testing.assert_allclose(found.image, 1000 / (65535 - 64), rtol=1e-4)
+    said = complaint("reconstruct", tmp_path / "other.tiff", "-o", tmp_path / "a.exr", "--distance", "240")
+    assert "other.tiff: it states no camera and detector; such a raw picture needs its --camera" in said
 
 
 def test_what_is_no_raw_capture_is_refused(tmp_path):

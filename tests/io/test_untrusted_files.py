@@ -12,12 +12,10 @@ import subprocess
 import time
 from pathlib import Path
 
-import h5py
 import numpy as np
 import OpenEXR
 import pytest
-import scipy.io
-from foreign_files import png, write_matlab_7
+from foreign_files import large, png, write_exr_parts
 from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
@@ -34,11 +32,9 @@ from mitsuba_plenoptic import (
     read_raw,
     write_capture,
 )
-from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read_corners
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.dataset import DataSet, read_recipe
-from mitsuba_plenoptic.exchange import open_light_field, read_picture, save_light_field
-from mitsuba_plenoptic.io.exr import write_exr_parts
+from mitsuba_plenoptic.io.pictures import read_picture
+from mitsuba_plenoptic.views.light_field_files import open_light_field, save_light_field
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
 
@@ -50,26 +46,13 @@ def capture(tmp_path):
     return path
 
 
-def large(path):
-    """Make a file of 3 GiB without any content, which takes no room on the disk."""
-    with path.open("wb") as file:
-        file.truncate(3 * 2**30)
-    return path
-
-
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        ("camera.json", read_camera),
-        ("corners.csv", lambda path: read_corners(path, Board(9, 5, 3.0), (64, 64))),
-        ("centres.csv", read_centres),
-        ("white.grid.json", read_centres),
         ("responses.csv", Spectrum.sensor),
         ("lens.yaml", read_prescription),
         ("lens.zmx", read_prescription),
-        ("recipe.yaml", read_recipe),
         ("scene.xml", load_scene),
-        ("dataset.json", lambda path: DataSet(path.parent)),
     ],
 )
 def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
@@ -161,14 +144,14 @@ class TestCaptures:
         for command, name, options in (
             ("views", "views.exr", ["--count", "2"]),
             ("stack", "stack.exr", ["--distance", "240"]),
-            ("convert", "lf.mat", []),
+            ("convert", "lf.nc", []),
             ("convert", "lf.eslf.png", []),
             ("reconstruct", "r.exr", ["--distance", "210", "--distance", "240"]),
             ("expose", "e.exr", ["--photons", "100"]),
         ):
             assert main([command, str(path), "-o", str(folder / name), *options]) == 0
         new = {item.relative_to(folder).as_posix() for item in {*tmp_path.rglob("*")} - before}
-        assert new == {"views.exr", "stack.exr", "lf.mat", "lf.eslf.png", "r_210.exr", "r_240.exr", "e.exr"}
+        assert new == {"views.exr", "stack.exr", "lf.nc", "lf.eslf.png", "r_210.exr", "r_240.exr", "e.exr"}
 
     def test_a_terminal_is_told_nothing_but_text(self, tmp_path, capfd):
         path = tmp_path / "raw.exr"
@@ -223,70 +206,6 @@ class TestCaptures:
 
 
 class TestLightFields:
-    def test_hdf5_links_lead_nowhere(self, tmp_path):
-        numbers = np.ones((2, 4, 4, 3, 3), np.uint8)
-        with h5py.File(tmp_path / "other.h5", "w") as other:
-            other["LF"] = numbers
-        (tmp_path / "secret").write_bytes(b"s" * numbers.size)
-
-        def external(file):
-            file["LF"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "LF")
-
-        def storage(file):
-            file.create_dataset("LF", numbers.shape, np.uint8, external=[(str(tmp_path / "secret"), 0, numbers.size)])
-
-        def virtual(file):
-            layout = h5py.VirtualLayout(numbers.shape, np.uint8)
-            layout[...] = h5py.VirtualSource(str(tmp_path / "other.h5"), "LF", numbers.shape)
-            file.create_virtual_dataset("LF", layout)
-
-        for make in (external, storage, virtual):
-            path = write_matlab_7(tmp_path / "lf.mat", make)
-            with pytest.raises(InputError, match="links to other files are not followed"):
-                open_light_field(path)
-        whole = write_matlab_7(tmp_path / "lf.mat", lambda file: file.create_dataset("LF", data=numbers))
-        assert open_light_field(whole).shape == (3, 3, 4, 4)
-
-    def test_hdf5_that_claims_more_than_memory(self, tmp_path):
-        path = write_matlab_7(
-            tmp_path / "lf.mat",
-            lambda file: file.create_dataset("LF", (2, 10**6, 10**6, 9, 9), np.uint8, chunks=(1, 16, 16, 3, 3)),
-        )
-        assert path.stat().st_size < 10_000
-        with pytest.raises(InputError, match=r"shape .*: it would need .* GiB"):
-            open_light_field(path)
-
-    def test_objects_of_matlab_are_no_light_field(self, tmp_path):
-        path = tmp_path / "lf.mat"
-        for wrong in (np.array([[1, "a"]], dtype=object), {"a": 1.0}, "text", np.ones((3, 3, 4, 4)) * 1j):
-            scipy.io.savemat(path, {"LF": wrong})
-            with pytest.raises(InputError, match="not an array of numbers"):
-                open_light_field(path)
-
-    @pytest.mark.parametrize(
-        ("start", "words"),
-        [
-            (b"", "it is not a MATLAB file of version 5 or 7.3: it does not begin as one does"),
-            (b"MATLAB 5.0".ljust(126) + b"IM", "it is damaged: at byte 128 no variable begins"),
-        ],
-    )
-    def test_zeros_are_not_read_to_their_end(self, start, words, tmp_path):
-        path = tmp_path / "lf.mat"
-        path.write_bytes(start)
-        with path.open("r+b") as file:
-            file.truncate(2**32)
-        with pytest.raises(InputError, match=words):
-            open_light_field(path)
-
-    def test_matlab_structures_that_unpack_into_more_than_memory(self, tmp_path, monkeypatch):
-        path, model = tmp_path / "lf.mat", {"HSpacing": np.zeros(2**24)}
-        numbers = np.ones((4, 4, 3, 3, 3), np.uint8)
-        scipy.io.savemat(path, {"LF": numbers, "LensletGridModel": model}, do_compression=True)
-        assert path.stat().st_size < 2**20
-        monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.1")
-        with pytest.raises(InputError, match=r"it unpacks into more than \d+ bytes"):
-            open_light_field(path)
-
     def test_records_of_zarr_have_an_end(self, tmp_path, monkeypatch):
         pytest.importorskip("zarr")
         path = tmp_path / "lf.zarr"

@@ -5,9 +5,6 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
-from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
-from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses
-from tools.bench.cases.photodiodes import camera_of
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 STEEP = {
@@ -63,29 +60,9 @@ def test_white_walls_against_the_mean_over_paths():
     assert transmitted(model="wave", wavelength=550.0, spp=16) == pytest.approx(expected, rel=0.005)
 
 
-def test_diffraction_orders_behind_small_lenses_lose_light_along_their_directions(monkeypatch):
-    monkeypatch.setattr(photodiodes, "_STEPS", (6.0, 20.0))
-    camera = camera_of(4.0, 4).replace(mla_absorption=50.0)
-    light = PhotodiodeResponses(camera, 550.0).by_direction(-0.5, -0.5).sum(0)
-    middle = light.shape[0] // 2
-    pitch, n, lam = camera.mla_pitch, 1.5, 550e-6
-    x = ((np.arange(1024) + 0.5) / 1024 - 0.5) * pitch
-    orders = np.fft.fft(np.exp(-1j * np.pi * n * x**2 / (lam * 0.004))) / 1024
-    sine = np.fft.fftfreq(1024, 1 / 1024) * lam / (n * pitch)
-    square = sine**2 + sine[:, None] ** 2
-    energy = np.abs(orders) ** 2 * np.abs(orders[:, None]) ** 2
-    cosine = np.sqrt(np.where(square < 1, 1 - square, 1))
-    expected = (energy * np.exp(-50 * 0.004 / cosine))[square < 1].sum() * pitch**2
-    assert light[middle, middle] == pytest.approx(expected, rel=2e-3)
-    assert expected < 0.995 * np.exp(-50 * 0.004) * energy[square < 1].sum() * pitch**2
-
-
 def test_what_does_not_know_absorption_refuses_it():
     camera = PlenopticCamera(**STEEP, mla_absorption=1.0)
     with pytest.raises(InputError, match=r"mla_absorption = 1.0: waves of points"):
         point_spread_function(camera, (0.0, 0.0, 900.0), wavelength=550.0)
-    table = {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]}
-    with pytest.raises(InputError, match="mla_absorption = 1: photodiode_response contains the medium"):
-        PlenopticCamera(mla_pitch=0.004, photodiode_response=table, mla_absorption=1.0)
     with pytest.raises(InputError, match="mla_absorption = -1"):
         PlenopticCamera(mla_absorption=-1.0)

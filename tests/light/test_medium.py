@@ -7,17 +7,13 @@ from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import (
     CaptureOperator,
-    InputError,
     PlenopticCamera,
-    calibrate,
     design,
     point_spread_function,
     reconstruct,
     render_capture,
 )
-from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
-from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.full_field import point_fields
+from mitsuba_plenoptic.points.point_spread import point_fields
 
 GLASS = {"mla_medium": 1.5, "mla_focal_length": 0.768, "detector_distance": 0.8}
 """Lengths in a medium; in air two thirds of them have the same effect near the axis."""
@@ -108,8 +104,7 @@ def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
 def test_waves_against_an_angular_spectrum_in_the_medium(changes):
     camera = small_camera(4, **HALF, **GLASS, **changes)
     position = np.array([0.05, -0.03, 112.5])
-    system = OpticalSystem(camera, WAVELENGTH)
-    fields = point_fields(system, position)
+    fields = point_fields(camera, position, wavelength=WAVELENGTH)
     lam, pitch, count = WAVELENGTH * 1e-6, fields.mla.pitch, fields.mla.samples.shape
     x, y = (fields.mla.origin[axis] + np.arange(count[1 - axis]) * pitch for axis in (0, 1))
     i, j = camera.lattice.cell(*np.meshgrid(x, y))
@@ -136,17 +131,6 @@ def test_derivatives_in_a_medium_against_differences():
         assert error(found, (images[0] - images[1]) / (2 * step)) < 0.05
 
 
-def test_points_by_rays_lie_where_waves_have_them():
-    camera = small_camera(**GLASS, lens_model="parabolic")
-    points = np.array([(0.2, -0.1, 225.0)])
-    wave = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([1.0])
-    ray = PointRays(camera, points, WAVELENGTH).image(OpticalSystem(camera, WAVELENGTH), np.ones(1))
-    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-    for place, axis in ((x, 0), (y, 1)):
-        first, second = (image.sum(axis) @ place / image.sum() for image in (wave, ray))
-        assert first == pytest.approx(second, abs=0.4 * camera.pixel_size)
-
-
 def width(image, lens):
     """Return the full width at half of the maximum of a mean micro-image, in pixels."""
     profile = (
@@ -167,8 +151,3 @@ def test_a_wall_is_as_bright_by_waves_as_by_rays():
     assert wave.mean() == pytest.approx(ray.mean(), rel=0.01)
     lens = camera.resolution[0] // 8
     assert width(wave, lens) == pytest.approx(width(ray, lens), rel=0.04)
-
-
-def test_calibrations_refuse_a_medium():
-    with pytest.raises(InputError, match=r"mla_medium = 1\.5: cameras are calibrated with 1 only"):
-        calibrate([], None, PlenopticCamera(mla_medium=1.5))

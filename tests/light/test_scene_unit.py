@@ -9,6 +9,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from scene_cases import BUILT_IN
 
 import mitsuba_plenoptic as mp
 
@@ -205,7 +206,7 @@ def test_warnings_point_at_the_line_of_the_user():
     assert "mp.load_scene(scene" in Path(__file__).read_text().splitlines()[found[0].lineno - 1]
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in mp.scene_path("letters").parent.glob("*.xml")))
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_no_scene_of_the_package_is_taken_for_one_in_metres(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

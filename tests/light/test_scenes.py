@@ -12,6 +12,7 @@ import pytest
 from built_in_scenes import figures, solids
 from built_in_scenes.mesh import flat_mesh
 from make_meshes import write_all
+from scene_cases import BUILT_IN
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
 from mitsuba_plenoptic.light.render_capture import pass_counts
@@ -83,7 +84,7 @@ def test_camera_is_the_papers_and_parameters_reach_it(name):
     assert camera.detector_distance == pytest.approx(0.4)
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenes").glob("*.xml")))
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_resolution_samples_the_same_detector(name):
     full = load_scene(name).sensors()[0].camera
     columns = full.resolution[0] // 20

@@ -5,7 +5,6 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PhysicsError, PhysicsWarning
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.runtime.fft import fft2
 
 WAVELENGTH = 633.0
 
@@ -29,13 +28,6 @@ def smooth_field(n, pitch):
     x = (np.arange(n) - n / 2) * pitch
     r2 = x[:, None] ** 2 + (x - 0.1 * n * pitch)[None, :] ** 2
     return np.exp(-r2 / (n * pitch / 10) ** 2).astype(np.complex64)
-
-
-@pytest.mark.parametrize("shape", [(64, 64), (48, 90)])
-def test_fft2_is_numpys(shape):
-    field = random_field(shape)
-    assert np.allclose(fft2(field.copy()), np.fft.fft2(field), atol=1e-3)
-    assert np.allclose(fft2(field.copy(), inverse=True), np.fft.ifft2(field), atol=1e-6)
 
 
 @periodic

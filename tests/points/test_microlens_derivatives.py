@@ -7,7 +7,6 @@ from wave_cases import WAVELENGTH, small_camera
 
 from mitsuba_plenoptic.lattice import make_lattice
 from mitsuba_plenoptic.light.microlens_orders import MicrolensArray, VaryingArrayFactor
-from mitsuba_plenoptic.runtime.backend import array_module
 
 COSINE = 0.16
 
@@ -22,7 +21,7 @@ def test_tables_of_derivatives_against_differences_of_orders(name, change):
     }[name]
     camera = small_camera(2, mla_fill=0.8, **parameters)
     (key, value), step = next(iter(change.items())), 5e-3
-    types = array_module().ad
+    types = dr.llvm.ad
     number = types.Float64(value)
     dr.enable_grad(number)
     numbers = {"mla_focal_length": types.Float64(0.512), "mla_fill": types.Float64(0.8)} | {key: number}

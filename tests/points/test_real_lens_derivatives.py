@@ -11,7 +11,6 @@ from mitsuba_plenoptic.lenses.fitted_lens import lens_change
 from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
 from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.optics.waves import in_millimetres
 from mitsuba_plenoptic.points.arrival import field_grids
 from mitsuba_plenoptic.points.derivatives import DIFFERENTIABLE
 from mitsuba_plenoptic.points.derivatives.plan import DerivativePlan
@@ -74,7 +73,7 @@ def test_aberrations_are_added_on_the_exit_pupil(monkeypatch):
         added = Wavefront((amount * amounts).tolist(), camera.pupil_radius)
 
         def path(self, pupil, point, wavelength, added=added):
-            return plain(self, pupil, point, wavelength) + added.path(*pupil) * (1 / in_millimetres(wavelength))
+            return plain(self, pupil, point, wavelength) + added.path(*pupil) * (1 / (wavelength * 1e-6))
 
         monkeypatch.setattr(ExitPupil, "path", path)
         sides.append(full_field(OpticalSystem(camera, WAVELENGTH), POINT, grids=grids))

@@ -19,7 +19,6 @@ from mitsuba_plenoptic import (
     write_capture,
 )
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.optics.rays import microlens_slope
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
 AIR = Objective(20, 0.5)
@@ -138,7 +137,7 @@ def width_seen(camera, depth, pixels, points):
     """Width at a depth between two rays, each from a detector point through a point of the microlens on the axis."""
     seen = []
     for pixel, point in zip(pixels, points, strict=True):
-        slope = microlens_slope(pixel, point, 0.0, camera.reduced_distance, camera.mla_focal_length)
+        slope = (point - pixel) / camera.reduced_distance - point / camera.mla_focal_length
         start, behind, _ = main_lens(camera).trace((np.float64(point), 0.0), (np.float64(slope), 0.0))
         seen.append(start[0] + (depth - start[2]) * behind[0])
     return abs(seen[1] - seen[0])

@@ -116,7 +116,7 @@ def test_pupils_of_a_lens_whose_stop_is_its_first_surface():
         (singlet({"abbe": 50}), "it must have index, index and abbe, sellmeier, schott or table"),
         (singlet({"sellmeier": [1, 2]}), "glass: sellmeier = (1.0, 2.0): it must be 6 numbers"),
         (singlet({"table": [[600, 1.5], [700, 1.49]]}), "its table goes from 600 to 700 nm"),
-        # An unknown glass of another part of a camera: tests/optics/test_dispersion.py.
+        # An unknown glass of another part of a camera: tests/prescription/test_dispersion.py.
         pytest.param(
             singlet("no such glass"), "main_lens: surface 1: glass = 'no such glass': ", marks=pytest.mark.slow
         ),

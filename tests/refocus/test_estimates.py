@@ -23,8 +23,8 @@ def test_an_estimate_ends_before_the_reconstruction_does(capture, method, option
     """With a speed known from the first results on, no method by waves may reach its end."""
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     ended = []
-    whole = api._side_by_side
-    monkeypatch.setattr(api, "_side_by_side", lambda *a, **k: ended.append(True) or whole(*a, **k))
+    whole = api._refocused
+    monkeypatch.setattr(api, "_refocused", lambda *given: (whole(*given), ended.append(True))[0])
     cost = estimate_reconstruction(capture, 210.0, method=method, **options)
     assert not ended
     assert cost.seconds > 0 and cost.memory > 0
@@ -81,7 +81,8 @@ def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path
     assert main([*arguments, "--estimate"]) == 0
     assert re.search(r"raw\.exr: about \S+ (s|min) and \S+ GiB\n$", capsys.readouterr().out)
     assert list(tmp_path.iterdir()) == [path]
-    assert main([*arguments, "--estimate", "-o", str(tmp_path / "out.png")]) == 2
-    assert "--output: an estimate does not take it" in capsys.readouterr().err
+    # Appended to a command that is ready to run.
+    assert main([*arguments, "-o", str(tmp_path / "out.png"), "--estimate"]) == 0
+    assert list(tmp_path.iterdir()) == [path]
     assert main(arguments) == 2
     assert "name the file to write, or ask for an --estimate" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import decode
-from mitsuba_plenoptic.report.animations import require_animation, sweep_distances, write_animation
+from mitsuba_plenoptic.report.animations import sweep_distances, write_animation
 from mitsuba_plenoptic.report.output_files import orbit
 
 FRAMES = [(np.full((3, 5), value, np.float32), "") for value in (0.0, 0.5, 1.0)]
@@ -69,8 +69,7 @@ def test_mp4_is_read_back(tmp_path):
 def test_a_missing_package_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(mp.InputError, match=r"a\.mp4: MP4 needs a package: pip install 'mitsuba-plenoptic\[video\]'$"):
-        require_animation(tmp_path / "a.mp4")
-    assert require_animation(tmp_path / "a.gif") is None
+        write_animation(tmp_path / "a.mp4", FRAMES, 1.0)
 
 
 def test_a_sweep_takes_even_steps_of_the_reciprocal():

@@ -41,7 +41,7 @@ def test_methods_by_distances_on_one_scale():
     *panels, bar = canvas.figure.axes
     assert panels[0].images[0].colorbar.extend == "max"
     assert contact_sheet(results).figure.axes[0].images[0].colorbar.extend == "neither"
-    assert titles(canvas) == ["210 mm", "280 mm", "", "", ""]
+    assert titles(canvas) == ["210 mm", "280 mm", "210 mm", "280 mm", ""]
     assert [axes.get_ylabel() for axes in panels] == ["ray", "", "partial", ""]
     assert [len(axes.images) for axes in panels] == [1, 1, 1, 0]
     assert (bar.get_ylabel(), bar.get_ylim()) == ("radiance", (0, 0.5))

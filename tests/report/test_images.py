@@ -8,11 +8,8 @@ import pytest
 from PIL import Image
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import InputError
-from mitsuba_plenoptic.extensions.studio.preview import preview_of
 from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.images import Brightness, shrink, to_bytes, write_png
-from mitsuba_plenoptic.report.output_files import reconstruction_paths
 
 
 @pytest.mark.parametrize(
@@ -48,20 +45,6 @@ def test_shrink_averages_whole_blocks():
     assert shrink(image, 3).tolist() == [[3.5, 5.5, 7.5], [15.5, 17.5, 19.5], [27.5, 29.5, 31.5]]
     assert shrink(np.ones((10, 7, 3)), 4).shape == (3, 2, 3)
     assert shrink(np.ones((1, 100)), 10).shape == (1, 10)
-
-
-def test_names_for_several_distances(tmp_path):
-    names = [path.name for path in reconstruction_paths(tmp_path / "a.b.png", [210, 240.25])]
-    assert names == ["a.b_210.png", "a.b_240.25.png"]
-    assert reconstruction_paths(tmp_path / "a.EXR", [240]) == [tmp_path / "a.EXR"]
-
-
-@pytest.mark.parametrize(
-    ("name", "distances"), [("a.tif", [240]), ("a.png", [240, 240.0]), ("missing/a.png", [240, 210])]
-)
-def test_refused_names(name, distances, tmp_path):
-    with pytest.raises(InputError):
-        reconstruction_paths(tmp_path / name, distances)
 
 
 def test_a_lamp_out_of_focus_does_not_make_the_rest_black():
@@ -113,5 +96,3 @@ def test_the_wall_is_seen_next_to_a_lamp_in_all_figures():
         (image,) = axes.images
         assert np.median(np.asarray(image.get_array())) == pytest.approx(0.5, rel=0.02)
         assert image.norm(0.5) > 0.3
-    seen = preview_of(scene, camera)
-    assert to_bytes(seen.picture, Brightness().peak([seen.picture]))[0, 0] > 100

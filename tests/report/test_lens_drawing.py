@@ -6,6 +6,7 @@ from PIL import Image
 
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.report.framing import Canvas
 from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
 
 LINE_C, LINE_F = 656.2725, 486.1327
@@ -45,6 +46,19 @@ def test_lateral_colour_is_that_of_forward_rays():
         places.append(float(place[1][0]))
     found = lateral_colour(camera, abs(places[0]), (LINE_C, LINE_F))
     assert found == pytest.approx(abs(places[1]) - abs(places[0]), rel=0.02)
+
+
+def test_the_bar_of_a_drawing_is_as_long_as_it_says(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "save", lambda canvas, path: drawn.append(canvas))
+    draw_main_lens(tmp_path / "lens.png", CAMERA)
+    axes = drawn[0].figure.axes[0]
+    bar = axes.patches[-1].get_window_extent()
+    glass, array = (axes.lines[index].get_xdata()[0] for index in (0, -1))
+    pixels = abs(np.subtract(*axes.transData.transform([(glass, 0), (array, 0)])[:, 0]))
+    assert bar.width / float(axes.texts[-1].get_text().removesuffix(" mm")) == pytest.approx(
+        pixels / abs(glass - array)
+    )
 
 
 def test_a_drawing_is_made(tmp_path, capsys):

@@ -15,10 +15,8 @@ from mitsuba_plenoptic.report.metrics import (
     interference,
     lit_region,
     relative_error,
-    rounded,
     shape_window,
     square_sharpness,
-    ssim_text,
     window_sharpness,
 )
 
@@ -113,7 +111,6 @@ def test_where_there_is_no_edge():
 def test_images_smaller_than_the_window_of_ssim_have_none(shape):
     reference = np.linspace(1, 2, math.prod(shape)).reshape(shape)
     found = image_metrics(1.1 * reference, reference)
-    assert found.ssim is None and rounded(found)["ssim"] is None
+    assert found.ssim is None
     assert found.energy == pytest.approx(1.1)
     assert found.psnr == pytest.approx(20 * math.log10(reference.max() / (0.1 * np.sqrt(np.mean(reference**2)))))
-    assert ssim_text(found.ssim) == "not defined"

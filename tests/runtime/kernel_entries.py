@@ -17,9 +17,6 @@ import mitsuba as mi
 import numpy as np
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
-from mitsuba_plenoptic.extensions.inverse.scene_functions import RenderedValue, Rendering
-from mitsuba_plenoptic.fitting import Layers, View, fit, fit_layers
 from mitsuba_plenoptic.optics.waves import propagate
 
 _SIZE, _POINTER = ctypes.c_size_t, ctypes.c_void_p
@@ -108,9 +105,6 @@ def put_arrays_at(offset):
 
 
 CAMERA = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.128)
-PHONE = mp.PlenopticCamera.from_dict(
-    mp.PlenopticCamera.preset("phone_quad").to_dict() | {"crop_offset": (4000, 2992), "crop_size": (8, 8)}
-)
 POINTS = np.array([(0.01, -0.02, 215.0), (-0.03, 0.02, 240.0)])
 
 
@@ -143,8 +137,15 @@ def capture(camera, **options):
     return mp.render_capture(scene_of(camera), spp=4, seed=1, **options)
 
 
+def phone():
+    """Return a camera of lenses of a few wavelengths, and the photodiodes below them."""
+    return mp.PlenopticCamera.preset("phone_quad").replace(crop_offset=(4000, 2992), crop_size=(8, 8))
+
+
 def step():
     """Make a step of a training loop."""
+    from mitsuba_plenoptic.array_functions import CameraCapture
+
     camera = CAMERA.replace(mla_lattice="hexagonal")
     function = CameraCapture(lambda made: mp.CaptureOperator(made, POINTS, wavelength=633), camera, ("mla_offset",))
     made = function.at(np.ones(2), np.array((0.001, 0.002)))
@@ -153,6 +154,8 @@ def step():
 
 def differentiated(**integrator):
     """Differentiate a rendering by the wall's texture."""
+    from mitsuba_plenoptic.scene_functions import RenderedValue, Rendering
+
     scene = scene_of(CAMERA)
     child = {"type": "prb"}
     made = mi.load_dict(child if not integrator else integrator | {"child": child})
@@ -176,14 +179,14 @@ def reconstructed(method, **options):
 def fitted():
     """Fit the array's distance to a picture of points."""
     image = mp.CaptureOperator(CAMERA, POINTS, wavelength=633).forward(np.ones(2))
-    fit(CAMERA, View(image, POINTS, np.ones(2)), "mla_distance", wavelength=633, photons=1e4, model="ray")
+    mp.fit(CAMERA, mp.fitting.View(image, POINTS, np.ones(2)), "mla_distance", wavelength=633, photons=1e4, model="ray")
 
 
 def layers_fitted():
     """Fit the texels of a plane to a capture."""
-    start = Layers([120.0], [0.3], chance(1, 8, 8), np.full((1, 8, 8), 0.5))
+    start = mp.fitting.Layers([120.0], [0.3], chance(1, 8, 8), np.full((1, 8, 8), 0.5))
     made = mp.Capture(chance(*CAMERA.shape), CAMERA)
-    fit_layers([made], [mi.ScalarTransform4f()], start, rounds=2, spp=4)
+    mp.fitting.fit_layers([made], [mi.ScalarTransform4f()], start, rounds=2, spp=4)
 
 
 def laser():
@@ -202,27 +205,31 @@ QUICK = {
     "ray capture": lambda: capture(CAMERA),
     "wave capture": lambda: capture(CAMERA, model="wave", wavelength=633),
     "wave capture by points": lambda: capture(CAMERA, model="wave", wavelength=633, method="points"),
-    "ray capture of photodiodes": lambda: capture(PHONE),
     "ground truth": lambda: mp.ground_truth(scene_of(CAMERA)),
-    "training step": step,
-    "gradient by rays": differentiated,
-    "gradient by waves": lambda: differentiated(type="plenoptic_wave", wavelength=633),
     "patches": lambda: seen("patch"),
-    "bank of photodiodes": lambda: mp.psf_bank(PHONE, [1000.0]),
     "ray": lambda: reconstructed("ray"),
     "coherent": lambda: reconstructed("coherent"),
     "partial": lambda: reconstructed("partial"),
-    "fit": fitted,
-    "fit of layers": layers_fitted,
     "small field": lambda: propagated(64),
     "large field": lambda: propagated(512),
 }
 SLOW = {
-    "wave capture of photodiodes": lambda: capture(PHONE, model="wave", wavelength=550),
-    "laser": laser,
     "full fields": lambda: seen("full_field"),
     "incoherent": lambda: reconstructed("incoherent"),
     "deconvolved": lambda: reconstructed("deconvolved", iterations=2),
+}
+OF_EXTENSIONS = {
+    "ray capture of photodiodes": lambda: capture(phone()),
+    "bank of photodiodes": lambda: mp.psf_bank(phone(), [1000.0]),
+    "training step": step,
+    "gradient by rays": differentiated,
+    "gradient by waves": lambda: differentiated(type="plenoptic_wave", wavelength=633),
+    "fit": fitted,
+    "fit of layers": layers_fitted,
+}
+SLOW_OF_EXTENSIONS = {
+    "wave capture of photodiodes": lambda: capture(phone(), model="wave", wavelength=550),
+    "laser": laser,
 }
 
 
@@ -235,7 +242,7 @@ def main():
     found = {}
     for name in sys.argv[2:]:
         dr.kernel_history_clear()
-        (QUICK | SLOW)[name]()
+        (QUICK | SLOW | OF_EXTENSIONS | SLOW_OF_EXTENSIONS)[name]()
         found[name] = sorted({each["hash"] for each in dr.kernel_history() if each["type"] == dr.KernelType.JIT})
     print(json.dumps(found), flush=True)
     # Arrays outlive the functions that free their memory.

@@ -10,17 +10,24 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from kernel_entries import QUICK, SLOW
+from kernel_entries import OF_EXTENSIONS, QUICK, SLOW, SLOW_OF_EXTENSIONS
 
 from mitsuba_plenoptic.runtime.backend import drjit_array, packets
 
 ROOT = Path(__file__).parents[2]
 ALIGNED, UNALIGNED = 0, 16
+EXTENSIONS = pytest.mark.needs_extension("inverse", "laser", "onchip")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="arrays are placed by glibc")
 @pytest.mark.parametrize(
-    "names", [list(QUICK), pytest.param(list(SLOW), marks=pytest.mark.slow)], ids=["quick", "slow"]
+    "names",
+    [
+        pytest.param(list(QUICK), id="quick"),
+        pytest.param(list(OF_EXTENSIONS), id="of extensions", marks=EXTENSIONS),
+        pytest.param(list(SLOW), id="slow", marks=pytest.mark.slow),
+        pytest.param(list(SLOW_OF_EXTENSIONS), id="slow of extensions", marks=[EXTENSIONS, pytest.mark.slow]),
+    ],
 )
 def test_kernels_do_not_depend_on_where_numpys_memory_lies(names):
     """Two processes, whose arrays are all aligned or all unaligned, load or compile the same kernels."""

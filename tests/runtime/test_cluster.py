@@ -19,7 +19,6 @@ from wave_cases import HALF, capture, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, Cluster, InputError, Job, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.studio.sweep import SweepSettings, sweep
 from mitsuba_plenoptic.runtime import batches as distributed
 
 pytest.importorskip("distributed")
@@ -91,16 +90,6 @@ def test_a_capture_on_workers_has_the_same_bits(cluster):
     alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
     assert alone.any()
     np.testing.assert_array_equal(shared, alone)
-
-
-@pytest.mark.slow
-def test_a_sweep_on_workers_has_the_same_bits(cluster, tmp_path):
-    pytest.importorskip("h5netcdf")
-    settings = SweepSettings("letters", parameters=letters(4), model="wave", spp=1)
-    grid = {"wavelength": [500, 633]}
-    alone = sweep(settings, grid, tmp_path / "alone.nc").load()
-    assert alone.capture.any()
-    assert sweep(settings, grid, tmp_path / "shared.nc", batch_map=cluster).load().equals(alone)
 
 
 def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):

@@ -23,7 +23,6 @@ from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.refocus import radiance
 from mitsuba_plenoptic.runtime import backend as _backend
-from tools.bench.cases.speed_reconstructions import gpu
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
@@ -142,15 +141,6 @@ def test_the_estimate_waits_for_the_device(device, monkeypatch):
     monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
     cost = CaptureOperator(CAMERA, POSITIONS, wavelength=633).estimate()
     assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
-
-
-def test_the_measurement_of_the_device_runs_or_states_that_there_is_none():
-    if dr.has_backend(dr.JitBackend.CUDA):
-        rows = list(gpu(sizes=(1024,), runs=1))
-        assert len(rows) == 8 and all(row["ours"] > 0 for row in rows)
-    else:
-        with pytest.raises(InputError, match="no CUDA device"):
-            next(iter(gpu()))
 
 
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):

@@ -100,7 +100,11 @@ def every_label(often, monkeypatch):
     [
         ("render letters -D resolution=64 --estimate", ["Estimating"]),
         ("render letters -D resolution=64 --spp 1 -o {out}.exr", ["Loading the scene", "Rendering"]),
-        ("sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5", [".*capture.*"]),
+        pytest.param(
+            "sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5",
+            [".*capture.*"],
+            marks=pytest.mark.needs_extension("studio"),
+        ),
         ("info letters -D resolution=64", ["info"]),
     ],
 )

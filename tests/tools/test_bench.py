@@ -7,11 +7,13 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
+import drjit as dr
 import pytest
 
 from mitsuba_plenoptic import InputError
 from tools.bench import Pivot, at_least, at_most, case, figure, pick, registry, tables, timing
 from tools.bench.__main__ import PAGES, main, write_docs
+from tools.bench.cases.speed_reconstructions import gpu
 
 ROOT = Path(__file__).parents[2]
 TEXTS = {page: page.read_text() for pattern in PAGES for page in sorted(ROOT.glob(pattern))}
@@ -167,9 +169,10 @@ def test_cases_name_a_page_that_names_them():
 
 
 def commands(text):
+    # In Markdown a line break within a command is a space.
     return [
         found.replace("\n", " ")
-        for found in re.findall(r"python -m tools\.bench run ([^`#;]*?)(?=`|#|;|\n\n|\n\w|\n```)", text)
+        for found in re.findall(r"python\s-m\stools\.bench\srun\s([^`#;]*?)(?=`|#|;|\n\n|\n\w|\n```)", text)
     ]
 
 
@@ -184,3 +187,12 @@ def test_commands_and_marks_of_pages_exist(page):
         assert page == ROOT / found.page
         registry.options([found], words)
     assert len(tables.marked(TEXTS[page])) == TEXTS[page].count("<!-- bench:") == TEXTS[page].count("<!-- /bench")
+
+
+def test_the_measurement_of_the_device_runs_or_states_that_there_is_none():
+    if dr.has_backend(dr.JitBackend.CUDA):
+        rows = list(gpu(sizes=(1024,), runs=1))
+        assert len(rows) == 8 and all(row["ours"] > 0 for row in rows)
+    else:
+        with pytest.raises(InputError, match="no CUDA device"):
+            next(iter(gpu()))

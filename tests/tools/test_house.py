@@ -172,7 +172,7 @@ class A:
     def _white_of(self, x):
         return 1 + self._white_of(x)
 ''',
-            "extensions/raw/b.py": "def _hidden():\n    return 1\n",
+            "extensions/raw/b.py": "def _hidden_white():\n    return 1\n",
         }
     )
     assert found["functions"] == 4
@@ -180,7 +180,7 @@ class A:
     assert found["lines of the median function of the core"] == 2
     assert found["private functions used once, of at most 3 statements"] == ["a.py:8 _add", "a.py:13 _white_of"]
     assert found["functions that only forward"] == ["a.py:8 _add"]
-    assert found["definitions of white"] == ["a.py:2 white", "a.py:13 _white_of"]
+    assert found["definitions of white in the core"] == ["a.py:2 white", "a.py:13 _white_of"]
     assert (found["parameters"], found["parameters typed Any"]) == (7, 2)
 
 
@@ -196,7 +196,8 @@ def test_clones_and_long_files(gauged):
 def test_internal_names_in_tests(gauged):
     found = gauged(
         {
-            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n",
+            "docs/reference/python/a.rst": ".. automodule:: mitsuba_plenoptic.shown\n\n"
+            ".. automodule:: mitsuba_plenoptic.c\n   :no-members:\n",
             "docs/reference/python/b.rst": ".. autoclass:: mitsuba_plenoptic.a.Class\n",
             "docs/a.md": "```py\nfrom mitsuba_plenoptic.c import page, code\n```\n",
             "tests/test_a.py": "from mitsuba_plenoptic import any\nfrom mitsuba_plenoptic.a import _x, Class, other\n",

@@ -12,8 +12,9 @@ import scene_cases
 from light_field_cases import CAMERAS
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.io.truth_files import QUANTITIES
 from mitsuba_plenoptic.views import depth_error, depth_map, pick_views
+
+QUANTITIES = ("depth", "virtual_depth", "position", "normal", "albedo", "shape_index")
 
 CAMERA = mp.PlenopticCamera(detector_width=0.96, resolution=(240, 180))
 """15 x 11 lenses of 16 pixels."""

@@ -1,8 +1,8 @@
-"""Least squares for one camera and many poses of a board (bundle adjustment), with what the data say of each parameter.
+"""Bundle adjustment: least squares for one camera and many poses of a board, with the deviation of each parameter.
 
-Levenberg and Marquardt's method with exact derivatives. Each pose's own six parameters are eliminated by an orthogonal
-(QR) step before the camera's are solved for, so that normal equations, which square the condition, are never formed
-(B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 6).
+Levenberg and Marquardt's method with exact derivatives. The six parameters of each pose are eliminated by an orthogonal
+(QR) step before the camera's are solved for, so that normal equations, which square the condition number, are never
+formed (B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 6).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MOST_REPEATS = 30
 
 
 def deviation(distance: np.ndarray) -> float:
-    """Return the standard deviation along an axis, from the median of distances in two dimensions."""
+    """Return the standard deviation along one axis, estimated from the median of two-dimensional distances."""
     return float(np.median(distance)) / 1.17741
 
 
@@ -38,13 +38,13 @@ def outlying(distance: np.ndarray) -> np.ndarray:
 
 
 def huber(distance: np.ndarray) -> np.ndarray:
-    """Return weights for robust fits: beyond a limit, rows count by their distance instead of its square."""
+    """Return Huber's weights for robust fits: beyond a limit, residuals count by their size instead of its square."""
     bound = _HUBER * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
 
 def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return coefficients that solve linear equations for positions, of which more than half must be right.
+    """Return coefficients that solve linear equations for positions, if more than half of the equations hold.
 
     The least sum of distances shows which rows are outliers; the others are then fitted by least squares.
 
@@ -114,7 +114,7 @@ class Problem:
         return pixel - self.centres.pixel
 
     def cost(self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> float:
-        """Return half the weighted sum of squares; infinite where the model has no value."""
+        """Return half the weighted sum of squared residuals; infinite where the model has no value."""
         square = (weights * (self.residuals(numbers, poses) ** 2).sum(1)).sum()
         square += self.centre_weight**2 * (self.centre_residuals(numbers) ** 2).sum()
         return 0.5 * float(square) if np.isfinite(square) else np.inf
@@ -125,7 +125,7 @@ class Problem:
     def blocks(
         self, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray, free: np.ndarray
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Return, of the weighted linear system, the triangle of each pose and the rows of the camera alone.
+        """Return the weighted linear system's triangular factor for each pose, and its rows for the camera alone.
 
         The result has the shape (6, 6 + free + 1), (rows, free + 1).
         """
@@ -149,7 +149,7 @@ class Problem:
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:
-    """Return the triangular factor of a matrix, with as many rows as columns at least."""
+    """Return the triangular factor of a matrix, with at least as many rows as columns."""
     return np.asarray(np.linalg.qr(np.pad(rows, ((0, max(0, rows.shape[1] - len(rows))), (0, 0))), mode="r"))
 
 
@@ -176,7 +176,7 @@ def adjust(
     *,
     most_steps: int = _MOST_STEPS,
 ) -> Adjusted:
-    """Return camera parameters and poses that minimise the weighted sum of squares.
+    """Return the camera parameters and poses that minimise the weighted sum of squared residuals.
 
     Shapes: `weights` (n,).
     """
@@ -215,7 +215,7 @@ def adjust(
 
 
 def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the poses that fit best for a held camera.
+    """Return the poses of the board that fit best to a fixed camera.
 
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
     """
@@ -235,7 +235,7 @@ def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weigh
 def _solve(
     triangles: list[np.ndarray], camera: np.ndarray, camera_damping: np.ndarray, pose_damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps of camera and poses that solve the damped linear system, with columns scaled to equal norms."""
+    """Return the steps of camera and poses that solve the damped linear system, its columns scaled to equal norms."""
     reduced, heads = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))], []
     for triangle, damping in zip(triangles, pose_damping, strict=True):
         damped = _triangle(np.concatenate([triangle, np.pad(np.diag(damping), ((0, 0), (0, triangle.shape[1] - 6)))]))

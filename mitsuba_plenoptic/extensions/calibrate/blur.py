@@ -1,4 +1,4 @@
-r"""Focal lengths of microlenses from the blur of the corners that they show.
+r"""Focal lengths of microlenses from the blur of corners in their micro-images.
 
 A point whose image by the main lens lies the distance a before the microlens array (negative: behind it) is spread on
 the detector, the distance z behind the array, by a lens of the focal length f and the diameter D, over a disc of the
@@ -43,7 +43,7 @@ class Blur:
     Attributes
     ----------
     focal_lengths, deviations : tuple of float
-        Of each type of lenses in mm, and their standard deviations, with those of the camera's parameters.
+        Focal lengths in mm of each type of lenses, and standard deviations, including those by the camera's parameters.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
         they mean the whole disc.
@@ -66,7 +66,7 @@ def fit_blur(
     types: int,
     moved: Sequence[Adjusted] = (),
 ) -> Blur:
-    """Fit the focal lengths of the microlenses to signed blur radii.
+    """Return the focal lengths of the microlenses, fitted to signed blur radii.
 
     Shapes: `radius` (n,), `numbers`, `poses` (17,).
     """
@@ -119,7 +119,7 @@ def fit_blur(
 
 
 def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return z/a of each observation: the detector's distance over that of the corner's image, both from the array."""
+    """Return z/a for each observation: the detector's distance from the array over that of the corner's image."""
     f, b, z = numbers[:3]
     distance = placed(seen.board, poses, seen.pose)[:, 2]
     return np.asarray(z / (b - distance * f / (distance - f)))
@@ -132,7 +132,7 @@ _BEYOND = 1.25
 
 
 class CutBlur:
-    """Mean positions that pixels show through the open parts of their lenses, where the rim of the pupil cuts blur."""
+    """Mean positions that pixels show through the unblocked parts of their lenses, where the pupil cuts the blur."""
 
     def __init__(
         self,
@@ -158,13 +158,13 @@ class CutBlur:
                 self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
 
     def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        r"""Return :math:`\kappa` for lenses of given types and points of given disparities (`board_view`)."""
+        r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`board_view`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))
 
     def displaced(self, kind: np.ndarray, defocus: np.ndarray, arm: np.ndarray) -> np.ndarray:
-        """Return the displacement from a pixel's position to the mean position that the pixel shows, in pixels.
+        """Return the displacement, in pixels, from a pixel's position to the mean position that the pixel shows.
 
         Shapes: `kind` (n,), `defocus` (n,), `arm` (n, pixels, 2); the result (n, pixels, 2).
         """

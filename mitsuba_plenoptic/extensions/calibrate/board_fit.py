@@ -60,8 +60,8 @@ _MOST_OVERLAP = 1.5
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
     """Return a camera, and the poses of a board, fitted to corners seen through its microlenses.
 
-    Rows far from where the others put them are left out of the fit and named (`Evaluation.outliers`); errors that are
-    reported count every row, if not stated otherwise.
+    Outliers, rows far from the positions that the other rows predict, are left out of the fit and named
+    (`Evaluation.outliers`); reported errors count every row unless stated otherwise.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
 
 
 def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensIndex | None = None) -> Evaluation:
-    """Return the errors of a fixed camera's predictions of corners, with refitted poses.
+    """Return the errors, in pixels, of a fixed camera's predictions of corners; only the poses are fitted.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
 def cross_validate(
     corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
 ) -> dict[int, float]:
-    """Return the error of each pose, predicted by a calibration without it; only its pose is refitted.
+    """Return the error of each pose in pixels, predicted by a calibration without that pose; only its pose is fitted.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def cross_validate(
     board : Board
         The board that was seen.
     calibration : Calibration
-        What was found from all poses.
+        The calibration from all poses.
     centres : Table, optional
         Observed centres of micro-images.
 
@@ -232,7 +232,7 @@ def cross_validate(
 
 
 def _poses(problem: Problem, used: np.ndarray) -> Problem:
-    """Return a problem restricted to some of the poses."""
+    """Return a problem restricted to some poses."""
     seen = problem.corners
     _, pose = np.unique(seen.pose[used], return_inverse=True)
     some = replace(seen.keep(used), pose=pose)
@@ -240,14 +240,14 @@ def _poses(problem: Problem, used: np.ndarray) -> Problem:
 
 
 def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: LensIndex, weight: float) -> Problem:
-    """Add some of the centres to a problem."""
+    """Return a problem with some of the centres added."""
     nothing = np.zeros((0, 2))
     seen = Observations(index.unit(centres["k"], centres["l"])[used], centres.pixel[used], nothing, nothing)
     return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
 
 
 def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) -> Problem:
-    """Add to a problem without centres that corners are seen through the pupil, and thus about the centres.
+    """Return a problem without centres, constrained so that corners are seen through the pupil and near their centres.
 
     Over the pupil's image, the rows of one corner spread evenly, and err together: each corner counts once. Pupil and
     principal point are else so open that the camera's own micro-images may lie some lenses beside the corners.
@@ -261,9 +261,9 @@ def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) ->
 
 
 def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return a mask of centres on a lattice, which a tilt may make denser at one side, and the weight of the fit.
+    """Return a mask of the centres that a fit uses, spread evenly over the lattice, and their weight.
 
-    It is the deviation of the corners' residuals over that of centres that err together.
+    The weight is the deviation of the corners' residuals over the deviation of centres, whose errors are correlated.
     """
     i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
     matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
@@ -288,7 +288,7 @@ def _require_matching_pupil(
     pitch: float,
     uncertain: float,
 ) -> None:
-    """Refuse distances in the camera by which the pupil's images differ in size from the micro-images seen.
+    """Refuse distances in the camera that give pupil images of another size than the observed micro-images.
 
     Squares that are given s times too large scale the object space by s and that behind the main lens by 1/s along the
     axis, which explains the corners as well.
@@ -313,7 +313,7 @@ def _require_matching_pupil(
 
 
 def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarray:
-    """Return the weight of each corner: smaller for residuals beyond a limit, 0 for outliers."""
+    """Return the weight of each corner in the fit: smaller for residuals beyond a limit, 0 for outliers."""
     distance = _distance(problem, found.numbers, found.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose

@@ -1,4 +1,4 @@
-r"""Where a camera sees a corner of a board through one of its lenses, with all derivatives.
+r"""The detector position of a board's corner seen through one lens of a camera, with all derivatives.
 
 The main lens images a point X of the camera frame to :math:`q = -X f / (g - f)` at the distance
 :math:`g' = g f / (g - f)` (g: the point's distance). The corner is seen where the ray from q through a microlens's
@@ -57,15 +57,23 @@ _NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class Observations:
-    """Observed corners or centres: all arrays have one row for each observation."""
+    """Observed corners or centres, as arrays with one row per observation.
 
-    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them; (n, 2).
+    Attributes
+    ----------
+    lens : (n, 2) array
+        Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them.
+    pixel : (n, 2) array
+        Column and row; the centre of the first pixel is 0.
+    board : (n, 2) array
+        Position of the corner on its board in mm.
+    pose : (n,) array
+        Which pose of the board it is, from 0.
+    """
+
     lens: np.ndarray
-    # Column and row; the centre of the first pixel is 0; (n, 2).
     pixel: np.ndarray
-    # Position of the corner on its board in mm; (n, 2).
     board: np.ndarray
-    # Which pose of the board it is, from 0; (n,).
     pose: np.ndarray
 
     def __len__(self) -> int:
@@ -129,7 +137,7 @@ def _pixels(numbers: np.ndarray, p: np.ndarray, p_by: np.ndarray, pixel_size: fl
 def predict_centres(
     numbers: np.ndarray, lens: np.ndarray, *, pixel_size: float, row_ratio: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Predict the centres of micro-images, where the chief ray of each lens meets the detector.
+    r"""Return the centres of micro-images, where the chief ray of each lens meets the detector.
 
     :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
 
@@ -209,7 +217,7 @@ _PRINCIPAL = [AT["principal_u"], AT["principal_v"]]
 
 
 def on_pixel_grid(numbers: np.ndarray) -> np.ndarray:
-    """Return the numbers with the principal point moved to the nearest centre, edge or corner of a pixel."""
+    """Return camera numbers whose principal point is moved to the nearest centre, edge or corner of a pixel."""
     moved = numbers.copy()
     moved[_PRINCIPAL] = np.round(2 * moved[_PRINCIPAL]) / 2
     return moved
@@ -218,8 +226,8 @@ def on_pixel_grid(numbers: np.ndarray) -> np.ndarray:
 def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
     """Return the camera of given parameters, with a principal point `on_pixel_grid`.
 
-    What they do not determine is as in `like`: recorded pixels and their size, f-number, lattice, apertures and focal
-    lengths of the microlenses, and how rays refract.
+    Properties that the numbers do not determine are those of `like`: recorded pixels and their size, f-number, lattice,
+    apertures and focal lengths of the microlenses, and the refraction model.
     """
     ends = np.cumsum([len(parts_of(like, name)) for name in CALIBRATED])
     *rest, beyond = np.split(numbers, ends)
@@ -244,7 +252,7 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
 
 
 def numbers_of(camera: PlenopticCamera) -> np.ndarray:
-    """Return a camera's numbers, in the order of `NAMES`."""
+    """Return the parameters of a camera that a calibration fits, as a vector in the order of `NAMES`."""
     parts = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
     principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
     return np.concatenate([*parts.values(), principal, camera.distortion])

@@ -1,4 +1,4 @@
-r"""Corners of checkerboards in raw pictures: a sharp view of a focused camera's board, and where OpenCV finds it.
+r"""Corners of checkerboards in raw pictures: a sharp view of the board, in which OpenCV finds the corners.
 
 With C the centre of a micro-image, a point is seen in it at :math:`p = C + \sigma (C - Q)`: Q is where the point would
 be seen through a lens on the line to the main lens's centre, and :math:`\sigma` its disparity, the same for all points
@@ -55,7 +55,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class BoardView:
-    """Approximate position of a board in a picture."""
+    """Approximate position of a board in a picture, in pixels."""
 
     disparity: float
     # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
@@ -63,7 +63,7 @@ class BoardView:
 
 
 def find_board(picture: Picture, board: Board) -> BoardView:
-    """Return the position of a board found in a raw picture."""
+    """Return the position of a board, found in a raw picture."""
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
@@ -97,7 +97,7 @@ def _upright(corners: np.ndarray) -> np.ndarray:
 
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
-    """Return disparities, sorted by how well neighbouring lenses agree about the picture at each of them."""
+    """Return candidate disparities, sorted by how well neighbouring lenses agree about the picture."""
     sizes = np.geomspace(_LEAST, _MOST, _COUNT)
     disparities = np.concatenate([sizes, -sizes])
     position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
@@ -118,7 +118,7 @@ def _positions(picture: Picture, step: float) -> np.ndarray:
 
 
 def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean over lenses of their views of positions, and its variance, NaN for a single view.
+    """Return the mean, over lenses, of their views of positions, and its variance (NaN for a single view).
 
     `position` is (n, 2), `lens` (n, lenses).
     """
@@ -143,7 +143,7 @@ _MARGIN = 1.0
 def board_scene(
     board: Board, pose: np.ndarray, camera: PlenopticCamera, *, dark: float = 0.1, light: float = 1.0, spp: int = 16
 ) -> Any:
-    """Return a Mitsuba scene of a board that shines evenly, before a camera.
+    """Return a Mitsuba scene of a uniformly luminous board in front of a camera.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def board_scene(
     Returns
     -------
     mitsuba.Scene
-        In the active variant, or ``llvm_ad_mono`` if none is.
+        The scene in the active variant, or in ``llvm_ad_mono`` if none is active.
     """
     set_variant(None)
     rotation = Rotation.from_rotvec(pose[:3]).as_matrix()
@@ -243,7 +243,7 @@ def find_saddles(
     even: float,
     seen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Saddles:
-    """Return corners refined by least squares, each within a window of its micro-image.
+    """Return corners refined by least squares, each within a window in its micro-image.
 
     Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
@@ -293,7 +293,7 @@ def _fit(
 def _descend(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return position, angles and blur that minimise the residual; level and contrast follow at each step."""
+    """Return position, angles and blur of a corner that minimise the residual; level and contrast follow."""
     linear, square, jacobian, left = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
     low, high = np.log([_LEAST_BLUR, _MOST_BLUR])
@@ -320,7 +320,7 @@ def _descend(
 def _model(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return level and contrast of a blurred corner, the weighted sum of squares, its derivatives, and residuals."""
+    """Return level and contrast of a blurred corner's model, the sum of squares, its derivatives, and residuals."""
     arm = pixel - p[:, None, :2]
     blur = np.exp(p[:, 4])[:, None]
     edges = []

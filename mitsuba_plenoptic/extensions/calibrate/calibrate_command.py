@@ -303,6 +303,6 @@ def _print_outliers(seen: Evaluation) -> None:
 
 
 def _named(items: Sequence[object] | np.ndarray) -> str:
-    """Return the first items as a list."""
+    """Return the first items of a list as text."""
     more = "" if len(items) <= _NAMED else f" and {len(items) - _NAMED} more; the file has them all"
     return ", ".join(map(str, items[:_NAMED])) + more

@@ -1,8 +1,8 @@
 """Calibrated cameras as JSON files, and configurations of libpleno and COMPOTE.
 
-A calibrated camera is a file of `PlenopticCamera.to_json` with one object more, ``calibration``: how the data count
-lenses and pixels, the numbers with their deviations, the poses, and how well they explain the data. Every command that
-takes a camera takes it.
+A calibrated camera is a file of `PlenopticCamera.to_json` with an additional object ``calibration``: how the data count
+lenses and pixels, the fitted numbers with their deviations, the poses, and the residuals. Every command that takes a
+camera accepts such a file.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from
 
 
 def write_calibration(path: str | Path, calibration: Calibration, board: Board) -> None:
-    """Write a calibrated camera, whole or not at all.
+    """Write a calibrated camera as a JSON file, completely or not at all.
 
     Parameters
     ----------
     path : path
         File to write.
     calibration : Calibration
-        What to write.
+        The calibration to write.
     board : Board
         The board that was seen.
     """
@@ -71,7 +71,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
 
 def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
-    """Return a camera, read as by every command, and the indexing of lenses that the data of its calibration use.
+    """Return a camera as every command reads it, and the indexing of lenses in the data of its calibration.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _numbers(values: Any) -> list[float]:
 
 
 def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
-    """Return the coefficients that best remove a distortion over a disc; theirs have opposite signs in x and y."""
+    """Return the coefficients that best undo a distortion over a disc; distortions have opposite signs in x and y."""
     radius, angle = np.meshgrid(np.linspace(0.02, 1, 40) * reach, np.linspace(0, 2 * np.pi, 24, endpoint=False))
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     k1, k2, k3, p1, p2 = distortion * [1, 1, 1, -1, -1]

@@ -1,4 +1,4 @@
-"""Calibration of a real camera: its parameters from corners of a board, its micro-images' centres from white images."""
+"""Calibration of a real camera: parameters from corners of a board, centres of micro-images from white images."""
 
 from .blur import Blur
 from .board_fit import calibrate, cross_validate, evaluate

@@ -32,7 +32,7 @@ _WIDTH = 760
 def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
 ) -> None:
-    """Write the HTML report on a calibration."""
+    """Write the report on a calibration as an HTML page."""
     size, seen = calibration.camera.crop_size, calibration.evaluation
     outliers = seen.outliers
     lens = residual_map(calibration, board, corners, "lens", 1)
@@ -72,13 +72,13 @@ def write_calibration_report(
 
 
 def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:
-    """Return mean residuals as lines from the middle of their cell of the detector, in the drawing's units."""
+    """Return mean residuals as lines from the middle of each cell of the detector, in units of the drawing."""
     lines = np.concatenate([middle + 0.5, middle + 0.5 + _ENLARGED * mean], axis=1) * (_WIDTH / size[0])
     return [tuple(line) for line in lines.round(1).tolist()]
 
 
 def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
-    """Return position and darkness of each lens: its error over the 95 % quantile of all errors."""
+    """Return the position of each lens, and as its darkness the lens's error over the 95 % quantile of all errors."""
     position = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
     dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
     return [tuple(mark) for mark in np.column_stack([position.round(1), dark.round(2)]).tolist()]

@@ -32,7 +32,7 @@ GROUPED_BY = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Errors with which a camera explains corners; every row counts.
+    """Errors of the positions at which a camera predicts corners; every row counts.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Evaluation:
     frames : (poses,) int array
         Indices of the poses' frames.
     pose : (n,) int array
-        Which of them each row belongs to.
+        Index, among the poses, of each row's pose.
     poses : (poses, 6) array
         Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
     """
@@ -87,23 +87,23 @@ class Calibration:
         The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
         the crop window is recorded.
     index : LensIndex
-        How the data count lenses.
+        How the observations count lenses.
     evaluation : Evaluation
         Residuals and poses.
     numbers, deviations : dict
         The camera's parameters by the names of `model.NAMES`, and their standard deviations.
     correlation : (17, 17) array
-        Of the parameters' errors.
+        Correlations of the parameters' errors.
     centre_residuals : (n, 2) array
-        Of the centres that were given.
+        Residuals of the given centres.
     steps : int
-        How often the linear system was solved.
+        Number of solutions of the linear system.
     blur : Blur, optional
         The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
-        By how much the frames disagree about the parameters, over what their residuals' scatter explains.
+        Ratio of the frames' disagreement about the parameters to that explained by the residuals' scatter.
     by_frames : bool
-        Whether that is more than chance allows, so that the deviations are those of leaving out frames.
+        Whether frames disagree more than chance allows; then deviations come from leaving out frames.
     centre_outliers : (m,) int array
         Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     prediction_deviation : float
@@ -134,10 +134,10 @@ class Calibration:
 
     @property
     def open_direction(self) -> dict[str, float]:
-        """Changes of the parameters when the focal length changes by its deviation, empty below a tenth of the length.
+        """Changes of the correlated parameters if the focal length changes by its standard deviation.
 
-        Only the parameters that follow the focal length are named, those with a correlation beyond 0.5; empty where
-        the data determine it.
+        Only parameters with a correlation above 0.5 are named. Empty if the deviation is below a tenth of the focal
+        length.
         """
         at = NAMES.index("focal_length")
         if self.deviations["focal_length"] < OPEN * abs(self.numbers["focal_length"]):
@@ -154,7 +154,7 @@ class Calibration:
         Parameters
         ----------
         count : int
-            How many of them.
+            Number of combinations.
 
         Returns
         -------
@@ -179,17 +179,17 @@ class ResidualMap:
     Attributes
     ----------
     by : str
-        What they have in common, of `GROUPED_BY`.
+        Property, of `GROUPED_BY`, that a group's observations have in common.
     key : (groups, columns) array
         Which group it is, with the columns that `GROUPED_BY` names. ``lens``: indices as the data have them, and where
         the camera has the centre of the micro-image, in pixels; ``field``: middle of a square of the detector, in
         pixels; ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
-        Observations in it.
+        Number of observations in each group.
     mean : (groups, 2) array
         Mean of observed minus predicted positions, in pixels.
     error : (groups,) array
-        RMS of the distances between them, in pixels.
+        RMS distance between observed and predicted positions, in pixels.
     """
 
     by: str
@@ -205,13 +205,13 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     Parameters
     ----------
     calibration : Calibration
-        What was found.
+        The calibration.
     board : Board
         The board that was seen.
     corners : Table
-        The corners that it was found from.
+        The corners from which the camera was calibrated.
     by : {"lens", "field", "depth", "pose"}
-        What the observations of a group have in common.
+        The property that a group's observations have in common.
     parts : int
         Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
 
@@ -281,7 +281,7 @@ class Deviations:
 
 
 def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
-    """Return standard deviations and covariance of a fit's parameters, all of them free.
+    """Return standard deviations and covariance of a fit's parameters, of which none is held fixed.
 
     Shapes: `weights` (n,).
     """
@@ -320,9 +320,9 @@ def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviat
 
 
 def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
-    """Return solutions a standard deviation away along each independent combination of parameters, the poses refitted.
+    """Return solutions one standard deviation away along each independent combination of parameters, poses refitted.
 
-    The squared changes of anything else that follows from parameters and poses add up to its variance.
+    For any quantity that follows from parameters and poses, the squared changes add up to its variance.
     """
     heads, _ = problem.blocks(found.numbers, found.poses, weights, np.arange(len(NAMES)))
     scale = np.sqrt(np.diag(covariance))
@@ -339,7 +339,7 @@ _TURNED = np.deg2rad(30) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0
 
 
 def prediction_deviation(problem: Problem, found: Adjusted, covariance: np.ndarray) -> float:
-    """Return the RMS in pixels by which parameters' errors displace corners of turned boards, the poses fitted."""
+    """Return the RMS displacement, in pixels, of corners of turned boards due to errors of the parameters."""
     seen, count = problem.corners, len(NAMES)
     middle = np.append((seen.board.min(0) + seen.board.max(0)) / 2, 0.0)
     square, rows = 0.0, 0

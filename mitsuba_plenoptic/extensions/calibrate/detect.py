@@ -1,8 +1,8 @@
 """Corners of a checkerboard in raw pictures of a focused plenoptic camera, as `calibrate` takes them.
 
-OpenCV finds the board in a view of the whole scene (`board_view`). From there each corner is looked for in all the
-micro-images that should show it, and met in each to a fraction of a pixel (`saddle`); the corners found show more
-exactly where to look.
+OpenCV finds the board in a view of the whole scene (`board_view`). Each corner is then searched in all micro-images
+that should show it, and located in each to a fraction of a pixel (`saddle`); the corners found improve the expected
+positions of the others.
 """
 
 from __future__ import annotations
@@ -65,19 +65,19 @@ def detect_corners(
     image : (rows, columns[, channels]) array
         Raw picture, with values proportional to light.
     white : (rows, columns[, channels]) array
-        The same of something evenly white, by the same camera.
+        Picture of something evenly white, by the same camera.
     centres : Table
         Centres of micro-images, as `read_centres` and `Centres.table` give them; `camera_centres` of a known camera.
         Lenses with doubtful centres are not looked at.
     board : Board
-        The board; its whole must be in the picture. Its squares' size does not matter.
+        The board, all of which must be in the picture; the size of squares does not matter.
     camera : PlenopticCamera, optional
         The camera, if it is known: what the main lens's pupil cuts off the microlenses' blur then displaces no corner
         (`CutBlur`).
     frame : int
         Number of the picture.
     name : str
-        What messages call it.
+        Name of the picture in messages.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     camera : PlenopticCamera
         The camera, tilted or not.
     index : LensIndex, optional
-        How its lenses are counted. Default: from lens (0, 0) of its lattice.
+        How the table counts lenses. Default: from lens (0, 0) of the camera's lattice.
     """
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
@@ -167,7 +167,7 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
 
 
 def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """Return the radius in pixels within which micro-images are on average as bright as in their middle."""
+    """Return the radius in pixels within which micro-images are, on average, as bright as in their middle."""
     half = int(radius) + 1
     whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
@@ -192,7 +192,7 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 def _refined(
     picture: Picture, found: BoardView, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return corners as seen through lenses: indices of corner and lens, positions in pixels, and saddles."""
+    """Return corners located through lenses: indices of corner and lens, positions in pixels, and saddles."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
     position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
@@ -223,7 +223,7 @@ def _refined(
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return a function for `find_saddles`: the displacement from pixels about corners to the positions they show."""
+    """Return a function for `find_saddles`: displacements from pixels near corners to the positions that they show."""
     defocus = cut.defocus(kind, disparity)
     return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 

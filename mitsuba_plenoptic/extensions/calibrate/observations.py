@@ -1,4 +1,4 @@
-"""Corners of a board and centres of micro-images, as files hold them, and how these count lenses.
+"""Corners of a board and centres of micro-images as files hold them, and the indices of lenses in these files.
 
 Files are CSV tables with a header. Corners have the columns ``k, l`` (indices of the lens along its row and of the
 row), ``u, v`` (column and row of the corner in pixels; the centre of the first pixel is 0), ``cluster`` (number of the
@@ -80,16 +80,16 @@ class Board:
 
 @dataclass(frozen=True)
 class LensIndex:
-    """Indexing of lenses: the lens of the camera's lattice that the indices k, l of a file mean.
+    """Relation between a file's lens indices k, l and the lenses of the camera's lattice.
 
     Attributes
     ----------
     odd_rows : float
-        Pitches by which rows of odd l lie further along: -0.5 or 0.5 on a hexagonal lattice, 0 on a square one.
+        Offset along the rows, in pitches, of rows with odd l: -0.5 or 0.5 on a hexagonal lattice, 0 on a square one.
     row_sign : int
         -1 if l falls where the camera's rows rise.
     first : (int, int)
-        k and l of the camera's lens (0, 0).
+        Indices k and l of the camera's lens (0, 0).
     """
 
     odd_rows: float
@@ -109,9 +109,9 @@ class Table:
     Parameters
     ----------
     name : str
-        What messages call it, such as its file.
+        Name of the table in messages, such as its file.
     columns : dict of str to arrays
-        Its columns, all of one length.
+        Columns by name, all of one length.
     """
 
     name: str
@@ -153,7 +153,7 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
 
 
 def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
-    """Return columns as a table, the first row in line 1 + `header` of the file, if their values are valid."""
+    """Return columns as a table if their values are valid; the first row stands in line 1 + `header` of the file."""
     for name, values in columns.items():
         wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)
         if name in _WHOLE:
@@ -246,7 +246,7 @@ def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.nda
 
 
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
-    """Return the indexing of lenses that a table uses, found from the positions of its pixels, and their grid.
+    """Return the indexing of lenses that a table uses, found from the pixel positions, and the fitted grid.
 
     Shapes: `middle` (2,); the result (3, 2).
     """

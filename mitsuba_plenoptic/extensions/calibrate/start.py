@@ -1,15 +1,15 @@
 r"""Start values of a calibration from the data alone.
 
-Through a lens at c a point whose image lies at q, the distance a before the microlens array, is seen at
-:math:`p = c (1 + z/a) - q z / a`: linear in c, so that the lenses which see one corner determine z/a, and with it q.
-How far the images q of a board's corners lie apart gives its magnification M, and as :math:`a = b - f (1 + M)`,
+Through a lens at c, a point whose image lies at q, the distance a before the microlens array, is seen at :math:`p = c
+(1 + z/a) - q z / a`. This is linear in c, so that the lenses that see one corner determine z/a, and with it q. The
+distances between the images q of a board's corners give the magnification M, and as :math:`a = b - f (1 + M)`,
 
 .. math:: a / z = (b - f) / z - (f / z) M
 
-is a line over the poses, which gives b/f and z/f. The scale of all three comes from the perspective of tilted boards,
+is a line over the poses, which gives b/f and z/f. The scale of b, f and z comes from the perspective of tilted boards,
 by a fit of few numbers.
 
-Rows that disagree with most of their frame are left out of all this.
+Rows that disagree with most rows of their frame are left out.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def board_images(
 def _agreeing(
     seen: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
 ) -> np.ndarray:
-    """Return a mask of rows that lie in their micro-image and agree with most of their frame; refuse bad frames."""
+    """Return a mask of rows in their micro-image that agree with most of their frame; refuse disagreeing frames."""
     near = np.hypot(*(pixel - centre).T) < pitch
     good, strange = near.copy(), []
     for pose, frame in enumerate(frames):
@@ -179,8 +179,8 @@ def _agreeing(
 def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tuple[bool, np.ndarray]:
     """Return whether a flat board explains the observed corners, and a mask of the rows that agree with it.
 
-    Over a tilted board z/a changes linearly, and with it z q/a in squares of the board's positions. Lenses that see a
-    corner lie about its position; one far from there, as a wrong corner's does, would by its distance alone bend z/a.
+    Over a tilted board z/a changes linearly, and z q/a as a square of the position on the board. The lenses that see a
+    corner surround its position; a wrong corner far from there would bend z/a by its distance alone.
     """
     x, y = (board / max(np.abs(board).max(), 1e-9)).T
     one = np.ones(len(x))

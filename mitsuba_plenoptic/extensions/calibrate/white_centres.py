@@ -1,8 +1,8 @@
-"""Centres of micro-images from a white image, lens by lens.
+"""Centres of micro-images from a white image, found lens by lens.
 
-`lightfield.estimate_lens_grid` finds the lattice. Each micro-image is then centred on its own light: its centroid in a
-disc with a soft rim, which follows the centroid until both agree, so that a symmetrical micro-image is met wherever its
-centre lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
+`lightfield.estimate_lens_grid` finds the lattice. Each micro-image is then located by its centroid in a disc with a
+soft rim; the disc follows the centroid until both agree, so that the centre of a symmetrical micro-image is found
+wherever it lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
 
 Dust on the array or the detector darkens part of a micro-image and displaces its centroid. Such centres are doubtful:
 they lie off their neighbours' lattice, or their light differs from that of the neighbours.
@@ -42,7 +42,7 @@ class Centres:
     Attributes
     ----------
     grid : LensGrid
-        The regular grid that fits them best.
+        The regular grid that fits the centres best.
     lens : (n, 2) int array
         Index of each lens along its row, and its row, counted from the grid's first.
     pixel : (n, 2) array
@@ -117,7 +117,7 @@ def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[n
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres that agree with the centroids of their windows, and the windows' light above their minimum."""
+    """Return centres that equal the centroids of their windows, and the light in each window above its minimum."""
     patches, light = pixels_around(image, centre, int(np.ceil(radius)) + 2), np.zeros(len(centre))
     for _ in range(_REPEATS):
         centre, light = centroids(
@@ -129,7 +129,7 @@ def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.n
 
 
 def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the positions of the affine grid that fits the centres best."""
+    """Return the positions in pixels on the affine grid that fits the centres best."""
     k, l = lens.T.astype(np.float64)  # noqa: E741
     if grid.shifted_rows is not None:
         k = k + 0.5 * (l % 2 == grid.shifted_rows)
@@ -138,7 +138,7 @@ def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndar
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Return a mask of centres that differ from their neighbours by more than neighbours do, in place or light."""
+    """Return a mask of centres that differ from their neighbours in place or light by more than is usual."""
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)

@@ -1,6 +1,6 @@
-"""Baselines: methods of this package that answer the tasks of a benchmark.
+"""Baselines of the benchmark: methods of this package that answer its tasks.
 
-Each is a function of a `Question` and returns answers by the names of tasks; a new one is one more function in
+Each baseline is a function of a `Question` and returns answers by task name; a new one is one more entry in
 `BASELINES`.
 """
 
@@ -33,7 +33,7 @@ Answers = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Question:
-    """A capture to be answered, with the white capture of its camera."""
+    """A capture for which a benchmark asks answers, with the white capture of its camera."""
 
     capture: Capture
     white: Capture
@@ -52,7 +52,7 @@ class Question:
 
 
 def _plain(question: Question) -> Answers:
-    """Return answers as if everything were in focus, which every method should exceed."""
+    """Return answers for a scene entirely in focus, which every method should exceed."""
     lf = question.light_field
     central = view(lf, u=0.0, v=0.0).values
     return {
@@ -63,7 +63,7 @@ def _plain(question: Question) -> Answers:
 
 
 def _ray(question: Question) -> Answers:
-    """Return answers by rays: depth by agreement of views, refocusing by footprints of lenses, interpolated views."""
+    """Return answers by rays: depth from views, refocusing by footprints of lenses, and interpolated views."""
     lf, radius = question.light_field, question.camera.aperture_radius
     found = depth_map(lf, micro_images=micro_images(question.capture, white=question.white))
     views = [lf.interp(u=x * radius, v=y * radius, kwargs={"fill_value": None}).values for x, y in PUPIL_POINTS]
@@ -87,7 +87,7 @@ def _images(capture: Capture, **options: Any) -> np.ndarray:
 
 
 def _by_waves(question: Question, *, method: str) -> Answers:
-    """Refocus capture and white capture by waves and divide; that takes less than the correction of displacements."""
+    """Refocus capture and white capture by waves and divide, which is faster than correcting displacements."""
     options = {"method": method, "wavelength": WAVELENGTH}
     if method not in question.of_white:
         question.of_white[method] = _images(question.white, **options)
@@ -95,7 +95,7 @@ def _by_waves(question: Question, *, method: str) -> Answers:
 
 
 def _deconvolved(question: Question) -> Answers:
-    """Refocus by planes whose captures are the recorded one."""
+    """Refocus by deconvolution, which finds planes whose simulated captures equal the recorded one."""
     return {"refocus": _images(question.capture, method="deconvolved")}
 
 
@@ -127,7 +127,7 @@ def run_baseline(
     made : Benchmark
         The benchmark.
     folder : path
-        Where the answers are written, as `score` reads them.
+        Folder for the answers, which `score` reads.
     captures : sequence of str
         Kinds of captures to answer.
     progress : callable, optional

@@ -136,7 +136,7 @@ def _rows(lines: list[TableLine], names: list[str]) -> list[str]:
 
 
 def _without_nan(value: Any) -> Any:
-    """Return a value with undefined numbers replaced by null, as JSON has no NaN."""
+    """Return a value with NaN replaced by None, since JSON has no NaN."""
     if isinstance(value, dict):
         return {name: _without_nan(each) for name, each in value.items()}
     if isinstance(value, list):
@@ -150,7 +150,7 @@ def export(
     output: OutputFolder,
     capture: Annotated[str, typer.Option(metavar="NAME", help="Kind of captures, such as wave_dim.")] = "ray",
 ) -> None:
-    """Write decoded views as the 4D Light Field Benchmark (HCI) does, for programs that read it.
+    """Write decoded views in the format of the 4D Light Field Benchmark (HCI), for programs that read it.
 
     [bold]Example:[/bold]
 

@@ -40,9 +40,9 @@ def make_benchmark(
     Parameters
     ----------
     recipe : BenchmarkRecipe
-        What `benchmark_recipe` returned.
+        The recipe, from `benchmark_recipe`.
     folder : path
-        Where it is to lie; made if it is not there.
+        Folder of the benchmark, made if missing.
     batch_map, progress : callable, optional
         As for `make_dataset`.
 
@@ -209,7 +209,7 @@ def write_sheet(path: Path, made: Benchmark) -> None:
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:
-    """Return a picture `_WIDTH` wide and high, by repeated or averaged pixels and a black border."""
+    """Return a picture `_WIDTH` wide and high, enlarged or averaged by whole numbers, with a black border."""
     small = shrink(enlarge(picture, max(1, _WIDTH // len(picture))), _WIDTH)
     room = [(0, _WIDTH - size) for size in small.shape]
     return np.pad(small, room)

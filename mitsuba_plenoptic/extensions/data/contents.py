@@ -1,7 +1,7 @@
-"""The contents of the benchmark: its cameras, noise and sizes, and how a sample of it is made.
+"""The contents of the benchmark: cameras, noise and sizes, and how each sample is made.
 
-A benchmark is a data set (`dataset.make_dataset`) with a sample for each scene and camera. Its captures are called
-``ray`` and ``wave``, and with noise ``ray_bright``, ``ray_dim`` and so on.
+A benchmark is a data set (`dataset.make_dataset`) with a sample for each scene and camera. Noiseless captures are
+called ``ray`` and ``wave``, noisy ones ``ray_bright``, ``ray_dim`` and so on.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Size:
     lenses : int
         Lenses of the camera ``square`` across the field.
     pixels : int
-        Pixels of each of them, along each axis.
+        Number of pixels per lens, along each axis.
     spp, truth_spp : int
         Samples per pixel of captures, and of the pictures that are the truth.
     """
@@ -192,7 +192,7 @@ def make_entry(recipe: Recipe, index: int) -> Sample:
 
 
 def view_image(scene: Any, camera: PlenopticCamera, point: tuple[float, float], spp: int) -> np.ndarray:
-    """Return the sharp view from a point of the pupil, in which the plane in focus lies as in the central view."""
+    """Return the sharp view from a point of the pupil, with the plane in focus where the central view has it."""
     size = np.array(camera.bin_count)
     x, y = (coordinate * camera.aperture_radius for coordinate in point)
     width, height = size * camera.bin_size(camera.focus_distance)
@@ -212,7 +212,7 @@ class Benchmark(DataSet):
     Parameters
     ----------
     folder : path
-        What `make_benchmark` or ``mitsuba-plenoptic benchmark make`` wrote.
+        The folder of `make_benchmark` or ``mitsuba-plenoptic benchmark make``.
     fields : sequence of str, optional
         Names of the arrays to read. Default: all.
 
@@ -232,7 +232,7 @@ class Benchmark(DataSet):
         self.cameras = [camera["name"] for camera in self.manifest["recipe"]["cameras"]]
 
     def entries(self) -> list[int]:
-        """Return the indices of the samples that are scored: all but those of the white scene."""
+        """Return the indices of the samples that are scored, which excludes those of the white scene."""
         return list(range(len(self.scenes) * len(self.cameras)))
 
     def name(self, index: int) -> tuple[str, str]:
@@ -254,7 +254,7 @@ class Benchmark(DataSet):
 
 
 def model_of(name: str) -> str:
-    """Return the model of the light of a kind of captures, one of `CAPTURES`."""
+    """Return the light model, ``ray`` or ``wave``, of a capture named in `CAPTURES`."""
     return name.partition("_")[0]
 
 
@@ -264,7 +264,7 @@ def capture_of(sample: Sample, name: str) -> Capture:
 
 
 def central_truth(sample: Sample) -> dict[str, np.ndarray]:
-    """Return the ground truth of the bins of the central view, by quantity, and whether they show ``glass``."""
+    """Return the ground truth of the central view's bins by quantity, and where they show ``glass``."""
     found = {}
     for name, array in sample.arrays.items():
         if name.startswith(VIEWS):

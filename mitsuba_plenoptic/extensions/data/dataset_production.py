@@ -1,4 +1,4 @@
-"""Making a data set: sample by sample, so that a killed run resumes where it was."""
+"""Production of a data set, sample by sample, so that a killed run resumes where it was."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Maker = Callable[[Recipe, int], Sample]
 
 @dataclass(frozen=True)
 class SampleTask:
-    """Task that renders one sample and writes the sample's file, in this process or another."""
+    """Task that renders one sample and writes its file, in this process or another."""
 
     recipe: Recipe
     index: int
@@ -56,7 +56,7 @@ class SampleTask:
 
     @property
     def samples(self) -> int:
-        """Nominal number of fields, so large that a sample is a batch by itself."""
+        """Nominal number of samples, so large that each task is a batch by itself."""
         return 2**62
 
     def prepare(self) -> Callable[[], int]:
@@ -79,19 +79,19 @@ def make_dataset(
     make: Maker = make_sample,
     describe: Callable[[Path, Recipe, DataSet], None] = describe_dataset,
 ) -> DataSet:
-    """Make a data set, or resume making it.
+    """Make a data set, or resume an interrupted run with the same bits.
 
-    Every sample is a file of its own until all of its shard are there. A run that was killed, at whatever moment,
-    resumes when it is started again, and ends with the bytes of one that was not. A data set of the same recipe with a
-    smaller count grows. Samples that are there are compared with their digests first; damaged ones are named in the log
-    and rendered again. One process at a time makes a data set.
+    Each sample has a file until all samples of its shard exist. A run that was killed at any moment can be started
+    again and ends with the same bytes as an uninterrupted run. A data set of the same recipe with a smaller count
+    grows. Existing samples are first compared with their digests; damaged ones are named in the log and rendered again.
+    Only one process at a time may make a data set.
 
     Parameters
     ----------
     recipe : Recipe
-        What `read_recipe` returned.
+        The recipe, from `read_recipe`.
     folder : path
-        Where it is to lie; made if it is not there.
+        Folder of the data set, made if missing.
     batch_map : callable, optional
         Who renders, for example `Cluster`; workers must see folder and scene files under the same names. Default: this
         process.
@@ -163,7 +163,7 @@ def _produce(
 
 
 def _as_recorded(layout: DataFolder, number: int, recorded: Mapping[str, str]) -> bool:
-    """Return whether a shard has the checksum that an earlier run wrote, if one did."""
+    """Return whether a shard has its checksum of an earlier run; False if none was written."""
     path = layout.shard(number)
     expected = recorded.get(path.relative_to(layout.folder).as_posix())
     if expected is None or not path.exists() or checksum(path) == expected:
@@ -179,7 +179,7 @@ def _make(recipe: Recipe, index: int, path: Path, make: Maker) -> int:
 
 
 def _try_scenes(recipe: Recipe) -> None:
-    """Load one scene of each source, so that an error in a file is reported before anything is rendered."""
+    """Load one scene of each source of a recipe, so that errors in files are reported before rendering."""
     left = set(range(len(recipe.scenes)))
     for index in range(min(recipe.count, 1000)):
         plan = recipe.plan(index)
@@ -204,7 +204,7 @@ def _clear(layout: DataFolder, finished: Mapping[int, set[int]]) -> None:
 
 
 def _pack(layout: DataFolder, number: int, there: set[int]) -> None:
-    """Write the samples of a shard into one file, next to the samples that the file already has."""
+    """Write the finished samples of a shard into one file, together with the samples already there."""
     path = layout.shard(number)
 
     def samples() -> Iterator[Sample]:
@@ -325,7 +325,7 @@ _ROWS, _WIDTH = 8, 256
 
 
 def write_preview(path: Path, samples: DataSet) -> None:
-    """Write a PNG with a row for each of the first eight samples: its captures, and depth, near in white."""
+    """Write a PNG with one row for each of the first eight samples: captures, and depth (near is white)."""
     rows = []
     for index in range(min(_ROWS, len(samples))):
         arrays = samples[index].arrays
@@ -347,7 +347,7 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 
 def inverse_distance(depth: np.ndarray) -> np.ndarray:
-    """Return the inverse of depths from 0, as far as any, to 1."""
+    """Return inverse depth scaled to the range 0.1 (farthest) to 1 (nearest), and 0 where depth is unknown."""
     known = np.isfinite(depth)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))
     if not known.any():

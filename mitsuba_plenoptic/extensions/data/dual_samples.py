@@ -1,4 +1,4 @@
-"""What a data set of dual or quad pixels has of each sample: pictures of photodiodes, and what is true of each lens."""
+"""Contents of a sample of dual or quad pixels: pictures of the photodiodes, and ground truth of each lens."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def pictures_of(capture: Capture, layout: tuple[int, int], name: str) -> dict[st
 
 
 def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
-    """Return the picture that is all in focus, and each lens's depth and signed blur radius in lenses.
+    """Return the all-in-focus picture, and each lens's depth (mm) and signed blur radius (lens pitches).
 
-    The depth is that of the ray through the middles of the lens and of the pupil. Where the scene is in focus, the
-    picture is the sum of those of the photodiodes.
+    The depth is measured along the ray through the centres of the lens and of the pupil. Where the scene is in focus,
+    the picture is the sum of the pictures of the photodiodes.
     """
     sensor = plenoptic_sensor(scene)
     camera = PlenopticCamera.from_sensor(sensor)
@@ -65,7 +65,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y of the middles of the recorded lenses on the array, each (rows, columns), before `mla_cra`."""
+    """Return x and y of the recorded lenses' centres, (rows, columns), before the shifts by `mla_cra`."""
     index = [
         np.floor(((first + ACROSS * np.arange(size // ACROSS) + 1) - count / 2 - offset / camera.pixel_size) / ACROSS)
         for first, size, count, offset in zip(
@@ -77,9 +77,9 @@ def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return a camera with the same lenses and a smaller pupil, whose images behind lenses keep their size.
+    """Return a camera with the same lenses and a smaller pupil, whose images behind the lenses keep their size.
 
-    Lenses that are aligned to chief rays stand where the smaller pitch puts them that suits the recorded ones best.
+    Lenses aligned to chief rays are placed with the smaller pitch that fits the recorded lenses best.
     """
     b, (x, y) = camera.pupil_distance, _lens_centres(camera)
     right, up = chief_ray_shift(camera, x, y)

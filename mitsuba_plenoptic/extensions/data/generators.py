@@ -1,4 +1,4 @@
-"""Generators of random scenes. A new one is one class with `scene`, and one entry in `GENERATORS`."""
+"""Generators of random scenes; a new one is a class with `scene`, and an entry in `GENERATORS`."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _DARKEST, _BRIGHTEST = 0.02, 0.95
 
 
 def random_diffuse(random: np.random.Generator, plain: float, width: float) -> dict[str, Any]:
-    """Return a diffuse surface with a random pattern, as ``mi.load_dict`` takes it.
+    """Return a diffuse surface with a random texture, as a dictionary for ``mi.load_dict``.
 
-    Band-limited noise or a checkerboard; in variants of three channels between two random colours.
+    The texture is band-limited noise or a checkerboard; in variants of three channels it mixes two random colours.
     """
     # All are drawn, whichever is used, so that what follows does not depend on it.
     is_plain, is_noise = random.random() < plain, random.random() < 0.75
@@ -81,7 +81,7 @@ class Illumination:
         refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
-        """Return the lights as ``mi.load_dict`` takes them; the lamp stands beside or above the camera, at random."""
+        """Return the lights for ``mi.load_dict``; the lamp stands at random beside or above the camera."""
         angle = random.uniform(0, 2 * math.pi)
         position = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
         squared = float(np.sum(np.square(position - [0, 0, distance])))
@@ -95,14 +95,14 @@ class SceneGenerator(Protocol):
     """Generator of random scenes before a camera."""
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
-        """Return a scene without a sensor, as ``mi.load_dict`` takes it; a camera at the origin looks along +z."""
+        """Return a scene without a sensor, for ``mi.load_dict``; the camera is at the origin and looks along +z."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Textured shapes at random positions, turned at random, before a textured wall.
+    """Textured shapes at random positions and orientations, in front of a textured wall.
 
-    Depths are drawn evenly in disparity, so that near and far are equally frequent in what a light field measures.
+    Depths are drawn evenly in disparity, so that a light field shows near and far objects equally often.
     """
 
     objects: int = 12
@@ -150,7 +150,7 @@ class Shapes:
         return float(near), float(far)
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
-        """Return a scene without a sensor, as ``mi.load_dict`` takes it; a camera at the origin looks along +z."""
+        """Return a scene without a sensor, for ``mi.load_dict``; the camera is at the origin and looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])
         wall = _BEHIND * far
@@ -183,7 +183,7 @@ class Shapes:
         lens: float,
         random: np.random.Generator,
     ) -> dict[str, Any]:
-        """Return one shape as ``mi.load_dict`` takes it; `lens` is the tangent of neighbouring lenses' angle."""
+        """Return one shape for ``mi.load_dict``; `lens` is the tangent of the angle between neighbouring lenses."""
         size = float(size)
         towards = mi.ScalarTransform4f().translate(position.tolist())
         # Mitsuba takes the axis of a rotation as it is: one that is not of length 1 shears.

@@ -1,4 +1,4 @@
-"""Light fields of the benchmark in the folders of the 4D Light Field Benchmark, for programs that read these.
+"""Export of the benchmark's light fields to the folder format of the 4D Light Field Benchmark.
 
 Honauer, Johannsen, Kondermann and Goldluecke 2016, "A dataset and evaluation methodology for depth estimation on 4D
 light fields": views ``input_Cam000.png`` row by row, ``parameters.cfg``, and the depth (metres) and disparity (pixels
@@ -18,17 +18,17 @@ from .contents import CAPTURES, Benchmark, capture_of, central_truth
 
 
 def export_hci(made: Benchmark, folder: str | Path, capture: str = "ray") -> list[Path]:
-    """Write the light fields decoded from captures of one kind, a folder for each; return the folders.
+    """Write the light fields decoded from captures of one kind, one folder each; return the folders.
 
-    In mirrors the depth is that of the mirror image. Views at the rim of the pupil, which it covers in part, are left
-    out: there are as many as fit into the pupil as a square.
+    In mirrors the depth is that of the mirror image. Views at the rim, which the pupil covers only in part, are left
+    out: the views form the largest square within the pupil.
 
     Parameters
     ----------
     made : Benchmark
         The benchmark.
     folder : path
-        Where folders ``SCENE_CAMERA_CAPTURE`` are written.
+        Folder for the folders ``SCENE_CAMERA_CAPTURE``.
     capture : str
         Kind of captures.
 

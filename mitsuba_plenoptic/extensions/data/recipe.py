@@ -52,7 +52,7 @@ _WAVE = ("spp", "wavelength", "method", "accuracy")
 
 @dataclass(frozen=True)
 class Source:
-    """One entry of a recipe's list of scenes."""
+    """One source of scenes in a recipe, with its frequency."""
 
     generator: str | None
     # Instead of it, the path of a scene file or the name of a built-in scene.
@@ -67,7 +67,7 @@ class Source:
 
 @dataclass(frozen=True)
 class SamplePlan:
-    """The parameters drawn for one sample."""
+    """The random parameters of one sample."""
 
     index: int
     # Which of the recipe's scenes.
@@ -87,7 +87,7 @@ class SamplePlan:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A data set that can be made again, bit for bit.
+    """The recipe of a data set, which can be made again, bit for bit.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Recipe:
     camera, light, noise, ray, wave : dict
         Sections, parsed by `draws.parse`. No noise: None.
     scenes : tuple of Source
-        Where scenes come from.
+        Sources of the scenes.
     truth : tuple of str
         Quantities of ground truth.
     photodiodes : (int, int), optional
@@ -112,7 +112,7 @@ class Recipe:
     samples_per_shard : int
         Samples in one file.
     content : dict
-        The recipe as it was given.
+        The recipe as given.
     """
 
     name: str
@@ -177,7 +177,7 @@ class Recipe:
         return SamplePlan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
 
     def check(self) -> None:
-        """Draw the first thousand samples, and refuse values that are out of range before anything is rendered."""
+        """Draw the first thousand samples, and refuse values out of range before anything is rendered."""
         for index in range(min(self.count, _CHECKED)):
             with naming(f"sample {index}"):
                 plan = self.plan(index)
@@ -196,7 +196,7 @@ def read_recipe(path: str | Path) -> Recipe:
     Raises
     ------
     InputError
-        If it is no recipe: one line with the name that is wrong and the rule.
+        If the file holds no recipe: one line with the name that is wrong and the rule.
     """
     path = Path(path)
     content = read_yaml(path)
@@ -209,19 +209,19 @@ def read_recipe(path: str | Path) -> Recipe:
 
 
 def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
-    """Return the recipe that plain values describe; scene files named there lie in the folder.
+    """Return the recipe described by plain values; scene files named in it lie in the folder.
 
     Parameters
     ----------
     content : mapping
-        What a recipe's file holds.
+        Content of a recipe's file.
     folder : path
-        Where scene files are looked for.
+        Folder in which scene files are looked for.
 
     Raises
     ------
     InputError
-        If it is no recipe.
+        If the content is no recipe.
     """
     _require_names("recipe", content, _KEYS, needed=("count", "camera", "scenes"))
     models = content.get("models", list(MODELS))
@@ -280,7 +280,7 @@ def _layout(value: Any) -> tuple[int, int]:
 
 
 def _source(number: int, entry: Any, folder: Path) -> Source:
-    """Return one entry of the list of scenes."""
+    """Return one scene source of a recipe from its plain values."""
     name = f"scenes: entry {number + 1}"
     refuse_if(
         not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry),
@@ -307,7 +307,7 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
 
 
 def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
-    """Return the parsed values of a section whose names are known."""
+    """Return the parsed values of a section of a recipe; refuse unknown names."""
     section = content.get(name, {})
     refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
     _require_names(name, section, known)
@@ -327,13 +327,13 @@ _WIDEST = 2.0**53
 
 
 def generator(seed: int, index: int, name: str) -> np.random.Generator:
-    """Return the random numbers of one name in one sample."""
+    """Return the random generator of one named quantity in one sample."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, zlib.crc32(name.encode()))))
 
 
 @dataclass(frozen=True)
 class Between:
-    """A uniform or log-uniform value between two bounds, with a step a multiple of the step above the lower bound."""
+    """A uniform or log-uniform distribution between two bounds, optionally of steps counted from the lower one."""
 
     low: float
     high: float

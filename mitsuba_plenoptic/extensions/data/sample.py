@@ -1,4 +1,4 @@
-"""One sample of a data set: captures of a scene by one camera, what is true of it, and all that was drawn for it."""
+"""One sample of a data set: captures of a scene by one camera, ground truth, and all parameters drawn for it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Sample:
     Attributes
     ----------
     index : int
-        Its index in the data set.
+        Index of the sample in the data set.
     arrays : dict
         Float32 arrays by name: captures (rows, columns[, 3]) ``ray``, ``wave``, ``ray_exposed``, ``wave_exposed``;
         ground truth of the pixels such as ``depth`` and ``normal`` (rows, columns[, 3]); and of the decoded views such
@@ -54,19 +54,19 @@ class Sample:
         return PlenopticCamera.from_dict(self.facts["camera"])
 
     def capture(self, model: str, *, exposed: bool = False) -> Capture:
-        """Return a capture of the sample, as `decode` and `reconstruct` take it.
+        """Return the sample's capture by one light model, for `decode` and `reconstruct`.
 
         Parameters
         ----------
         model : {"ray", "wave"}
-            Which one.
+            The light model of the capture.
         exposed : bool
             Whether with the noise of a detector.
         """
         return self.capture_called(model + EXPOSED * exposed, model)
 
     def capture_called(self, name: str, model: str) -> Capture:
-        """Return the capture of a name; wave captures of version 1.0 or earlier get the `lens_model` of their waves."""
+        """Return the capture of a name; wave captures of version 1.0 or earlier get the `lens_model` used then."""
         about, camera = self.facts["captures"][name], self.camera
         if model == "wave" and is_of_1_0(self.facts):
             camera = camera_of_waves(camera, about["wavelength"], about["metadata"])
@@ -74,7 +74,7 @@ class Sample:
 
     @property
     def truth(self) -> GroundTruth:
-        """Ground truth of the sample, as `decode` takes it."""
+        """Ground truth of the sample, for `decode`."""
         views = {name.removeprefix(VIEWS): array for name, array in self.arrays.items() if name.startswith(VIEWS)}
         return GroundTruth(
             camera=self.camera,

@@ -1,8 +1,8 @@
 """The ten scenes of the benchmark, and a white one for calibration, made from a seed.
 
-Each is a function of a `Frame` and of random numbers, and returns shapes for ``mi.load_dict``; a new scene is one more
-function in `SCENES`. All that is to be measured lies between `NEAR` and `FAR`. Names of shapes that begin with
-``glass`` mark where no depth is scored.
+Each scene is a function of a `Frame` and of random numbers that returns shapes for ``mi.load_dict``; a new scene is one
+more function in `SCENES`. All that is scored lies between `NEAR` and `FAR`. Names of shapes that begin with ``glass``
+mark regions where no depth is scored.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Frame:
     lenses: int
 
     def width(self, distance: float) -> float:
-        """Return the width of the field at a distance."""
+        """Return the width of the field at a distance, in mm."""
         return self.field * distance
 
     def pattern(
@@ -80,7 +80,7 @@ class Frame:
         tall: float = 1.0,
         **pattern: Any,
     ) -> Shapes:
-        """Return a rectangle that faces the camera; x, y and half the width are fractions of the field at z."""
+        """Return a rectangle that faces the camera; x, y and half the width are fractions of the field's width at z."""
         field = self.width(z)
         place = mi.ScalarTransform4f().translate([x * field, y * field, z]).rotate([0, 1, 0], 180)
         surface = self.pattern(random, 2 * half * max(tall, 1.0) * field, z, **pattern)
@@ -91,7 +91,7 @@ class Frame:
         return self.card(random, 0, 0, z, 1.5, **pattern)
 
     def ball(self, x: float, y: float, z: float, radius: float, bsdf: Shapes) -> Shapes:
-        """Return a sphere, with position and radius as fractions of the field at z."""
+        """Return a sphere, with position and radius as fractions of the field's width at z."""
         field = self.width(z)
         # Its poles, where patterns shrink, are above and below.
         place = mi.ScalarTransform4f().translate([x * field, y * field, z]).rotate([1, 0, 0], 90)
@@ -99,13 +99,13 @@ class Frame:
 
 
 def _depths(random: np.random.Generator, count: int, near: float = NEAR, far: float = FAR - 6) -> list[float]:
-    """Return distances from near to far, about evenly in disparity, each with some chance."""
+    """Return random distances from near to far, about evenly spaced in disparity."""
     steps = (np.arange(count) + random.uniform(0.2, 0.8, count)) / count
     return [float(1 / (1 / near + step * (1 / far - 1 / near))) for step in steps]
 
 
 def _places(random: np.random.Generator, count: int, reach: float) -> list[tuple[float, float]]:
-    """Return positions on a grid with two columns or more, each moved at random, in random order."""
+    """Return positions on a grid of two or more columns, each displaced at random, in random order."""
     side = math.ceil(math.sqrt(count))
     cells = random.permutation(side * side)[:count]
     column, row = cells % side, cells // side
@@ -114,14 +114,14 @@ def _places(random: np.random.Generator, count: int, reach: float) -> list[tuple
 
 
 def _planes(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show textured planes at several depths, which cover one another."""
+    """Show textured planes at several depths, some in front of others."""
     places = zip(_places(random, 6, 0.45), _depths(random, 6), strict=True)
     cards = {f"card_{k}": frame.card(random, x, y, z, 0.14) for k, ((x, y), z) in enumerate(places)}
     return {"wall": frame.wall(random), **cards}
 
 
 def _slant(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show one plane that leads from near to far, in a random direction."""
+    """Show one slanted plane that reaches from near to far, in a random direction."""
     middle, rise = (NEAR + FAR) / 2, FAR - NEAR
     field = frame.width(middle)
     # Half again as long as the field: what lies beyond the depths is outside of it.
@@ -142,7 +142,7 @@ def _balls(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _fence(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show two layers of thin bars before a wall."""
+    """Show two layers of thin bars in front of a wall."""
     shapes = {"wall": frame.wall(random)}
     for layer, (z, turn) in enumerate(zip((NEAR + 3, NEAR + 17), (0, 90), strict=True)):
         field, count = frame.width(z), max(3, frame.lenses // 6)
@@ -171,7 +171,7 @@ def _gloss(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _glass(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show a ball and a slab of glass before textured planes."""
+    """Show a ball and a slab of glass in front of textured planes."""
     (x, y), (u, v) = _places(random, 2, 0.3)
     slab = mi.ScalarTransform4f().translate([u * frame.width(236), v * frame.width(236), 236])
     slab = slab.rotate([0, 1, 0], float(random.uniform(-30, 30))).scale(0.2 * frame.width(236)).scale([1, 1, 0.15])
@@ -190,7 +190,7 @@ MIRROR, MIRRORED = 224.0, 26.0
 def _mirror(frame: Frame, random: np.random.Generator) -> Shapes:
     """Return a plane mirror at 45 degrees in part of the field, with a panel and two cards seen in it.
 
-    It shows the panel, which is parallel to the axis, in a plane across it, as far behind the mirror's middle.
+    The mirror shows the panel, parallel to the axis, as a plane across it, as far behind the mirror's middle.
     """
     field = frame.width(MIRROR)
     half = float(random.uniform(0.25, 0.32)) * field
@@ -244,7 +244,7 @@ def _repeated(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _lamps(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Show small lamps, brighter than white, before dim planes."""
+    """Show small lamps, brighter than white, in front of dim planes."""
     shapes = {"wall": frame.wall(random), "card": frame.card(random, 0.15, -0.2, 244, 0.25)}
     places = zip(_places(random, 20, 0.48), random.permutation(_depths(random, 20)), strict=True)
     for k, ((x, y), z) in enumerate(places):
@@ -255,7 +255,7 @@ def _lamps(frame: Frame, random: np.random.Generator) -> Shapes:
 
 
 def _luminous(frame: Frame, random: np.random.Generator) -> Shapes:
-    """Return an evenly luminous wall."""
+    """Return a uniformly luminous wall."""
     black = {"type": "diffuse", "reflectance": 0.0}
     return {"wall": frame.wall(random) | {"bsdf": black, "emitter": {"type": "area", "radiance": 1.0}}}
 
@@ -279,7 +279,7 @@ _LIGHT = {"lamps": Illumination(0.15, 0.1), WHITE: Illumination(1.0, 0.0)}
 
 @dataclass(frozen=True)
 class SceneMaker:
-    """Maker of one scene of the benchmark, which is the same for all cameras."""
+    """Maker of one benchmark scene, which is the same for all cameras."""
 
     name: str
     seed: int

@@ -1,7 +1,7 @@
 """Scores of submitted files against the truth of a benchmark, and the table of several submissions with ranks.
 
-A submission is a folder with a file ``SCENE/CAMERA/CAPTURE/TASK.npy`` (or ``.nc``, ``.exr``) for each capture that it
-answers, such as ``mirror/square/wave_dim/depth.npy``.
+A submission is a folder with a file ``SCENE/CAMERA/CAPTURE/TASK.npy`` (or ``.nc``, ``.exr``) for each answered capture,
+such as ``mirror/square/wave_dim/depth.npy``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,12 @@ def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
     depths that are known. In plane mirrors: fractions of bins that are more than 3 % off the mirror image, and off the
     mirror's surface.
 
-    Shapes: `found` and the arrays of `truth` (t, s).
+    Parameters
+    ----------
+    found : (t, s) array
+        Depths in millimetres.
+    truth : dict
+        Arrays (t, s): ``depth``, ``virtual_depth``, and ``glass``, which marks the bins that are left out.
     """
     part = tuple(inner(size) for size in found.shape)
     found = np.asarray(found, np.float64)[part]
@@ -72,17 +77,20 @@ def depth_scores(found: np.ndarray, truth: dict[str, np.ndarray]) -> Scores:
 
 
 def _fraction(mask: np.ndarray, region: np.ndarray) -> float:
-    """Return the fraction of a region that a mask has, NaN of an empty one."""
+    """Return the fraction of a region in which a mask is true, NaN for an empty region."""
     return float(mask[region].mean()) if region.any() else math.nan
 
 
 def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
     """Return means over pictures of the peak signal-to-noise ratio in decibels and of the structural similarity.
 
-    Values are cut to 0 to 1, so that highlights do not outweigh all else, and NaN counts as 0. Pictures of less than 7
+    Values are clipped to 0 to 1, so that highlights do not dominate, and NaN counts as 0. Pictures of less than 7
     pixels have no structural similarity.
 
-    Shapes: `found` and `truth` (pictures, rows, columns).
+    Parameters
+    ----------
+    found, truth : (pictures, rows, columns) array
+        The pictures and what they should be.
     """
     part = (slice(None), *(inner(size) for size in truth.shape[1:]))
     pairs = [
@@ -101,7 +109,7 @@ def picture_scores(found: np.ndarray, truth: np.ndarray) -> Scores:
 
 @dataclass(frozen=True)
 class ScoredTask:
-    """A task of the benchmark: what is to be found in a capture, and how answers are scored."""
+    """A task of the benchmark: the quantity asked of a capture, and the scoring of answers."""
 
     # In a few words, for the data card.
     words: str
@@ -136,7 +144,7 @@ SUFFIXES = (".npy", ".nc", ".exr")
 
 
 def read_answer(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """Read a submitted array of a shape.
+    """Read a submitted array, which must have the given shape.
 
     ``.npy`` and NetCDF 3 (``.nc``, one variable) hold the array itself, OpenEXR (one channel) its pictures one below
     the other.
@@ -144,7 +152,7 @@ def read_answer(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises
     ------
     InputError
-        If it cannot be read or has another shape.
+        If the file cannot be read, or the array has another shape.
     """
     require_size(path, _LARGEST)
     with refusing(f"{path}: it cannot be read:"):
@@ -224,7 +232,7 @@ def score(made: Benchmark, folder: str | Path) -> list[dict[str, Any]]:
 
 
 def _answer(path: Path) -> Path:
-    """Return the file of an answer in any of the formats; refuse a missing file."""
+    """Return the file of an answer in any format; refuse a missing file."""
     found = [path.with_suffix(suffix) for suffix in SUFFIXES if path.with_suffix(suffix).exists()]
     refuse_if(len(found) > 1, f"{path}: there are {len(found)} answers: {', '.join(each.name for each in found)}")
     return found[0] if found else require_file(path.with_suffix(".npy"))

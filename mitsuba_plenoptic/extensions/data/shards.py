@@ -1,8 +1,8 @@
-"""The folder of a data set: where its parts lie, which recipe made it, and its samples in HDF5 files.
+"""The folder of a data set: its layout, the recipe that made it, and its samples in HDF5 files.
 
-A file has a group for each sample, of its index in six digits, with its arrays and its facts. Its ``digests``, JSON by
-the names of the others, are compared whenever an array is read, so that a damaged sample is never taken for a whole
-one. The same samples give the same bytes.
+A file has a group for each sample, named by the index in six digits, with the sample's arrays and facts. Its
+``digests``, in JSON by array name, are compared whenever an array is read, so that a damaged sample is detected. The
+same samples give the same bytes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _GROWING = "recipe.count"
 
 @dataclass(frozen=True)
 class DataFolder:
-    """The folder of a data set: names of the files of its samples."""
+    """Paths of the files in the folder of a data set."""
 
     folder: Path
     count: int
@@ -50,7 +50,7 @@ class DataFolder:
 
     @property
     def shards(self) -> int:
-        """Number of files of samples."""
+        """Number of shards, the files that hold several samples each."""
         return -(-self.count // self.samples_per_shard)
 
     def shard(self, number: int) -> Path:
@@ -63,7 +63,7 @@ class DataFolder:
         return range(first, min(first + self.samples_per_shard, self.count))
 
     def sample(self, index: int) -> Path:
-        """Return the file of a sample that is in no shard yet."""
+        """Return the file of a sample that has not yet been packed into a shard."""
         return self.folder / "samples" / f"{index:06d}.h5"
 
 
@@ -79,7 +79,7 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read which recipe made a data set."""
+    """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
     text = read_text(path, LARGEST_LIST)
     with refusing(f"{path}: it is not the manifest of a data set", *NO_RECORD):
@@ -122,7 +122,7 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
 
 
 def recorded_checksums(folder: Path) -> dict[str, str]:
-    """Return the checksums that were written for a data set, by file; an empty dictionary if there are no checksums."""
+    """Return the checksums of a data set by file, as written with it; empty if there are none."""
     try:
         return _checksums(folder)
     except InputError:
@@ -149,12 +149,12 @@ _log = logging.getLogger(__name__)
 
 
 def group_name(index: int) -> str:
-    """Return the name of a sample's group."""
+    """Return the name of a sample's group in an HDF5 file."""
     return f"{index:06d}"
 
 
 def write_samples(path: Path, samples: Iterable[Sample]) -> None:
-    """Write samples to a file, which appears whole or not at all."""
+    """Write samples to a file, completely or not at all."""
     h5py = h5py_module("a data set")
     with atomic_output(path) as temporary, Sink(temporary, "w+") as sink:
         with h5py.File(sink, "w") as file:
@@ -170,7 +170,7 @@ def write_samples(path: Path, samples: Iterable[Sample]) -> None:
 
 
 def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
-    """Return a text as an array of bytes, since attributes of HDF5 hold at most 64 KiB."""
+    """Return a text as an array of bytes, since HDF5 attributes hold at most 64 KiB."""
     return np.frombuffer(json.dumps(values, sort_keys=True).encode(), np.uint8)
 
 
@@ -184,7 +184,7 @@ def open_shard(path: Path) -> Any:
 def read_sample(
     file: Any, path: Path, index: int, names: Collection[str] | None = None, *, with_digests: bool = True
 ) -> Sample:
-    """Read a sample from an open file; unless `with_digests`, one that has none, and cannot be compared, is read, too.
+    """Read a sample from an open file and compare its digests, which may be missing unless `with_digests`.
 
     Data sets of version 0.2.0 have no digests.
     """
@@ -247,12 +247,12 @@ def _remark(folder: Path, manifest: dict[str, Any]) -> None:
 class DataSet:
     """A data set in a folder; ``dataset[17]`` is a `Sample`.
 
-    Samples are read when they are asked for. It may be pickled and used in forked processes; each opens the files anew.
+    Samples are read on request. A data set may be pickled and used in forked processes; each opens the files anew.
 
     Parameters
     ----------
     folder : path
-        What `make_dataset` or ``mitsuba-plenoptic dataset`` wrote.
+        The folder of `make_dataset` or ``mitsuba-plenoptic dataset``.
     fields : collection of str, optional
         Names of the arrays to read. Default: all.
 

@@ -21,8 +21,8 @@ class TorchDataset(torch.utils.data.Dataset):
     """Data set for ``torch.utils.data.DataLoader``, whose items are dictionaries of tensors.
 
     Colour channels come first, as in PyTorch's convolutions: (3, rows, columns). Everything else is as in `Sample`.
-    What is unknown stays NaN, and depths of what is infinitely far stay infinite. Batches need arrays of one size,
-    so choose the fields of pixels where cameras differ in their number of views.
+    Unknown values stay NaN, and infinite depths stay infinite. Batches need arrays of one size, so select pixel arrays
+    (`fields`) where cameras differ in their number of views.
     """
 
     def __init__(

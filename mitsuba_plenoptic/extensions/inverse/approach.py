@@ -1,9 +1,10 @@
-"""Coarse fits: a camera near enough to the true one for `fit` to converge."""
+"""Coarse fits that bring a camera close enough to the true one for `fit` to converge."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
 from ...errors import require_wavelength, warn
+from ...io.checkpoints import Checkpoint
 from ...views.grid_estimation import estimate_lens_grid
-from .fit_light import View, check_views
+from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
 
 
@@ -47,7 +49,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
 
 
 def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
-    """Return the camera whose nearest lenses are at given positions."""
+    """Return the camera with an array adjusted so that its lenses nearest to the given positions lie on them."""
     lattice = camera.lattice
     i, j = lattice.cell(*position.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
@@ -98,28 +100,31 @@ def coarse_fit(
     wavelength: float = 633.0,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> PlenopticCamera:
-    """Return a camera from which `fit` converges, for a start that is some percent off in every length.
+    """Return a camera from which `fit` converges, for a start whose lengths are some percent off.
 
-    A fit does not converge if the spots of the model do not overlap those of a capture. Here both are blurred, at first
-    so that they overlap and then less and less, and the least squares of their differences are found with the fast ray
-    model. Because of the blur, and of diffraction, which the ray model neglects, the error of the result is larger than
-    that due to photon noise.
+    A fit does not converge if the spots of the model do not overlap the spots of a capture. Here both are blurred, at
+    first enough to overlap, then less and less, and the squared differences are minimised with the fast ray model.
+    Because of the blur, and of diffraction, which the ray model neglects, the result is less accurate than photon noise
+    would allow.
 
     Parameters
     ----------
     camera : PlenopticCamera
-        Where to start: the lattice by less than half a pitch wrong anywhere, see `lattice_from_white`.
+        The start; its lattice must be right to half a pitch everywhere, see `lattice_from_white`.
     views : View, or sequence of View
         Captures by one camera, and their light.
     names : str or iterable of str
         The parameters that are fitted, as for `fit`.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     bounds : mapping, optional
-        As for `fit`, and as there by default. A parameter that ends at one is warned of.
+        Bounds as for `fit`, with the same defaults. A parameter that ends at a bound causes a warning.
     progress : callable, optional
-        Called with the cameras that have been tried and the most that are.
+        Called with the number of cameras tried and the largest possible number.
+    checkpoint : Checkpoint, optional
+        Keeps the camera found with each blur, so that the same fit resumes from there after a stop.
 
     Raises
     ------
@@ -132,8 +137,14 @@ def coarse_fit(
     check_numbers(vector)
     low, high = vector.limits(bounds)
     models = RayModels(camera, given, require_wavelength(wavelength))
-    blurs = np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST)
-    found, tried = camera, 0
+    blurs = np.unique(np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST))[::-1].tolist()
+    found, tried, first = camera, 0, 0
+    if checkpoint:
+        facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": camera.to_dict()}
+        kept = checkpoint.begin_arrays(**facts, wavelength=wavelength, light_digest=light_digest(given))
+        if kept is not None:
+            x, tried = kept_numbers(kept, vector.values.shape)
+            found, first = vector.at(np.clip(x, low, high)), tried // _MOST_STEPS
 
     def count() -> None:
         nonlocal tried
@@ -141,12 +152,15 @@ def coarse_fit(
         if progress:
             progress(tried, _MOST_STEPS * len(blurs))
 
-    for blur in np.unique(blurs)[::-1].tolist():
+    for number, blur in enumerate(blurs[first:], first + 1):
         whole = blur >= _TELLS_LATTICE * camera.pixels_per_lens
         sought = np.array([not (whole and each.name in _LATTICE) for each in vector.components])
         if sought.any():
             some = vector.of(found).keep(np.array(vector.labels)[sought])
             found = _nearest(some, (low[sought], high[sought]), models, given, blur, count)
+        if checkpoint:
+            tried_in_all = np.array([number * _MOST_STEPS], np.float64)
+            checkpoint.save_arrays(partial(dict, numbers=vector.of(found).values, tried=tried_in_all))
     x = vector.of(found).values
     stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
     if stuck.any():
@@ -163,7 +177,7 @@ def _nearest(
     blur: float,
     count: Callable[[], None],
 ) -> PlenopticCamera:
-    """Return the camera whose captures, blurred by some pixels, are nearest to the views; count the cameras tried."""
+    """Return the camera whose captures, blurred by some pixels, are nearest to the views; `count` counts the trials."""
     from scipy.ndimage import gaussian_filter
     from scipy.optimize import least_squares
 

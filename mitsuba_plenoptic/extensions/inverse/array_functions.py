@@ -1,8 +1,8 @@
-"""Captures and reconstructions as functions of NumPy's arrays with derivatives: what PyTorch's and JAX's modules share.
+"""Captures and reconstructions as functions of NumPy arrays with derivatives, shared by the PyTorch and JAX modules.
 
-Axes before those that a function names are a batch. There are two kinds of functions: linear maps, with their
-transposes, and others, which return their value at some arrays together with the derivatives there, so that nothing is
-computed again in the reverse pass.
+Leading axes beyond those that a function names are a batch. There are two kinds of functions: linear maps with their
+transposes, and others, which return their value together with the derivatives at the given arrays, so that the reverse
+pass computes nothing again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +42,11 @@ class LinearFunction:
 
     @property
     def T(self) -> LinearFunction:
-        """Transpose of this function."""
+        """Transpose of this linear map."""
         return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the result for arrays of a given shape; refuse a wrong one before computing."""
+        """Return the shape of the result for an array of a given shape; refuse wrong shapes before computing."""
         return *_batch(self.takes, given, self.before), *self.after
 
 
@@ -56,31 +56,42 @@ class Value(Protocol):
     value: Array
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the value for changes of the arrays; None stands for an array that does not change."""
+        """Return the change of the value for changes of the arrays; None stands for no change of an array."""
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradient by each array that needs one, in the shape of the array."""
+        """Return the gradient with respect to each array that needs one, in the array's shape."""
 
 
 class SmoothFunction(Protocol):
-    """A function of arrays that has derivatives."""
+    """A differentiable function of arrays."""
 
     def at(self, *given: Array) -> Value:
         """Return the value of the function at given arrays, with the data for its derivatives."""
 
     def shape(self, given: Shape) -> Shape:
-        """Return the shape of the value for a first array of a given shape; refuse a wrong one before computing."""
+        """Return the shape of the result for a first array of a given shape; refuse wrong shapes before computing."""
 
 
 class Latest:
-    """A function that keeps its latest value, with the data that derivatives need."""
+    """A function that keeps its latest value, with the data that derivatives need.
+
+    Parameters
+    ----------
+    function : SmoothFunction
+        The function.
+    copied : callable
+        Function that copies an array of the library that calls.
+    equal : callable
+        Whether two arrays of this library are equal.
+    taken : callable
+        What the function takes, of an array of this library.
+    """
 
     def __init__(
         self,
         function: SmoothFunction,
         copied: Callable[[Any], Any],
         equal: Callable[[Any, Any], bool],
-        # What the function takes, of an array of the library that calls.
         taken: Callable[[Any], Any],
     ) -> None:
         self.taken, self.shape = taken, function.shape
@@ -105,7 +116,7 @@ class Latest:
 
 
 def _batch(name: str, given: Shape, last: Shape) -> Shape:
-    """Return the axes of a batch, or refuse an array of other last axes."""
+    """Return the batch axes of a shape; refuse arrays whose last axes are wrong."""
     refuse_if(
         given[-len(last) :] != last or not math.prod(given),
         f"{name} of shape {given}: it must not be empty, and its last axes must be {last}",
@@ -118,15 +129,147 @@ ONCE = "derivatives of derivatives: captures by a camera's parameters, refocusin
 
 
 def working_array(array: Array) -> Array:
-    """Return an array of a type that the sums take: half precision as single."""
+    """Return an array in single or double precision; half precision becomes single."""
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float32)
+
+
+# -- documentation -----------------------------------------------------------------------------------
+
+_SECTIONS = {
+    "forward": """
+A `StoredOperator` computes its point spreads once; forward and reverse passes are then products with its matrix.
+Other operators compute them in each pass.
+
+Parameters
+----------
+operator : CaptureOperator
+    The points before a camera.
+weights : ARRAY (..., n)
+    Weights of the points. With a spectrum (..., wavelengths, n).
+
+Returns
+-------
+ARRAY (..., rows, columns)
+    The images. With a spectrum (..., channels, rows, columns).
+
+Raises
+------
+InputError
+    If the weights have a wrong shape, or as `CaptureOperator.forward` does.
+""",
+    "adjoint": """
+Parameters
+----------
+operator : CaptureOperator
+    The points before a camera.
+images : ARRAY (..., rows, columns)
+    The images. With a spectrum (..., channels, rows, columns).
+
+Returns
+-------
+ARRAY (..., n)
+    Products with the spreads. With a spectrum (..., wavelengths, n).
+
+Raises
+------
+InputError
+    If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
+""",
+    "capture": """
+The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
+
+Parameters
+----------
+make : callable
+    Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``.
+    Return a `StoredOperator` if the gradient by the weights is needed, which then computes no spread again.
+camera : PlenopticCamera
+    The camera, of which `parameters` replace some.
+parameters : mapping of str to ARRAY
+    Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
+    given, except for the wavelength.
+weights : ARRAY
+    As for `forward`.
+
+Returns
+-------
+ARRAY
+    As from `forward`, of the type of the weights.
+
+Raises
+------
+InputError
+    If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
+""",
+    "refocus": """
+For the reverse pass, a coherent refocus stores the fields, and a deconvolution the images of all steps, of every
+capture in a batch (in JAX the latest one).
+
+Parameters
+----------
+by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
+    The camera, distance and method.
+captures : ARRAY (..., rows, columns)
+    The recorded pixels.
+
+Returns
+-------
+ARRAY (..., rows, columns)
+    The images, with 0 in bins that `reconstruct` leaves unknown.
+
+Raises
+------
+InputError
+    If the captures have a wrong shape.
+""",
+    "render": """
+Captures by ``plenoptic_wave`` have the derivatives with respect to scene and camera that its documentation lists.
+The scene keeps the given values; derivatives restore them first.
+
+Parameters
+----------
+scene : mitsuba.Scene
+    The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
+values : mapping of str to ARRAY
+    Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
+integrator : mitsuba.Integrator, optional
+    Default: that of the scene.
+spp : int
+    Samples per pixel. 0: those of the scene's sampler.
+seed : int
+    Seed of the random numbers. Derivatives draw others.
+
+Returns
+-------
+ARRAY (rows, columns, channels)
+    The film's image, computed in single precision; in JAX of the type of the first value.
+
+Raises
+------
+InputError
+    If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
+""",
+}
+"""What the docstrings of the functions of every library say after their first sentence; ARRAY is the library's type."""
+
+Documented = TypeVar("Documented", bound=Callable[..., Any])
+
+
+def documented(array: str) -> Callable[[Documented], Documented]:
+    """Return the decorator that completes the docstring of a library's function, whose arrays are called `array`."""
+
+    def complete(function: Documented) -> Documented:
+        function.__doc__ = f"{function.__doc__}\n{_SECTIONS[function.__name__].replace('ARRAY', array)}"
+        return function
+
+    return complete
 
 
 # -- points ------------------------------------------------------------------------------------------
 
 
 def points(operator: CaptureOperator) -> LinearFunction:
-    """Return the map from weights of points to images."""
+    """Return the linear map from weights of points to images of an operator."""
     both = partial(_images, operator), partial(_products, operator)
     return LinearFunction(*both, "weights", "images", *_axes(operator))
 
@@ -147,17 +290,17 @@ def _products(operator: CaptureOperator, images: Array) -> Array:
 
 
 def _columns(operator: CaptureOperator, weights: Array) -> list[Array]:
-    """Return weights, one column for each capture, in the layout of the operator."""
+    """Return batched weights as a list in the operator's layout."""
     return _split("weights", weights, _axes(operator)[0], operator)
 
 
 def _channels(operator: CaptureOperator, images: Array) -> list[Array]:
-    """Return images, one for each capture, in the layout of the operator."""
+    """Return batched images as a list in the operator's layout."""
     return _split("images", images, _axes(operator)[1], operator)
 
 
 def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
-    """Return the shapes that weights and images have in their last axes."""
+    """Return the last axes of weights and of images of an operator, without the batch."""
     count, shape, spectrum = len(operator.points), operator.camera.shape, operator.spectrum
     if spectrum is None:
         return (count,), shape
@@ -165,7 +308,7 @@ def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
 
 
 def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> list[Array]:
-    """Return a batch as columns or channels: together if they have one wavelength, one by one with a spectrum."""
+    """Return a batch as one array of columns for one wavelength, or as a list of arrays for a spectrum."""
     _batch(name, given.shape, last)
     flat = given.reshape(-1, *last)
     return [np.moveaxis(one, 0, -1) for one in ([flat] if operator.spectrum is None else flat)]
@@ -175,7 +318,17 @@ def _split(name: str, given: Array, last: Shape, operator: CaptureOperator) -> l
 
 
 class CameraCapture:
-    """The captures of points as a function of their weights and of parameters of the camera."""
+    """Captures of points as a function of the points' weights and of camera parameters.
+
+    Parameters
+    ----------
+    make : callable
+        Function of a camera that returns the operator of the points.
+    camera : PlenopticCamera
+        The camera, whose other parameters stay as they are.
+    names : sequence of str
+        The parameters that are given after the weights.
+    """
 
     def __init__(
         self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
@@ -185,11 +338,11 @@ class CameraCapture:
 
     @cached_property
     def _last_axes(self) -> tuple[Shape, Shape]:
-        """The last axes of weights and of images: not the operator that has them, which may be large."""
+        """The last axes of weights and of images; the operator itself is not kept, since it may be large."""
         return _axes(self._make(self._camera))
 
     def at(self, *given: Array) -> CameraValue:
-        """Capture points with weights by a camera with some values."""
+        """Return the captures of weighted points by the camera with given parameter values."""
         weights, *values = given
         changed = {name: value.tolist() for name, value in zip(self._names, values, strict=True)}
         camera = self._camera.replace(**changed)
@@ -202,7 +355,7 @@ class CameraCapture:
 
 
 class CameraValue:
-    """Captures of points, and their derivatives by the weights and by parameters of the camera."""
+    """Captures of points, and their derivatives with respect to the weights and to camera parameters."""
 
     def __init__(
         self,
@@ -221,7 +374,7 @@ class CameraValue:
         self.value = _images(operator, weights)
 
     def jvp(self, changes: Sequence[Array | None]) -> Array:
-        """Return the change of the images for changes of parameters and weights; see `Value`."""
+        """Return the change of the images for changes of weights and parameters; see `Value`."""
         of_weights, *of_values = changes
         total = np.zeros(self.value.shape) if of_weights is None else _images(self._operator, of_weights)
         named = {name: each for name, each in zip(self._names, of_values, strict=True) if each is not None}
@@ -232,7 +385,7 @@ class CameraValue:
         return total + np.concatenate(made).reshape(total.shape)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradients by parameters and weights; see `Value`."""
+        """Return the gradients with respect to weights and parameters; see `Value`."""
         names = [name for name, one in zip(self._names, needed[1:], strict=True) if one]
         total: dict[str, Any] = dict.fromkeys(names, 0.0)
         if names:
@@ -240,16 +393,12 @@ class CameraValue:
             for factors, image in zip(columns, channels, strict=True):
                 found = self._operator.gradient(factors, image, names)
                 total = {name: total[name] + found[name] for name in names}
-        by_values = [
-            _shaped(total[name], shape, for_all) if name in total else None
-            for name, shape, for_all in zip(self._names, self._shapes, self._for_all, strict=True)
-        ]
+        by_values: list[Array | None] = [None] * len(self._names)
+        for number, (name, shape, for_all) in enumerate(zip(self._names, self._shapes, self._for_all, strict=True)):
+            if name in total:
+                own = total[name].sum() if for_all else total[name][: math.prod(shape)]
+                by_values[number] = np.reshape(own, shape)
         return [_products(self._operator, gradient) if needed[0] else None, *by_values]
-
-
-def _shaped(gradient: Array, shape: Shape, for_all: bool) -> Array:
-    """Return the gradient by the parts of a parameter as one by its value, which may be one number for all parts."""
-    return np.reshape(gradient.sum() if for_all else gradient[: math.prod(shape)], shape)
 
 
 # -- reconstructions ---------------------------------------------------------------------------------
@@ -270,12 +419,12 @@ _NAMES = "captures", "images"
 
 @dataclass(frozen=True, eq=False)
 class Refocused:
-    """Refocusing as a function of captures that is not linear: by waves or by deconvolution."""
+    """Refocusing by waves or by deconvolution, as a nonlinear function of captures."""
 
     by: CoherentRefocus | DeconvolvedRefocus
 
     def at(self, *given: Array) -> RefocusedValue:
-        """Return refocused captures, with their derivatives."""
+        """Return refocused captures together with their derivatives."""
         return RefocusedValue(self.by, *given)
 
     def shape(self, given: Shape) -> Shape:
@@ -284,7 +433,7 @@ class Refocused:
 
 
 class RefocusedValue:
-    """Refocused captures, with their derivatives by the captures."""
+    """Refocused captures, with their derivatives with respect to the captures."""
 
     def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
         def image(given: Array) -> Array:
@@ -302,12 +451,12 @@ class RefocusedValue:
         return _together(self._at.jvp, _NAMES[0], self._axes[0], change)
 
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
-        """Return the gradient by the captures; see `Value`."""
+        """Return the gradient with respect to the captures; see `Value`."""
         return [_together(self._at.vjp, _NAMES[1], self._axes[1], gradient) if needed[0] else None]
 
 
 def _together(function: Callable[[Array], Array], name: str, last: Shape, given: Array) -> Array:
-    """Apply a function of an image with channels to a batch of images."""
+    """Return a batch of images to which a function of one image with channels was applied."""
     batch = _batch(name, given.shape, last)
     made = function(np.moveaxis(given.reshape(-1, *last), 0, -1))
     return np.ascontiguousarray(np.moveaxis(made, -1, 0)).reshape(*batch, *made.shape[:2])

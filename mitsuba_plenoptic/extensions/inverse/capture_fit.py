@@ -1,9 +1,8 @@
-"""Fitting parameters of a camera to captures of known light: least squares with the captures' own derivatives."""
+"""Fits of camera parameters to captures of known light, by least squares with derivatives of the captures."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import astuple
 from functools import partial
 from typing import Any, Protocol
 
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
 from ...errors import (
-    InputError,
     refuse_if,
     require_accuracy,
     require_choice,
@@ -24,10 +22,9 @@ from ...errors import (
     warn,
 )
 from ...io.captures import MODELS
-from ...io.checkpoints import Checkpoint, digest
+from ...io.checkpoints import Checkpoint
 from ...light.lens_kinds import regular_array
-from ...points.pupil_weights import PupilWeights
-from .fit_light import PixelNoise, Pixels, View, by_model, check_views
+from .fit_light import PixelNoise, Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary
 from .point_rays import RayModel, RayModels, WaveModel, check_numbers, vector_of
 
@@ -53,16 +50,15 @@ def fit(
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
-    r"""Find the parameters of a camera that explain captures of known light best, by the wave model or the ray model.
+    r"""Find the camera parameters that explain captures of known light best, by the wave model or the ray model.
 
     The weighted squares of the residuals are minimised by a trust region method (``scipy.optimize.least_squares``). The
-    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays;
-    its captures have kinks, and its deviations are those of the mean slopes over a deviation, to the side on which the
-    captures change less.
-    The light does not change. If the noise is that of counted electrons, its variance is the one that the model
-    expects, which is updated after a first fit: variances from the data would give bright pixels the wrong weights and
-    bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one; deviations and
-    chi-square take that into account.
+    wave model uses the derivatives of `CaptureOperator`, the ray model finite differences of captures with fixed rays.
+    Ray captures have kinks; therefore the standard deviations come from mean slopes over one deviation, on the side
+    where the captures change less. The light is held fixed. The variance of photon noise is computed from the model's
+    expected image and updated after a first fit, since variances from the data would give bright pixels the wrong
+    weights and bias the parameters. Where less than one electron is expected, pixels are weighted as if it were one;
+    deviations and chi-square take that into account.
 
     A warning is issued if chi-square differs from 1 by more than five of its deviations, if a parameter ends at a
     bound, or if the search has not converged.
@@ -79,13 +75,13 @@ def fit(
         Names of the parameters that are fitted, those by which captures are differentiated, as for
         `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     photons : float, optional
         Photons counted in a pixel of value 1, for views whose noise is not given.
     bounds : mapping, optional
-        By name, as in `Fit.values`, the lowest and the highest value. By default lengths stay within 50 % of their
-        start, angles within 50 degrees of it, and ``mla_fill`` is at most 1. A parameter that ends at a bound causes a
-        warning, and its deviation is one-sided, see `Fit`.
+        Lowest and highest value by name, as in `Fit.values`. By default lengths stay within 50 % of their start, angles
+        within 50 degrees of it, and ``mla_fill`` is at most 1. A parameter that ends at a bound causes a warning, and
+        its deviation is one-sided, see `Fit`.
     model : {"ray", "wave"}
         Model of the light in the camera. The ray model is faster and neglects diffraction.
     accuracy : float
@@ -94,7 +90,7 @@ def fit(
         Cameras that are tried at most in each of the two rounds, or in the single one if the noise does not depend on
         the model; 2 or more.
     progress : callable, optional
-        Called with the cameras that have been tried and the most that are.
+        Called with the number of cameras tried and the largest possible number.
     checkpoint : Checkpoint, optional
         Keeps the best camera of a long fit, so that the same fit resumes from there after a stop.
 
@@ -135,7 +131,7 @@ def fit(
             if label not in vector.labels
         }
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": held}
-        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=_digest(given)), *limits)
+        x = np.clip(trial.go_on(checkpoint, start, **facts, **asked, light_digest=light_digest(given)), *limits)
 
     def pixels_at(x: NDArray[np.float64]) -> Pixels:
         return Pixels.of(given, trial.expected(x), default)
@@ -192,7 +188,7 @@ def _model_of(
 
 
 class _Trials:
-    """Cameras that are tried, of which the last one is remembered."""
+    """Cameras tried by a fit, of which the latest one is remembered."""
 
     def __init__(
         self,
@@ -209,7 +205,7 @@ class _Trials:
         self._slopes: NDArray[np.float64] | None = None
 
     def expected(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the captures of a camera of these parameters."""
+        """Return the captures of the camera with the parameters x."""
         if self._x is None or not np.array_equal(x, self._x):
             self._model = self._model_of(self._vector.at(x))
             self._images, self._slopes, self._x = self._model.images(), None, x.copy()
@@ -219,7 +215,7 @@ class _Trials:
         return self._images
 
     def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of that, which are asked for where a step has led to a better camera."""
+        """Return the derivatives of the captures at x, requested only where a step led to a better camera."""
         images = self.expected(x)
         if self._checkpoint:
             self._checkpoint.save_arrays(lambda: {"numbers": x, "tried": np.array([self.count], np.float64)})
@@ -228,25 +224,10 @@ class _Trials:
         return self._slopes
 
     def go_on(self, checkpoint: Checkpoint, start: NDArray[np.float64], **facts: Any) -> NDArray[np.float64]:
-        """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or the start."""
+        """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or else the start."""
         self._checkpoint = checkpoint
         arrays = checkpoint.begin_arrays(**facts)
         if arrays is None:
             return start
-        x, tried = arrays.get("numbers"), arrays.get("tried")
-        if x is None or tried is None or x.shape != start.shape or tried.shape != (1,):
-            raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
-        self.count = int(tried[0])
+        x, self.count = kept_numbers(arrays, start.shape)
         return x
-
-
-def _digest(views: list[View]) -> str:
-    """Return a digest that identifies captures and their light."""
-    arrays: list[NDArray[Any] | None] = []
-    for view in views:
-        pupil = PupilWeights.of(view.pupil_weights, len(view.points))
-        noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
-        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
-        arrays += [None if view.saturation is None else np.asarray(view.saturation)]
-        arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
-    return digest(*arrays)

@@ -1,4 +1,4 @@
-"""The search for the parameters of a camera by which a figure is best."""
+"""The search for camera parameters that maximise a figure of merit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...camera.vector import CameraVector
 from ...errors import InputError, refuse_if, require_count, short_repr
 from ...light.lens_kinds import regular_array
 from .merit import Gradient
@@ -21,27 +20,27 @@ _TOLERANCE = 1e-6
 
 
 class Figure(Protocol):
-    """The figure of merit, to be as large as possible."""
+    """A figure of merit of a camera, which a search maximises."""
 
     def value(self, camera: PlenopticCamera) -> float:
         """Return the figure of merit of a camera."""
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the figure of merit of a camera and its derivatives, named as by `CaptureOperator.gradient`."""
+        """Return a camera's figure of merit and its derivatives, by name as in `CaptureOperator.gradient`."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Camera and figure of merit that a search has found.
+    """The camera that a search has found, and its figure of merit.
 
     Attributes
     ----------
     camera : PlenopticCamera
         The best of all cameras that were tried.
     figure : float
-        Its figure.
+        Figure of merit of the camera.
     values : dict
-        By name the parameters that varied.
+        The parameters that varied, by name.
     tried : int
         Cameras that were tried.
     reason : str
@@ -63,26 +62,24 @@ def maximise(
     steps: int = 30,
     progress: Callable[[int, float, PlenopticCamera], None] | None = None,
 ) -> Design:
-    """Find parameters of a camera by which a figure is best, near where they start.
+    """Find camera parameters near a start that maximise a figure of merit.
 
-    By SciPy's L-BFGS-B with the figure's own gradient: a local search, several starts of which show whether there are
-    other optima.
+    SciPy's L-BFGS-B searches locally with the figure's gradient; several starts show whether there are other optima.
 
     Parameters
     ----------
     figure : Figure
-        What is maximised, such as `RefocusedContrast` or `DepthInformation`.
+        The figure of merit to maximise, such as `RefocusedContrast` or `DepthInformation`.
     camera : PlenopticCamera
-        Where to start; the parameters that are not named are held.
+        The start of the search; parameters that are not named keep their values.
     bounds : mapping
-        By name the lowest and the highest value of what varies: names of `CaptureOperator.derivative`, with
-        an index from 1 where there are several, as ``wavefront.11``; the name alone means all of them, of
-        a wavefront all but the piston.
+        Lowest and highest value by name: names of `CaptureOperator.derivative`, with an index from 1 where there are
+        several, as ``wavefront.11``; the name alone means all components, of a wavefront all but the piston.
     steps : int
         Steps of the search at most; each takes one or two gradients.
     progress : callable, optional
-        Called with how many cameras have been tried, the last one's figure, and the best camera so far: a search that
-        is stopped continues when it starts there.
+        Called with the number of cameras tried, the last figure, and the best camera so far, from which a stopped
+        search can be started again.
 
     Raises
     ------
@@ -92,7 +89,15 @@ def maximise(
     from scipy.optimize import minimize
 
     camera = regular_array(camera)
-    vector = _vector(camera, bounds)
+    labels: list[str] = []
+    for name in bounds:
+        found = vector_of(camera, str(name).split(".", 1)[0])
+        chosen = [each.label for each in found.components if name in (each.name, each.label)]
+        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
+        labels += chosen
+    refuse_if(not labels, "bounds: name at least one parameter that varies")
+    refuse_if(len(set(labels)) < len(labels), "bounds: a parameter has two of them")
+    vector = vector_of(camera, [label.split(".", 1)[0] for label in labels]).keep(labels)
     low, high = vector.limits(bounds)
     best: list[Any] = [-np.inf, camera]
     tried = 0
@@ -111,7 +116,7 @@ def maximise(
         return -value, -vector.slopes(slopes) * (high - low)
 
     options = {"maxiter": require_count("steps", steps), "ftol": _TOLERANCE}
-    found = minimize(
+    result = minimize(
         cost,
         (vector.values - low) / (high - low),
         jac=True,
@@ -120,18 +125,5 @@ def maximise(
         options=options,
     )
     value, one = best
-    chosen = dict(zip(vector.labels, vector.of(one).values.tolist(), strict=True))
-    return Design(one, float(value), chosen, tried, str(found.message))
-
-
-def _vector(camera: PlenopticCamera, bounds: Mapping[str, tuple[float, float]]) -> CameraVector:
-    """Return the vector of the varied camera parameters, which are those with bounds."""
-    named: list[str] = []
-    for name in bounds:
-        found = vector_of(camera, str(name).split(".", 1)[0])
-        chosen = [each.label for each in found.components if name in (each.name, each.label)]
-        refuse_if(not chosen, f"bounds: {short_repr(name)}: the camera has {', '.join(found.labels)}")
-        named += chosen
-    refuse_if(not named, "bounds: name at least one parameter that varies")
-    refuse_if(len(set(named)) < len(named), "bounds: a parameter has two of them")
-    return vector_of(camera, [label.split(".", 1)[0] for label in named]).keep(named)
+    values = dict(zip(vector.labels, vector.of(one).values.tolist(), strict=True))
+    return Design(one, float(value), values, tried, str(result.message))

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic fit``: a camera from captures of known scenes."""
+"""``mitsuba-plenoptic fit``: camera parameters from captures of known scenes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ from ...cli.inputs import (
     parse_definitions,
     require_in_use,
 )
-from ...cli.judging import ends_in
+from ...cli.judging import RECORDING, ends_in
 from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
 
 if TYPE_CHECKING:
-    from ...io.captures import Capture
-    from .fitting import Fit, PixelNoise
+    from .fitting import Fit
 
 # Directions that are printed: the worst determined.
 _NAMED = 3
@@ -33,7 +32,9 @@ _NAMED = 3
 
 def fit(
     captures: Annotated[
-        list[Path], typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.")
+        list[Path],
+        typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera."),
+        RECORDING,
     ],
     output: Annotated[Path, output_option("FILE.json", "File to write: the camera."), ends_in(".json")],
     scenes: Annotated[
@@ -80,10 +81,8 @@ def fit(
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
 
-    It starts from the captures' own camera, or from --camera. Noise and
-    saturation of captures that 'expose' made are those of their detector.
-    Changes of several numbers at once that hardly change the captures are
-    printed.
+    The fit starts from the captures' own camera, or from --camera. Captures made by 'expose' have the noise and
+    saturation of their detector. Joint changes of several parameters that hardly change the captures are printed.
 
     [bold]Example:[/bold]
 
@@ -92,6 +91,7 @@ def fit(
     import numpy as np
 
     from ...io.captures import read_capture
+    from ...io.checkpoints import SUFFIX
     from ...io.pictures import read_picture
     from ...light.scene import load_scene
     from ...runtime.backend import DEFAULT_VARIANT
@@ -103,7 +103,16 @@ def fit(
         raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
     require_apart(require_writable(output), *captures, mask)
     read = [read_capture(path) for path in captures]
-    noises = [_recorded_noise(path, capture, photons) for path, capture in zip(captures, read, strict=True)]
+    noises = [fitting.noise_of(capture) for capture in read]
+    for path, (noise, _) in zip(captures, noises, strict=True):
+        refuse_if(
+            noise is None and photons is None,
+            f"{path}: it keeps no noise, as 'expose' has not made it; give --photons",
+        )
+        if noise is not None and photons is not None:
+            raise InputError(
+                f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons"
+            )
     left_out = None if mask is None else np.atleast_3d(read_picture(mask)).any(-1)
     for path, capture in zip(captures, read, strict=True):
         if left_out is not None and left_out.shape != capture.camera.shape:
@@ -137,11 +146,13 @@ def fit(
             saturation=full if saturation is None else saturation,
         )
         views.append(view)
-    with checkpoint_of(output, resume) as steps:
+    # The coarse fit's stays until the end, as the fine fit starts, and has its bounds, from there.
+    coarse = checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{SUFFIX}"))
+    with coarse, checkpoint_of(output, resume) as steps:
+        if afar:
+            with progress_bar("Coarse fit") as progress, stopped_by_hand(coarse, progress):
+                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress, checkpoint=coarse)
         with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
-            # A checkpoint is of a fit that has come near already; one that was stopped before that has left none.
-            if afar and not (resume and steps.path.exists()):
-                first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress)
             found = fitting.fit(
                 first,
                 views,
@@ -154,19 +165,6 @@ def fit(
                 checkpoint=steps,
             )
         _write(output, found)
-
-
-def _recorded_noise(path: Path, capture: Capture, photons: float | None) -> tuple[PixelNoise | None, float | None]:
-    """Return the noise and the saturation that a capture keeps, and refuse it where noise is not known, or twice."""
-    from . import fitting
-
-    noise, saturation = fitting.noise_of(capture)
-    refuse_if(
-        noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
-    )
-    if noise is not None and photons is not None:
-        raise InputError(f"photons = {photons:g}: {path} keeps the noise that 'expose' gave it; leave out --photons")
-    return noise, saturation
 
 
 def _write(output: Path, found: Fit) -> None:

@@ -1,9 +1,9 @@
-"""Known light of a capture, and the noise of its pixels."""
+"""The known light of a capture, and the noise of its pixels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import mitsuba as mi
@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
 from ...io.captures import Capture, as_array, require_demosaiced, require_pixels, response_of
+from ...io.checkpoints import digest
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...light.render_capture import chosen_integrator, plenoptic_sensor
 from ...light.sampling import check_positions
 from ...light.scene_light import SceneLight
 from ...plugins.other_camera import with_camera
+from ...points.pupil_weights import PupilWeights
 from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
 from ...runtime.backend import one_at_a_time
@@ -38,7 +40,7 @@ _NEGATIVE = 6.0
 
 @dataclass(frozen=True)
 class PixelNoise:
-    r"""Noise of a detector: photon noise of counted electrons, and the variance of dark pixels.
+    r"""Noise of a detector's pixels: photon noise, and the variance of dark pixels.
 
     The variance of a pixel whose expected value is :math:`v` is :math:`(E v + d) / E^2`.
 
@@ -108,12 +110,12 @@ class Pixels:
 
     @classmethod
     def of(cls, views: Sequence[View], expected: NDArray[np.float64], default: PixelNoise | None) -> Pixels:
-        """Return the noise of views whose pixels are expected to have some values; `default` where a view has none."""
+        """Return the noise of views' pixels at expected values; `default` is for views without noise of their own."""
         return cls(*map(np.stack, zip(*map(_pixels, views, expected, [default] * len(views)), strict=True)))
 
 
 def by_model(view: View, default: PixelNoise | None) -> bool:
-    """Return whether the noise of a view, or its choice of pixels, depends on the model's expected image."""
+    """Return whether the noise of a view, or its set of used pixels, depends on the model's expected image."""
     return view.saturation is not None or isinstance(default if view.noise is None else view.noise, PixelNoise)
 
 
@@ -162,7 +164,7 @@ def check_light(view: View, default: PixelNoise | None = None) -> None:
 
 @dataclass(frozen=True)
 class View:
-    r"""A capture, and the light that it shows.
+    r"""A capture, and the light that was captured.
 
     A pixel is expected to be :math:`B \sum_r w_r \, \mathrm{psf}_r`, with what `points.units.brightness` returns as B:
     a capture in the unit of ``plenoptic_wave``. Behind a real main lens each point counts by the part of the pupil
@@ -175,17 +177,17 @@ class View:
     points : array (n, 3)
         Incoherent point sources in the camera frame, in millimetres.
     weights : array (n,)
-        Of each, radiance times the solid angle, seen from the main lens's image side, that it stands for.
+        Weight of each point: its radiance times the solid angle that it covers, seen from the main lens's image side.
     noise : PixelNoise, float or array (rows, columns), optional
-        That of counted electrons, as `noise_of` has it of a capture that was exposed, or the standard deviation of
-        each pixel. Default: that of the photons that `fit` is given.
+        Noise of counted electrons, from `noise_of` for an exposed capture, or the standard deviation of each pixel.
+        Default: the noise of the photons given to `fit`.
     pupil_weights, virtual : optional
         As for `CaptureOperator`.
     mask : bool array (rows, columns), optional
-        True where a pixel does not count, as in NumPy's masked arrays.
+        True for pixels that do not count, as in NumPy's masked arrays.
     saturation : float, optional
-        Value at which pixels are saturated. Those do not count that are there or above, nor those of which a model
-        expects it within four standard deviations. What a pixel spills into its neighbours is not modelled: mask these.
+        Value at which pixels are saturated. Pixels at or above it do not count, nor do pixels that a model expects
+        within four standard deviations of it. Light that spills into neighbouring pixels is not modelled: mask these.
 
     Raises
     ------
@@ -239,13 +241,13 @@ class View:
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """Mask of the pixels, (rows, columns), that neither `mask` nor saturation excludes."""
+        """Mask (rows, columns) of the pixels that neither `mask` nor saturation excludes."""
         used = np.ones(self.image.shape, bool) if self.mask is None else ~self.mask
         return used if self.saturation is None else used & (self.image < self.saturation)
 
 
 def check_views(camera: PlenopticCamera, views: Sequence[View], default: PixelNoise | None = None) -> None:
-    """Refuse an empty list, captures whose size differs from the camera's, and captures that show no light.
+    """Refuse an empty list of views, captures of another size than the camera's, and captures without light.
 
     `default` is the noise of views that have none.
     """
@@ -270,23 +272,23 @@ def known_view(
     mask: Any = None,
     saturation: float | None = None,
 ) -> View:
-    """Return a view of a scene's capture, whose points are found as for the wave captures' method ``points``.
+    """Return a view of a scene's capture; its points are found as by method ``points`` of wave captures.
 
     Parameters
     ----------
     image : array (rows, columns)
         The capture.
     scene : mitsuba.Scene
-        What it shows, matte and emitting surfaces, with the camera's position as that of the first sensor; of a variant
-        of one channel.
+        The scene, of matte and emitting surfaces, with its first sensor at the camera's position; of a variant of one
+        channel.
     camera : PlenopticCamera
         A camera near enough to the true one, from which rays start.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     points_per_lens : int
         Points for each microlens.
     seed : int
-        Of their pattern.
+        Seed of the points' pattern.
     noise, mask, saturation
         As for `View`.
 
@@ -307,3 +309,23 @@ def known_view(
     refuse_if(not len(found.positions), "scene: the camera sees nothing that shines")
     weights = found.weights[:, 0] / brightness_at(OpticalSystem(camera, wavelength), found.positions)
     return View(image, found.positions, weights, noise, found.pupil_weights, mask, saturation)
+
+
+def light_digest(views: list[View]) -> str:
+    """Return a digest that identifies captures and their light."""
+    arrays: list[NDArray[Any] | None] = []
+    for view in views:
+        pupil = PupilWeights.of(view.pupil_weights, len(view.points))
+        noise = astuple(view.noise) if isinstance(view.noise, PixelNoise) else view.noise
+        arrays += [view.image, view.points, view.weights, view.used, None if noise is None else np.asarray(noise)]
+        arrays += [None if view.saturation is None else np.asarray(view.saturation)]
+        arrays += [None] * 3 if pupil is None else [pupil.table, pupil.index, pupil.slant]
+    return digest(*arrays)
+
+
+def kept_numbers(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> tuple[NDArray[np.float64], int]:
+    """Return a fit's numbers, and the count of cameras tried, from the arrays of its checkpoint."""
+    x, tried = arrays.get("numbers"), arrays.get("tried")
+    if x is None or tried is None or x.shape != shape or tried.shape != (1,):
+        raise InputError("checkpoint: it is damaged: its numbers are not those of this fit")
+    return x, int(tried[0])

@@ -27,14 +27,14 @@ _SAME = 10
 
 @dataclass(frozen=True)
 class Direction:
-    """A joint change of all parameters that the captures determine to some deviation, independent of other directions.
+    """A joint change of all parameters, with its standard deviation, that is independent of other such changes.
 
     Attributes
     ----------
     deviation : float
-        Standard deviation along it, in the units of `Fit.scales`.
+        Standard deviation along the direction, in the units of `Fit.scales`.
     parts : dict
-        By parameter, its part in the direction; their squares add to 1.
+        Component of the direction by parameter; the squares add to 1.
     """
 
     deviation: float
@@ -50,12 +50,12 @@ class Fit:
     camera : PlenopticCamera
         The camera.
     values, deviations : dict
-        By name the fitted parameters and their standard deviations; the values of a parameter with several are
-        numbered from 1: ``mla_offset.1``.
+        Fitted parameters and their standard deviations by name; parameters with several values are numbered from 1:
+        ``mla_offset.1``.
     covariance : float64 array (numbers, numbers)
-        Of the parameters, in their order in `values`, from the captures' derivatives: the inverse of Fisher's
-        information where all pixels are weighted by their variance. Of a parameter at a bound, the square of its
-        deviation alone.
+        Covariance of the parameters, in the order of `values`, from the captures' derivatives: the inverse of Fisher's
+        information, with pixels weighted by their variance. For a parameter at a bound, the square of its deviation
+        alone.
     scales : dict
         The unit of each parameter in `directions`: a hundredth of it, a degree, a pitch, a wave.
     directions : tuple of Direction
@@ -69,9 +69,9 @@ class Fit:
         Sum of the weighted squared residuals over what is expected of it, and its standard deviation: 1 where the
         model and the noise are right.
     pixels : int
-        Pixels that counted: neither masked nor saturated.
+        Number of pixels that are neither masked nor saturated.
     steps : int
-        Cameras that have been tried.
+        Number of cameras tried.
     """
 
     camera: PlenopticCamera
@@ -98,7 +98,7 @@ def summary(
     pixels: Pixels,
     steps: int,
 ) -> Fit:
-    """Return the result of a fit; `rows` are the weighted derivatives for changes of one unit of `Fit.scales`."""
+    """Return the result of a fit; `rows` are weighted derivatives per unit of `Fit.scales`."""
     for label, sensitivity in zip(labels, np.abs(rows).max(axis=0).tolist(), strict=True):
         refuse_if(not sensitivity, f"{label}: the captures do not depend on it, so that it cannot be fitted")
     slope = residuals @ rows
@@ -157,7 +157,7 @@ def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Seq
 
 
 def steps_along(found: Fit) -> NDArray[np.float64]:
-    """Return a step of one deviation, at most a unit of `Fit.scales`, along each direction, (directions, numbers)."""
+    """Return a step along each direction: one deviation, at most a unit of `Fit.scales`, (directions, parameters)."""
     lengths = np.fmin([direction.deviation for direction in found.directions], 1.0)
     parts = np.array([list(direction.parts.values()) for direction in found.directions])
     return np.asarray(lengths[:, None] * parts * list(found.scales.values()))

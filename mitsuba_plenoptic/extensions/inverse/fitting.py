@@ -1,4 +1,4 @@
-"""Fitting to captures with the wave model or the ray model: a camera's parameters, or the planes of a scene."""
+"""Fits to captures by the wave or the ray model: of camera parameters, or of the planes of a scene."""
 
 from .approach import coarse_fit, lattice_from_white
 from .capture_fit import fit

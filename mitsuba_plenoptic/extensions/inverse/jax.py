@@ -1,8 +1,8 @@
 """Captures and reconstructions as differentiable functions of JAX's arrays (extra ``jax``).
 
-Axes before those that a function names are a batch. Results have the type of the array given, which must be of floating
-point. The functions run on the processor, as host callbacks: they can be used inside of ``jax.jit`` and ``jax.vmap``,
-and differentiated in reverse and in forward mode.
+Leading axes beyond those that a function names are a batch. Results have the type of the input, which must be floating
+point. The functions run on the CPU as host callbacks: they can be used inside ``jax.jit`` and ``jax.vmap``, and
+differentiated in reverse and in forward mode.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from .array_functions import (
     LinearFunction,
     Refocus,
     SmoothFunction,
+    documented,
     points,
     refocusing,
     working_array,
@@ -42,116 +43,34 @@ except ImportError:
 __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
+@documented("Array")
 def forward(operator: CaptureOperator, weights: Any) -> Any:
-    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times.
-
-    A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
-    compute them in each direction.
-
-    Parameters
-    ----------
-    operator : CaptureOperator
-        The points before a camera.
-    weights : Array (..., n)
-        Weights of the points. With a spectrum (..., wavelengths, n).
-
-    Returns
-    -------
-    Array (..., rows, columns)
-        The images. With a spectrum (..., channels, rows, columns).
-
-    Raises
-    ------
-    InputError
-        If the weights have a wrong shape, or as `CaptureOperator.forward` does.
-    """
+    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times."""
     return _linear.bind(_required("weights", weights), function=points(operator))
 
 
+@documented("Array")
 def adjoint(operator: CaptureOperator, images: Any) -> Any:
-    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
-
-    Parameters
-    ----------
-    operator : CaptureOperator
-        The points before a camera.
-    images : Array (..., rows, columns)
-        The images. With a spectrum (..., channels, rows, columns).
-
-    Returns
-    -------
-    Array (..., n)
-        Products with the spreads. With a spectrum (..., wavelengths, n).
-
-    Raises
-    ------
-    InputError
-        If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
-    """
+    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times."""
     return _linear.bind(_required("images", images), function=points(operator).T)
 
 
+@documented("Array")
 def capture(
     make: Callable[[PlenopticCamera], CaptureOperator],
     camera: PlenopticCamera,
     parameters: Mapping[str, Any],
     weights: Any,
 ) -> Any:
-    """Capture points by a camera with some parameters: differentiable by these and by the weights, once.
-
-    The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
-
-    Parameters
-    ----------
-    make : callable
-        Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``.
-        Return a `StoredOperator` if the gradient by the weights is needed, which then computes no spread again.
-    camera : PlenopticCamera
-        The camera, of which `parameters` replace some.
-    parameters : mapping of str to Array
-        Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
-        given, except for the wavelength.
-    weights : Array
-        As for `forward`.
-
-    Returns
-    -------
-    Array
-        As from `forward`, of the type of the weights.
-
-    Raises
-    ------
-    InputError
-        If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
-    """
+    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights."""
     function = _latest(CameraCapture(make, camera, tuple(parameters)))
     values = (_required(name, value) for name, value in parameters.items())
     return _smooth.bind(_required("weights", weights), *values, function=function)
 
 
+@documented("Array")
 def refocus(by: Refocus, captures: Any) -> Any:
-    """Return refocused captures; differentiable any number of times with the ray model, once with other methods.
-
-    The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
-    those of all captures of the latest batch.
-
-    Parameters
-    ----------
-    by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
-        The camera, distance and method.
-    captures : Array (..., rows, columns)
-        The recorded pixels.
-
-    Returns
-    -------
-    Array (..., rows, columns)
-        The images, with 0 in bins that `reconstruct` leaves unknown.
-
-    Raises
-    ------
-    InputError
-        If the captures have a wrong shape.
-    """
+    """Return refocused captures; differentiable any number of times with the ray model, once with other methods."""
     captures = _required("captures", captures)
     function = refocusing(by)
     if isinstance(function, LinearFunction):
@@ -159,42 +78,16 @@ def refocus(by: Refocus, captures: Any) -> Any:
     return _smooth.bind(captures, function=_latest(function))
 
 
+@documented("Array")
 def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
-    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
-
-    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The scene keeps the values; its derivatives give it those of their image again.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
-    values : mapping of str to Array
-        Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
-    integrator : mitsuba.Integrator, optional
-        Default: that of the scene.
-    spp : int
-        Samples per pixel. 0: those of the scene's sampler.
-    seed : int
-        Seed of the random numbers. Derivatives draw others.
-
-    Returns
-    -------
-    Array (rows, columns, channels)
-        The film's image, of the type of the first value, computed in single precision.
-
-    Raises
-    ------
-    InputError
-        If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
-    """
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them."""
     given = [_required(name, value) for name, value in values.items()]
     shapes = {name: value.shape for name, value in zip(values, given, strict=True)}
     return _smooth.bind(*given, function=_latest(Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)))
 
 
 def _required(name: str, value: Any) -> Any:
-    """Return a value as an array of floating point; others would round results."""
+    """Return a value as a floating-point array; other types, which would round results, are refused."""
     array = jax.numpy.asarray(value)
     refuse_if(
         not jax.numpy.issubdtype(array.dtype, jax.numpy.floating),
@@ -210,7 +103,7 @@ _latest_made: deque[Latest] = deque(maxlen=_VALUES)
 
 
 def _latest(function: SmoothFunction) -> Latest:
-    """Return a function that remembers its latest value, until many others are made."""
+    """Return a function that remembers its latest value; few such functions are kept."""
     made = Latest(function, np.copy, np.array_equal, np.asarray)
     # JAX's caches keep thousands of functions that were called once, which must be empty then.
     if len(_latest_made) == _VALUES:
@@ -224,9 +117,9 @@ def _latest(function: SmoothFunction) -> Latest:
 
 
 def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
-    """Return `function`, which takes a list of NumPy arrays, as a function of arrays; `like` describes its results.
+    """Return `function` of NumPy arrays as a function of JAX arrays on the host; `like` describes its results.
 
-    JAX calls from threads of its own, and at once what does not depend on each other: a value and its derivatives.
+    JAX calls it from its own threads, and independent calls, such as a value and its derivatives, at the same time.
     """
 
     @one_at_a_time
@@ -238,12 +131,12 @@ def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
 
 
 def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
-    """Return a description of an array of the same type, with a given shape."""
+    """Return JAX's description of an array of the same type as `array`, with a given shape."""
     return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
 
 
 def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], several: bool = False) -> Primitive:
-    """Return a primitive that applies a function; `like` returns what stands for its results."""
+    """Return a JAX primitive that applies a function; `like` returns the descriptions of its results."""
     made = Primitive(f"plenoptic_{name}")
     made.multiple_results = several
 
@@ -268,7 +161,7 @@ def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], s
 
 
 def _one_by_one(primitive: Primitive) -> None:
-    """Register a rule by which ``jax.vmap`` applies a primitive to one row after the other."""
+    """Register the rule by which ``jax.vmap`` applies a primitive row by row."""
 
     def batched(given: Sequence[Any], axes: Sequence[Any], **options: Any) -> Any:
         mapped = [k for k, axis in enumerate(axes) if axis is not None]
@@ -293,16 +186,11 @@ _linear = _primitive(
 )
 
 
-def _linear_transpose(gradient: Any, _: Any, *, function: LinearFunction) -> list[Any]:
-    return [_linear.bind(gradient, function=function.T)]
-
-
-def _linear_batched(given: Sequence[Any], axes: Sequence[Any], *, function: LinearFunction) -> tuple[Any, int]:
-    return _linear.bind(jax.numpy.moveaxis(given[0], axes[0], 0), function=function), 0
-
-
-ad.deflinear2(_linear, _linear_transpose)
-batching.primitive_batchers[_linear] = _linear_batched
+ad.deflinear2(_linear, lambda gradient, _, function: [_linear.bind(gradient, function=function.T)])
+batching.primitive_batchers[_linear] = lambda given, axes, function: (
+    _linear.bind(jax.numpy.moveaxis(given[0], axes[0], 0), function=function),
+    0,
+)
 
 # A function with derivatives.
 _smooth = _primitive(
@@ -312,15 +200,10 @@ _smooth = _primitive(
 )
 
 
-def _split(given: Sequence[Any], which: tuple[bool, ...]) -> tuple[Sequence[Any], list[Any]]:
-    """Return the arrays at which derivatives are taken, and the change of each array, None where it is constant."""
-    changes = iter(given[len(which) :])
-    return given[: len(which)], [next(changes) if one else None for one in which]
-
-
 def _changed(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> NDArray[Any]:
-    arrays, changes = _split(given, which)
-    return function.at(arrays).jvp(changes)
+    # The arrays at which the derivative is taken come first, then the changes of those that change.
+    changes = iter(given[len(which) :])
+    return function.at(given[: len(which)]).jvp([next(changes) if one else None for one in which])
 
 
 # Its change with those of some of the arrays, in which it is linear.

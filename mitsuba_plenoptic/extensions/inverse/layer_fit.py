@@ -1,4 +1,4 @@
-"""Fitting the textured planes of a scene to raw captures, by gradients through the camera."""
+"""Fits of a scene's textured planes to raw captures, by gradients through the camera."""
 
 from __future__ import annotations
 
@@ -30,12 +30,11 @@ def fit_layers(
     seed: int = 0,
     progress: Callable[[int, float], None] | None = None,
 ) -> Layers:
-    """Find the radiance and the opacity of planes that explain raw captures of a scene from several positions.
+    """Find the radiance and opacity of planes that explain raw captures of a scene from several positions.
 
-    The micro-images are compared as they are: nothing is decoded, and no views are made. The mean squared difference
-    is reduced by Adam's method (Kingma and Ba 2015), a step for each capture of a round, with gradients through the
-    camera in the ray model or the wave model. Rays are drawn anew for each step, and others for its gradient. Nothing
-    smooths the planes.
+    The raw micro-images are compared directly, without decoding into views. The mean squared difference is reduced by
+    Adam's method (Kingma and Ba 2015), with one step for each capture of a round, and with gradients through the camera
+    in the ray or wave model. Each step, and its gradient, uses new rays. The planes are not smoothed.
 
     Parameters
     ----------
@@ -48,7 +47,7 @@ def fit_layers(
     model : {"ray", "wave"}, optional
         Model of the light in the camera. Default: that of the captures.
     rounds : int
-        How often all captures are used.
+        Number of times that all captures are used.
     rate : float
         Largest change of a texel in a step, in units of radiance and opacity, at the start. It falls to a tenth.
     spp : int
@@ -56,8 +55,7 @@ def fit_layers(
     seed : int
         Seed of the random numbers.
     progress : callable, optional
-        Called after each round with its number and its root mean square difference, which includes that of rendering
-        noise.
+        Called after each round with the round's number and root mean square difference, which includes rendering noise.
 
     Returns
     -------
@@ -81,7 +79,12 @@ def fit_layers(
         refuse_if(found != channels, f"captures: number {number} has {found} channels, the planes have {channels}")
     rounds, rate = require_count("rounds", rounds), require_number("rate", rate, positive=True)
     spp, seed = require_count("spp", spp), require_count("seed", seed, minimum=0)
-    sensors = [_sensor(capture, pose) for capture, pose in zip(captures, to_world, strict=True)]
+    sensors = []
+    for capture, pose in zip(captures, to_world, strict=True):
+        described = capture.camera.to_sensor(pose)
+        if capture.image.ndim == 3 and capture.image.shape[2] == 3:
+            described["film"]["pixel_format"] = "rgb"
+        sensors.append(mi.load_dict(described))
     scene = start.scene(sensors[0])
     planes = scene.integrator()
     integrators = [_through(planes, capture, kind) for capture, kind in zip(captures, chosen, strict=True)]
@@ -111,16 +114,8 @@ def fit_layers(
     return replace(start, radiance=texels[..., :-1], opacity=texels[..., -1])
 
 
-def _sensor(capture: Capture, to_world: Any) -> Any:
-    """Return the sensor of a capture, whose film has the same channels."""
-    described = capture.camera.to_sensor(to_world)
-    if capture.image.ndim == 3 and capture.image.shape[2] == 3:
-        described["film"]["pixel_format"] = "rgb"
-    return mi.load_dict(described)
-
-
 def _through(planes: Any, capture: Capture, model: str) -> Any:
-    """Return the integrator that captures planes with a model."""
+    """Return the integrator that captures planes by a light model."""
     if model == "ray":
         return planes
     if capture.wavelength is None:

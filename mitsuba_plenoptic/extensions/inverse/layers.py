@@ -1,4 +1,4 @@
-r"""Scenes as textured planes one behind the other, which any sensor sees and which have derivatives by their texels.
+r"""Scenes of textured planes one behind the other, seen by any sensor and differentiable with respect to their texels.
 
 The radiance along a ray is composited from the front to the back,
 
@@ -26,7 +26,7 @@ from ...runtime.backend import drjit_array
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """Textured planes, square and perpendicular to the world's z axis, whose centres are on it.
+    """Square textured planes perpendicular to the world's z axis, with their centres on it.
 
     Between texels, radiance and opacity are interpolated linearly. Beyond its border a plane is transparent, and behind
     all planes it is dark.
@@ -79,7 +79,7 @@ class Layers:
         return np.concatenate([self.radiance, self.opacity[..., None]], axis=-1)
 
     def integrator(self) -> Any:
-        """Return an integrator of Mitsuba that sees the planes and nothing else of a scene."""
+        """Return a Mitsuba integrator that sees the planes and no other object of a scene."""
         refuse_if(
             mi.variant() is None or mi.is_spectral or mi.is_polarized or "ad" not in mi.variant().split("_"),
             f"variant {mi.variant()}: layers need a variant of one or three channels with derivatives, as llvm_ad_mono",
@@ -96,10 +96,10 @@ class Layers:
 
 
 def make_class() -> type:
-    """Define the integrator for the active variant, to which its types are bound."""
+    """Define the integrator's class for the active variant, to which its types are bound."""
 
     class LayersIntegrator(mi.ad.integrators.common.RBIntegrator):
-        """Radiance of layers along rays, as an integrator."""
+        """Integrator that returns the radiance of layers along rays."""
 
         def __init__(self, layers: Layers) -> None:
             super().__init__(mi.Properties())
@@ -108,7 +108,7 @@ def make_class() -> type:
             self._textures = [mi.Texture2f(each, wrap_mode=dr.WrapMode.Clamp) for each in texels]
 
         def set_texels(self, values: list[Any]) -> None:
-            """Replace the texels of all planes by tensors shaped as `Layers.texels`, which may carry gradients."""
+            """Replace the texels of all planes by tensors shaped like `Layers.texels`, which may carry gradients."""
             for texture, value in zip(self._textures, values, strict=True):
                 texture.set_tensor(value)
 

@@ -25,7 +25,7 @@ Gradient = dict[str, NDArray[np.float64]]
 
 
 class Spreads:
-    """The point spreads of the points of a figure, each computed by itself."""
+    """The point spreads of a figure of merit's points, each computed by itself."""
 
     def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
         # Where they may lie depends on the camera, and is checked with it.
@@ -34,7 +34,7 @@ class Spreads:
         self._system: OpticalSystem | None = None
 
     def images(self, camera: PlenopticCamera, points: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Return the spreads (n, rows, columns) of the points, or of others instead."""
+        """Return the point spreads (n, rows, columns) of the figure's points, or of `points` if given."""
         # One by one: points so near each other must not share a spread.
         return np.stack([operator.forward([1.0]) for operator in self._operators(camera, points)]).astype(np.float64)
 
@@ -45,7 +45,7 @@ class Spreads:
         names: Iterable[str],
         points: NDArray[np.float64] | None = None,
     ) -> Gradient:
-        """Take the gradient by the spreads (n, rows, columns) back to parameters of the camera."""
+        """Return the gradient with respect to camera parameters, from the spreads' gradient (n, rows, columns)."""
         total: Gradient = {}
         for operator, image in zip(self._operators(camera, points), images, strict=True):
             found = operator.gradient([1.0], image.astype(np.float32), tuple(names))
@@ -63,7 +63,7 @@ class Spreads:
 
 
 def require_held(camera: PlenopticCamera, other: PlenopticCamera, held: Iterable[str]) -> None:
-    """Refuse a camera that differs in a parameter that a figure holds."""
+    """Refuse a camera that differs in a parameter that a figure of merit holds fixed."""
     mine, its = camera.to_dict(), other.to_dict()
     for name in held:
         refuse_if(mine[name] != its[name], f"{name} = {its[name]}: this figure is of cameras with {mine[name]}")
@@ -74,12 +74,12 @@ VARYING = ("mla_focal_length", "mla_fill", "wavefront")
 
 
 class RefocusedContrast:
-    r"""Mean contrast of points that are refocused by rays: their modulation transfer over a range of depths.
+    r"""Mean contrast of points refocused by rays: the modulation transfer, averaged over a range of depths.
 
     .. math:: \frac{1}{n m} \sum_{r, \nu} \frac{|\sum_j b_{rj} \, e^{-2 \pi i \nu \cdot x_j}|}{\sum_j b_{rj}}
 
-    with the bins b of each point r, refocused to its own distance, and frequencies :math:`\nu` along x and along y.
-    Refocusing is that of one camera, and held.
+    The bins :math:`b_{rj}` are those of the point r, refocused to its distance; the frequencies :math:`\nu` are along x
+    and y. The refocusing of one camera serves for all cameras.
 
     Parameters
     ----------
@@ -89,9 +89,9 @@ class RefocusedContrast:
     points : array (n, 3)
         Scene points (X, Y, g) in the camera frame, in millimetres.
     frequencies : sequence of float
-        In line pairs per bin of one lens, at most half of `oversample`.
+        Spatial frequencies in line pairs per bin of one lens, at most half of `oversample`.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     oversample : int
         Bins per lens along each axis.
     accuracy, method
@@ -132,7 +132,7 @@ class RefocusedContrast:
         return self._contrast(self._images(camera))[0]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the mean contrast, and its derivatives by parameters of the camera, by name.
+        """Return the mean contrast, and its derivatives with respect to camera parameters, by name.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class RefocusedContrast:
         return self._spreads.images(camera)
 
     def _contrast(self, images: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Return the mean contrast, and its gradient by the spreads."""
+        """Return the mean contrast, and its gradient with respect to the point spreads."""
         total, gradients = 0.0, []
         count = len(images) * (len(self._along_x) + len(self._along_y))
         for refocus, image in zip(self._refocus, images, strict=True):
@@ -193,7 +193,7 @@ _WAVES = 0.01
 
 @dataclass(frozen=True)
 class _Move:
-    """Two positions of every point, (n, 3), and factors (n, 1, 1) from differences of spreads to derivatives."""
+    """Displaced positions (n, 3) of points to both sides, and factors (n, 1, 1) from differences to derivatives."""
 
     there: NDArray[np.float64]
     back: NDArray[np.float64]
@@ -201,25 +201,25 @@ class _Move:
 
 
 class DepthInformation:
-    r"""Figure of merit: how precisely noisy captures determine the depths of points of unknown position and brightness.
+    r"""Figure of merit: the precision of depths in noisy captures of points of unknown position and brightness.
 
-    Of each point the position (X, Y, g) and the brightness w are unknown. With the expected counts of photons I and the
-    background B of each pixel Fisher's information is
+    The position (X, Y, g) and the brightness w of each point are unknown. With the expected photon counts I and the
+    background B of each pixel, Fisher's information is
 
     .. math:: F_{ab} = \sum_p \frac{\partial_a I_p \, \partial_b I_p}{I_p + B}, \qquad
               \sigma_g = \sqrt{(F^{-1})_{gg}},
 
-    the least standard deviation of an estimate of the depth without bias (Kay, "Fundamentals of statistical signal
+    the least standard deviation of an unbiased estimate of the depth (Kay, "Fundamentals of statistical signal
     processing: estimation theory", 1993, chapter 3). The figure is the mean of :math:`-\ln \sigma_g` over the points:
-    0.69 more halves all deviations. Derivatives by the position are central differences, sideways and along the chief
-    ray, there of the vergence 1/g, to both sides by a hundredth of a wave of path at the rim of the pupil.
+    an increase by 0.69 halves all deviations. Derivatives with respect to position are central differences: sideways,
+    and along the chief ray in the vergence 1/g, with steps of a hundredth of a wave of path at the rim of the pupil.
 
     Parameters
     ----------
     points : array (n, 3)
         Scene points (X, Y, g) in the camera frame, in millimetres.
     photons : float
-        Of each point that pass the pupil.
+        Number of photons of each point that pass the pupil.
     background : float
         Variance of each pixel without light, in photons; it must not be zero, or dark pixels would determine
         everything.
@@ -247,7 +247,7 @@ class DepthInformation:
         self._background = require_number("background", background, positive=True)
 
     def value(self, camera: PlenopticCamera) -> float:
-        """Return the mean of -ln of the deviations of a camera."""
+        """Return the mean of -ln of the depths' standard deviations for a camera."""
         return float(-np.log(self.deviations(camera)).mean())
 
     def deviations(self, camera: PlenopticCamera) -> NDArray[np.float64]:
@@ -256,7 +256,7 @@ class DepthInformation:
         return np.array([np.sqrt(self._covariance(*parts)[2, 2]) for parts in zip(middle, *slopes, strict=True)])
 
     def expected(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
-        """Return the photons that are expected, (n, rows, columns), and their derivatives by X, Y and g."""
+        """Return the expected photon counts, (n, rows, columns), and their derivatives with respect to X, Y and g."""
         photons = self._photons
         slopes = []
         for move in self._moves(camera):
@@ -267,7 +267,7 @@ class DepthInformation:
         return [photons * self._spreads.images(camera), *slopes]
 
     def gradient(self, camera: PlenopticCamera, names: Iterable[str]) -> tuple[float, Gradient]:
-        """Return the figure, and its derivatives by parameters of the camera, by name."""
+        """Return the figure of merit, and its derivatives with respect to camera parameters, by name."""
         names, expected = tuple(names), self.expected(camera)
         count = len(expected[0])
         cotangents = [np.zeros_like(part) for part in expected]
@@ -292,7 +292,7 @@ class DepthInformation:
     def _moved(
         self, camera: PlenopticCamera, cotangents: list[NDArray[np.float64]]
     ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield positions of the points after small moves, and the gradients by their spreads."""
+        """Yield displaced positions of the points, and the gradients with respect to their point spreads."""
         image, *along, depth = cotangents
         yield self._spreads.points, image
         tilts = self._tilts(camera)
@@ -302,12 +302,12 @@ class DepthInformation:
             yield move.back, -move.factor * part
 
     def _tilts(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
-        """Return X and Y of the chief rays for each g, (n, 1, 1); behind an objective these run along the axis."""
+        """Return X/g and Y/g of the chief rays, (n, 1, 1); behind an objective they are 0."""
         x, y, g = self._spreads.points.T[..., None, None]
         return [x / g, y / g] if camera.lens_data.converges else [0 * x, 0 * y]
 
     def _moves(self, camera: PlenopticCamera) -> list[_Move]:
-        """Return the moves along X, along Y and along the chief ray, by the vergence, whose differences are slopes."""
+        """Return the displacements of the points along X, along Y, and along the chief ray in vergence."""
         points = self._spreads.points
         g, path = points[:, 2], _WAVES * self._spreads.wavelength * 1e-6
         objective = camera.objective
@@ -332,12 +332,12 @@ class DepthInformation:
         return np.maximum(expected, 0) + self._background
 
     def _covariance(self, expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the least covariance of X, Y, g and the brightness of one point."""
+        """Return the Cramer-Rao covariance of X, Y, g and the brightness of one point."""
         rows = _columns(expected, *slopes) / np.sqrt(self._noise(expected))
         flat = rows.reshape(len(rows), -1)
         return np.asarray(np.linalg.inv(flat @ flat.T))
 
 
 def _columns(expected: NDArray[np.float64], *slopes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivatives by X, Y, g and the logarithm of the brightness."""
+    """Return the derivatives with respect to X, Y, g and the logarithm of the brightness, as columns."""
     return np.stack([*slopes, expected])

@@ -1,4 +1,4 @@
-"""Designing cameras: parameters by which a stated figure of their wave captures is best."""
+"""Camera design: parameters that maximise a figure of merit of the camera's wave captures."""
 
 from .design_search import Design, Figure, maximise
 from .merit import DepthInformation, RefocusedContrast

@@ -1,4 +1,4 @@
-"""The parameters that a fit varies, and the captures of known light that are expected of a camera, by either model."""
+"""The parameters that a fit varies, and the expected captures of known light by a camera, by the wave or ray model."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from .fit_light import View
 def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVector:
     """Return the vector of the fitted parameters; the piston of aberrations is left out.
 
-    A name is that of a parameter, or the label of one of its parts, as ``wavefront.5``. Names of parameters without a
-    derivative, or that do not apply to the camera, are refused.
+    A name is a parameter's name, or the label of one of its components, as ``wavefront.5``. Parameters that have no
+    derivative, or do not apply to the camera, are refused.
     """
     given = (names,) if isinstance(names, str) else tuple(names)
     wholes = {name: str(name).partition(".")[0] for name in given}
@@ -51,7 +51,7 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
 
 
 class WaveModel:
-    """The captures of views that are expected of a camera by the wave model."""
+    """Expected captures of views by a camera in the wave model."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class WaveModel:
         return np.stack([operator.forward(weights) for operator, weights in pairs]).astype(np.float64)
 
     def derivatives(self, vector: CameraVector, images: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the derivatives of `images`, an array (parameters, views, rows, columns)."""
+        """Return the derivatives of `images` with respect to the vector, (parameters, views, rows, columns)."""
         names, directions = vector.names, vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
@@ -118,7 +118,7 @@ _SHARPEST = 1e-3
 
 
 class PointRays:
-    """The rays of points, whose counts are planned for one camera and used for all cameras near it."""
+    """Rays of points, whose counts are planned for one camera and used for all similar cameras."""
 
     def __init__(
         self,
@@ -130,7 +130,15 @@ class PointRays:
         # Relative power over the pupil.
         pupil_weights: PupilWeights | None = None,
     ) -> None:
-        _require_known(camera)
+        require_known_to(camera, Captures.POINTS, "points are followed")
+        require_no_shape(camera, "points are followed by rays")
+        require_no_glass(camera, "points are followed at one wavelength;")
+        camera.require_no_objective("points are followed by rays")
+        refuse_if(
+            not camera.lattice.fills,
+            f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
+            "through arrays without gaps only; use waves",
+        )
         points = check_positions(points, camera, virtual=True)
         self._points, self._pupil_weights = points, pupil_weights
         lens = OpticalSystem(camera, wavelength).waves_of(points)
@@ -144,7 +152,7 @@ class PointRays:
 
     @one_at_a_time
     def image(self, system: OpticalSystem, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of each point's light in each pixel, weighted and added; (rows, columns).
+        """Return the image (rows, columns) of weighted points, from the fraction of each point's light in each pixel.
 
         Shapes: `weights` (n,).
         """
@@ -161,21 +169,8 @@ class PointRays:
         return np.asarray(image.numpy().reshape(camera.shape))
 
 
-def _require_known(camera: PlenopticCamera) -> None:
-    """Refuse a camera through which the rays of points cannot be traced."""
-    require_known_to(camera, Captures.POINTS, "points are followed")
-    require_no_shape(camera, "points are followed by rays")
-    require_no_glass(camera, "points are followed at one wavelength;")
-    camera.require_no_objective("points are followed by rays")
-    refuse_if(
-        not camera.lattice.fills,
-        f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "
-        "through arrays without gaps only; use waves",
-    )
-
-
 def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Return the displacements of rays on the array and on the detector per displacement on the pupil."""
+    """Return the displacements of rays, on the array and on the detector, per displacement on the pupil."""
     b, z = float(lens.pupil_distance), camera.reduced_distance
     on_array = 1 - b * np.array([float(lens.convergence(g)) for g in points[:, 2]])
     bends = [1 + z / b - z / f2 for f2 in camera.reduced_focal_lengths]
@@ -184,7 +179,7 @@ def _scales(camera: PlenopticCamera, lens: MainLens, points: NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Bundles:
-    """Rays from a few points through an even grid of the pupil to the detector."""
+    """Bundles of rays from a few points through an even grid of the pupil to the detector."""
 
     camera: PlenopticCamera
     lens: MainLens
@@ -195,7 +190,7 @@ class _Bundles:
     weights: PupilWeights | None
 
     def add(self, image: Any, factors: NDArray[np.float64]) -> None:
-        """Add their light, weighted, to the pixels in a row."""
+        """Add the weighted light of the rays to the pixels, in a flat image."""
         types, side = array_module(), self.across
         Float64 = types.Float64
         index = dr.arange(types.UInt32, len(self.points) * side * side)
@@ -225,12 +220,12 @@ class _Bundles:
 
     @staticmethod
     def _number(value: Any) -> Any:
-        """Return an opaque value, so that the compiled kernels can be reused for other values."""
+        """Return a value that Dr.Jit does not build into kernels, so that compiled kernels serve other values."""
         return dr.opaque(array_module().Float64, float(value))
 
     @cached_property
     def _walk(self) -> Walk:
-        """The walk through elements of opaque values."""
+        """The walk of rays through camera elements with opaque values."""
         camera, number = self.camera, self._number
         lattice = make_lattice(
             camera.mla_lattice,
@@ -269,7 +264,7 @@ class _Bundles:
         return [(lens, fraction / whole) for lens, fraction in found]
 
     def _detect(self, image: Any, position: tuple[Any, Any], width: Any, power: Any) -> None:
-        """Add squares around positions on the detector to the pixels that they cover."""
+        """Add squares of light around positions on the detector to the pixels that they cover."""
         camera, UInt32 = self.camera, array_module().UInt32
         rows, columns = camera.shape
         size = self._number(camera.pixel_size)
@@ -303,7 +298,7 @@ def check_numbers(vector: CameraVector) -> None:
 
 
 class RayModels:
-    """Cameras near one for which the counts of rays are planned."""
+    """Ray models of cameras near one camera, for which the counts of rays are planned."""
 
     def __init__(self, camera: PlenopticCamera, views: Sequence[View], wavelength: float) -> None:
         self._views, self._wavelength = views, wavelength
@@ -313,7 +308,7 @@ class RayModels:
         ]
 
     def at(self, camera: PlenopticCamera) -> RayModel:
-        """Return the model of one of these cameras."""
+        """Return the ray model of a camera near the planned one."""
         return RayModel(self, camera)
 
     def images(self, camera: PlenopticCamera) -> NDArray[np.float64]:
@@ -328,7 +323,7 @@ class RayModels:
 
 
 class RayModel:
-    """The captures of views that are expected of a camera by the ray model; see `RayModels.at`."""
+    """Expected captures of views by a camera in the ray model; see `RayModels.at`."""
 
     def __init__(self, models: RayModels, camera: PlenopticCamera) -> None:
         self._models, self._camera = models, camera
@@ -351,11 +346,11 @@ class RayModel:
     def slopes(
         self, vector: CameraVector, steps: NDArray[np.float64], distance: Callable[[NDArray[np.float64]], float]
     ) -> NDArray[np.float64]:
-        """Return mean slopes (parameters, views, rows, columns) over the deviations of some directions.
+        """Return mean slopes of captures over one deviation along some directions, (parameters, views, rows, columns).
 
-        Captures have kinks: where the light's edge comes to dark pixels, their slope is large on one side and 0 on the
-        other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are those
-        of the side on which captures change less, over the length at which their `distance` from these is 1.
+        Captures have kinks: where the light's edge meets dark pixels, the slope is large on one side and 0 on the
+        other. Along each of `steps` (directions, parameters), which are deviations by the derivatives, slopes are taken
+        on the side on which captures change less, over the length at which the `distance` of captures is 1.
         """
         own, images = vector.of(self._camera), self.images()
         moved, rows = np.empty_like(steps), np.empty((len(steps), *images.shape))

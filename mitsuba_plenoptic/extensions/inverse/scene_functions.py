@@ -1,4 +1,4 @@
-"""The image of a scene as a function of some of its parameters, with derivatives, for PyTorch's and JAX's modules."""
+"""The image of a scene as a differentiable function of some of its parameters, for the PyTorch and JAX modules."""
 
 from __future__ import annotations
 
@@ -20,7 +20,21 @@ _NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of 
 
 
 class Rendering:
-    """Image of a scene as a function of some of its parameters, given as NumPy or Dr.Jit tensors."""
+    """Image of a scene as a function of some of its parameters, given as NumPy or Dr.Jit tensors.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        The scene.
+    shapes : mapping of str to tuple of int
+        Parameters of the scene, by their names in ``mi.traverse``, and the shapes of their arrays.
+    integrator : mitsuba.Integrator or None
+        The integrator in place of the scene's.
+    spp : int
+        Samples per pixel; 0 means those of the sensor's sampler.
+    seed : int
+        Seed of the samples.
+    """
 
     def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
         # Each variant has a class of its own.
@@ -64,7 +78,7 @@ class Rendering:
             refuse_if(own != active, f"{name}: it is of the variant {own}, but {active} is active; set {own}")
 
     def typed(self, values: Sequence[Any]) -> list[Any]:
-        """Return values as the types of the parameters."""
+        """Return values converted to the Dr.Jit types of the scene's parameters."""
         made = []
         for (name, shape), value in zip(self._expected.items(), values, strict=True):
             kind, flat = type(self.parameters[name]), _tensor(value).array
@@ -72,13 +86,13 @@ class Rendering:
         return made
 
     def put(self, typed: Sequence[Any]) -> None:
-        """Write parameter values into the scene."""
+        """Write parameter values, already converted, into the scene."""
         for name, value in zip(self._expected, typed, strict=True):
             self.parameters[name] = value
         self.parameters.update()
 
     def image(self, typed: Sequence[Any]) -> Any:
-        """Render the scene with values, which it keeps unless they are refused."""
+        """Render the scene with values, which the scene keeps unless they are refused."""
         before = {name: type(self.parameters[name])(self.parameters[name]) for name in self._expected}
         try:
             self.put(typed)
@@ -96,7 +110,7 @@ class Rendering:
         return self._integrator.render_forward(self._scene, self.parameters, *self._with_other_seed())
 
     def backward(self, gradient: Any) -> None:
-        """Take the gradient by the image back to the scene."""
+        """Propagate the gradient with respect to the image back to the scene's parameters."""
         self._integrator.render_backward(self._scene, self.parameters, gradient, *self._with_other_seed())
 
     def _with_other_seed(self) -> tuple[Any, int, int]:
@@ -105,9 +119,9 @@ class Rendering:
 
 
 class RenderedValue:
-    """Image of a scene at given parameter values, with its derivatives by these values.
+    """Image of a scene at given parameter values, with derivatives with respect to these values.
 
-    Derivatives render again: they first give the scene the values that it had, which others may have replaced.
+    Derivatives render again; they first give the scene the values of this image, which may have been replaced since.
     """
 
     @one_at_a_time
@@ -131,7 +145,7 @@ class RenderedValue:
 
     @one_at_a_time
     def vjp(self, gradient: Any, needed: Sequence[bool]) -> list[Any]:
-        """Return the gradient by each value that needs it; see `Value`."""
+        """Return the gradient with respect to each value that needs it; see `Value`."""
         with self._attached(needed) as values:
             self._rendering.backward(_tensor(gradient))
             found = [dr.grad(each) for each in values]
@@ -141,7 +155,7 @@ class RenderedValue:
 
     @contextmanager
     def _attached(self, which: Sequence[bool]) -> Iterator[list[Any]]:
-        """Put the values into the scene, the chosen ones with gradients, and detach them at the end."""
+        """Put the values into the scene while the context is open, the chosen ones with gradients."""
         self._rendering.require_variant()
         values = [type(each)(each) for each in self._typed]
         dr.enable_grad([each for each, one in zip(values, which, strict=True) if one])

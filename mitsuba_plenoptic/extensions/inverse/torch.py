@@ -1,9 +1,9 @@
 """Captures and reconstructions as differentiable functions of PyTorch's tensors (extra ``torch``).
 
-Axes before those that a function names are a batch. Results have the type, which must be of floating point, and the
-device of the tensor given. Tensors in the processor's memory share it with NumPy; others are copied to it and back,
-except by `render`, whose tensors go to the device of Dr.Jit by DLPack. All functions have derivatives in reverse and in
-forward mode, and can be used in the transforms of ``torch.func``.
+Leading axes beyond those that a function names are a batch. Results have the type, which must be floating point, and
+the device of the input. CPU tensors share memory with NumPy; others are copied to the CPU and back, except by `render`,
+whose tensors go to Dr.Jit's device by DLPack. All functions have derivatives in reverse and forward mode, and can be
+used in the transforms of ``torch.func``.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from .array_functions import (
     LinearFunction,
     Refocus,
     SmoothFunction,
+    documented,
     points,
     refocusing,
     working_array,
@@ -43,152 +44,44 @@ except ImportError:
 __all__ = ["adjoint", "capture", "forward", "refocus", "render"]
 
 
+@documented("Tensor")
 def forward(operator: CaptureOperator, weights: torch.Tensor) -> torch.Tensor:
-    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times.
-
-    A `StoredOperator` computes its spreads once; both directions then are products with its matrix. Other operators
-    compute them in each direction.
-
-    Parameters
-    ----------
-    operator : CaptureOperator
-        The points before a camera.
-    weights : Tensor (..., n)
-        Weights of the points. With a spectrum (..., wavelengths, n).
-
-    Returns
-    -------
-    Tensor (..., rows, columns)
-        The images. With a spectrum (..., channels, rows, columns).
-
-    Raises
-    ------
-    InputError
-        If the weights have a wrong shape, or as `CaptureOperator.forward` does.
-    """
+    """Return captures of weighted points, as `CaptureOperator.forward` does; differentiable any number of times."""
     return _Linear.apply(weights, points(operator))
 
 
+@documented("Tensor")
 def adjoint(operator: CaptureOperator, images: torch.Tensor) -> torch.Tensor:
-    """Return images weighed by point spreads, as `CaptureOperator.adjoint` does; differentiable any number of times.
-
-    Parameters
-    ----------
-    operator : CaptureOperator
-        The points before a camera.
-    images : Tensor (..., rows, columns)
-        The images. With a spectrum (..., channels, rows, columns).
-
-    Returns
-    -------
-    Tensor (..., n)
-        Products with the spreads. With a spectrum (..., wavelengths, n).
-
-    Raises
-    ------
-    InputError
-        If the images have a wrong shape, or as `CaptureOperator.adjoint` does.
-    """
+    """Return images correlated with point spreads, as `CaptureOperator.adjoint`; differentiable any number of times."""
     return _Linear.apply(images, points(operator).T)
 
 
+@documented("Tensor")
 def capture(
     make: Callable[[PlenopticCamera], CaptureOperator],
     camera: PlenopticCamera,
     parameters: Mapping[str, torch.Tensor],
     weights: torch.Tensor,
 ) -> torch.Tensor:
-    """Capture points by a camera with some parameters: differentiable by these and by the weights, once.
-
-    The derivatives are those of `CaptureOperator.gradient`: the points and the power through the pupil are fixed.
-
-    Parameters
-    ----------
-    make : callable
-        Returns the operator for a camera, such as ``lambda camera: CaptureOperator(camera, points, wavelength=633)``.
-        Return a `StoredOperator` if the gradient by the weights is needed, which then computes no spread again.
-    camera : PlenopticCamera
-        The camera, of which `parameters` replace some.
-    parameters : mapping of str to Tensor
-        Values by name: one number, or as many as the camera has. All that `CaptureOperator.gradient` returns can be
-        given, except for the wavelength.
-    weights : Tensor
-        As for `forward`.
-
-    Returns
-    -------
-    Tensor
-        As from `forward`, of the type of the weights.
-
-    Raises
-    ------
-    InputError
-        If a parameter has no derivative or is out of range, or as `CaptureOperator.forward` and `gradient` do.
-    """
+    """Return captures of points by a camera, differentiable once with respect to given parameters and the weights."""
     values = map(_required, parameters.values())
     return _Smooth.apply(_latest(CameraCapture(make, camera, tuple(parameters))), _required(weights), *values)
 
 
+@documented("Tensor")
 def refocus(by: Refocus, captures: torch.Tensor) -> torch.Tensor:
-    """Return refocused captures; differentiable any number of times with the ray model, once with other methods.
-
-    The fields of a coherent refocus, and the images of the steps of a deconvolution, are stored for the reverse pass,
-    those of all captures of a batch.
-
-    Parameters
-    ----------
-    by : RayRefocus, CoherentRefocus or DeconvolvedRefocus
-        The camera, distance and method.
-    captures : Tensor (..., rows, columns)
-        The recorded pixels.
-
-    Returns
-    -------
-    Tensor (..., rows, columns)
-        The images, with 0 in bins that `reconstruct` leaves unknown.
-
-    Raises
-    ------
-    InputError
-        If the captures have a wrong shape.
-    """
+    """Return refocused captures; differentiable any number of times with the ray model, once with other methods."""
     function = refocusing(by)
     if isinstance(function, LinearFunction):
         return _Linear.apply(captures, function)
     return _Smooth.apply(_latest(function), _required(captures))
 
 
+@documented("Tensor")
 def render(
     scene: Any, values: Mapping[str, torch.Tensor], *, integrator: Any = None, spp: int = 0, seed: int = 0
 ) -> torch.Tensor:
-    """Return the image of a scene with given parameters, as ``mi.render`` does; differentiable once by these.
-
-    Captures by ``plenoptic_wave`` have the derivatives by the scene and by the camera that its documentation lists.
-    The scene keeps the values; its derivatives give it those of their image again.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        The scene, loaded in a variant with derivatives (such as ``llvm_ad_mono``).
-    values : mapping of str to Tensor
-        Values by the names of ``mi.traverse(scene)``, of the shape that NumPy shows them in.
-    integrator : mitsuba.Integrator, optional
-        Default: that of the scene.
-    spp : int
-        Samples per pixel. 0: those of the scene's sampler.
-    seed : int
-        Seed of the random numbers. Derivatives draw others.
-
-    Returns
-    -------
-    Tensor (rows, columns, channels)
-        The film's image, in single precision.
-
-    Raises
-    ------
-    InputError
-        If no value is given, a name is unknown, a value has another shape, or the scene is of another variant.
-    """
+    """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them."""
     shapes = {name: tuple(_required(value).shape) for name, value in values.items()}
     function = Rendering(scene, shapes, integrator=integrator, spp=spp, seed=seed)
     remembering = Latest(function, torch.clone, torch.equal, _drjit)
@@ -220,7 +113,7 @@ class _Linear(torch.autograd.Function):
 
 
 class _RowByRow(torch.autograd.Function):
-    """Function for autograd that ``torch.vmap`` applies to one row after the other."""
+    """Function for autograd that ``torch.vmap`` applies row by row."""
 
     @classmethod
     def vmap(cls, info: Any, axes: tuple[int | None, ...], *given: Any) -> tuple[Any, Any]:
@@ -235,7 +128,7 @@ class _RowByRow(torch.autograd.Function):
 
 
 class _Smooth(_RowByRow):
-    """Function of arrays with derivatives taken at the arrays of the forward pass."""
+    """A differentiable function of arrays; its derivatives are taken at the arrays of the forward pass."""
 
     @staticmethod
     def forward(function: Latest, *given: torch.Tensor) -> torch.Tensor:
@@ -262,7 +155,7 @@ class _Smooth(_RowByRow):
 
 
 class _Once(_RowByRow):
-    """Derivative of a function, which cannot be differentiated again."""
+    """Derivative of a function that cannot be differentiated a second time."""
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
@@ -278,7 +171,7 @@ class _Once(_RowByRow):
 
 
 class _Change(_Once):
-    """Change of a function's value for changes of some of its arrays."""
+    """Change of a function's value for changes of some arrays."""
 
     @staticmethod
     def forward(function: Latest, which: frozenset[int], *tensors: torch.Tensor) -> torch.Tensor:
@@ -288,7 +181,7 @@ class _Change(_Once):
 
 
 class _Gradients(_Once):
-    """The gradients by some of the arrays."""
+    """Gradients with respect to some of the arrays."""
 
     @staticmethod
     def forward(
@@ -299,7 +192,7 @@ class _Gradients(_Once):
 
 
 def _where(which: Iterable[bool]) -> frozenset[int]:
-    """Return the indices of true entries as a set, into which PyTorch's transforms do not look."""
+    """Return the indices of true entries as a frozenset, which PyTorch's transforms do not inspect."""
     return frozenset(k for k, one in enumerate(which) if one)
 
 
@@ -317,7 +210,7 @@ def _array(tensor: torch.Tensor) -> NDArray[Any]:
 
 
 def _required(value: Any) -> torch.Tensor:
-    """Return a tensor of floating point with values in memory; refuse whole numbers, which would round results."""
+    """Return a floating-point tensor with values in memory; refuse whole numbers, which would round results."""
     refuse_if(not isinstance(value, torch.Tensor), f"{short_repr(value)}: it must be a tensor of PyTorch")
     refuse_if(
         not value.is_floating_point() or value.layout != torch.strided or value.is_meta,
@@ -333,6 +226,6 @@ def _tensor(array: Any, like: torch.Tensor) -> torch.Tensor:
 
 
 def _drjit(tensor: torch.Tensor) -> Any:
-    """Return a tensor as one of Dr.Jit, on a device by DLPack."""
+    """Return a tensor as a Dr.Jit tensor, on a device by DLPack."""
     tensor = tensor.detach()
     return drjit_array(mi.TensorXf, tensor.numpy() if tensor.device.type == "cpu" else tensor.contiguous())

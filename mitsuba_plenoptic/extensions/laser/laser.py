@@ -1,4 +1,4 @@
-"""Laser light: captures of coherent and partially coherent points, and how coherent the light of a source is."""
+"""Laser light: captures of coherent and partially coherent points, and the degree of coherence of a source."""
 
 from .modes import mode_count as mode_count
 from .realisations import coherent_capture as coherent_capture

@@ -1,8 +1,8 @@
 r"""Points of a scene's rough surfaces that lasers light directly, for a coherent capture.
 
-Chief rays through a jittered grid of points of the microlens array, with some points in each resolved spot, find the
-surfaces; shadow rays find the lasers that they see. A point stands for the part of the surface whose chief rays cross
-the area A of one cell of the grid. With the radiance L that its surface reflects towards the camera its power is
+Chief rays through a jittered grid of points on the microlens array, with some points in each resolved spot, find the
+surfaces; shadow rays find the lasers that light them. A point stands for the part of the surface whose chief rays cross
+the area A of one cell of the grid. With the radiance L that its surface reflects towards the camera, its power is
 
 .. math:: w = L \, \frac{A}{b^2} \, \frac{A_{pupil} z^2}{A_{lens} A_{pixel}}
 
@@ -117,7 +117,7 @@ class LaserScene:
     def _lit(
         self, place: NDArray[np.float64], seed: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim that does not see each.
+        """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim hidden from each.
 
         `place` are points (n, 2) of the array.
         """
@@ -136,12 +136,12 @@ class LaserScene:
         return positions, radiance[lit], hidden
 
     def _seen(self, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the points at which chief rays through points (n, 2) of the array meet surfaces, lit or not."""
+        """Return the points, lit or not, where chief rays through points (n, 2) of the array meet surfaces."""
         hit = self._hit(place)
         return self._in_camera(hit)[hit.is_valid().numpy()]
 
     def _hit(self, place: NDArray[np.float64], pupil: NDArray[np.float64] | None = None) -> Any:
-        """Return Mitsuba's intersections of chief rays, or of rays through points (2, n) of the pupil."""
+        """Return Mitsuba's intersections of chief rays, or of rays through given points (2, n) of the pupil."""
         q = tuple(drjit_array(mi.Float, place[:, axis]) for axis in (0, 1))
         zero = dr.zeros(mi.Float, len(place))
         through = (zero, zero) if pupil is None else tuple(drjit_array(mi.Float, axis) for axis in pupil)
@@ -153,12 +153,12 @@ class LaserScene:
         return np.asarray((self.sensor.world_transform().inverse() @ hit.p).numpy().T, np.float64)
 
     def _images(self, hit: Any) -> NDArray[np.float64]:
-        """Return the positions (n, 2) on the array of the chief rays of intersections before the main lens."""
+        """Return where the chief rays of intersection points before the main lens meet the array, (n, 2)."""
         positions = self._in_camera(hit)[hit.is_valid().numpy()]
         return self.system.lens.images(positions[positions[:, 2] > 0])
 
     def _laser_images(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the chief rays of points that rays from the lasers meet."""
+        """Return where chief rays of the points that lasers light meet the array."""
         parts = []
         for laser in self.lasers:
             a, b, c, d = (drjit_array(mi.Float, numbers) for numbers in rng.random((4, _SEARCH)))
@@ -169,13 +169,13 @@ class LaserScene:
     def _pupil_images(
         self, middle: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return the chief rays of points that rays from the recorded lenses through the whole pupil meet."""
+        """Return where chief rays of points that recorded lenses see through the whole pupil meet the array."""
         position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
         radius, angle = self.system.lens.reach * np.sqrt(rng.random(_SEARCH)), 2 * math.pi * rng.random(_SEARCH)
         return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
 
     def _small_shapes(self, step: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Return chief rays through the images of shapes of a few `step`, for each shape."""
+        """Return chief rays through the images of small shapes, a few `step` wide, one array per shape."""
         to_camera, found = self.sensor.world_transform().inverse(), []
         grid = np.stack(np.meshgrid(*[(np.arange(_ACROSS) + 0.5) / _ACROSS] * 2), -1).reshape(-1, 2)
         for shape in self.scene.shapes():
@@ -191,7 +191,7 @@ class LaserScene:
         return found
 
     def _blur(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distance on the array, in mm, between chief rays and other rays of points (n, 3).
+        """Return the distance on the array, in mm, between the chief ray and other rays of each point (n, 3).
 
         The displacement is linear in the inverse distance, so that its greatest length is below straight lines between
         the lengths at some distances.
@@ -230,7 +230,7 @@ class LaserScene:
         return np.asarray(np.abs(total) ** 2)
 
     def _path(self, laser: Any, sample: Any, place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the path in waves from a laser to points (n, 3) of the world, less whole waves."""
+        """Return the path from a laser to points (n, 3) of the world, in waves modulo 1."""
         if mi.has_flag(laser.flags(), mi.EmitterFlags.DeltaDirection):
             towards = np.broadcast_to(sample.d.numpy().T.astype(np.float64), place.shape)
             path = -(place * towards).sum(1)

@@ -1,4 +1,4 @@
-r"""The number of independent speckle patterns that partially coherent light on a rough surface averages.
+r"""The number of independent speckle patterns over which partially coherent light on a rough surface averages.
 
 The contrast of speckle is :math:`1 / \sqrt M`. For light of a distribution S over a parameter q (angle of incidence,
 frequency), in parts that are mutually incoherent, and patterns with the correlation :math:`\mu` between parts,
@@ -58,8 +58,8 @@ def mode_count(
 
     .. math:: M_\lambda = \sqrt{1 + 4 (2 h \sigma_k)^2}
 
-    near normal incidence and reflection. The product of both is returned. Surfaces scatter without volume and keep the
-    polarisation; a surface that depolarises has twice as many patterns.
+    near normal incidence and reflection. The product :math:`M_s M_\lambda` is returned. Surfaces are assumed to scatter
+    without volume and to keep the polarisation; a surface that depolarises has twice as many patterns.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def mode_count(
 
 
 def angular_modes(source: float, pupil: float) -> float:
-    """Return M for a source and a pupil of small angular radii."""
+    """Return M for a source and a pupil, given by their small angular radii."""
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     # In units of the smaller angle, so that small ones do not vanish when they are squared.
     source, pupil = source / min(source, pupil), pupil / min(source, pupil)
@@ -123,5 +123,5 @@ def angular_modes(source: float, pupil: float) -> float:
 
 
 def _overlap(shift: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the part of a disc that another covers, by the distance of their centres over the diameter."""
+    """Return the common part of two equal discs, by the distance of their centres over the diameter."""
     return np.asarray(2 / math.pi * (np.arccos(shift) - shift * np.sqrt(1 - shift**2)))

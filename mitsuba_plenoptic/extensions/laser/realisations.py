@@ -1,4 +1,4 @@
-r"""Captures of points whose light adds as fields, averaged over realisations of their phases.
+r"""Captures of points whose light adds coherently, averaged over realisations of their random phases.
 
 A rough surface gives the light of each of its points a random phase. One realisation of the phases is one speckle
 pattern; its intensity has a negative exponential distribution of contrast 1. Light of N modes that do not interfere
@@ -107,7 +107,7 @@ def coherent_capture(
 
 @dataclass(frozen=True)
 class _Realisation:
-    """One mode, as a batch of a computation."""
+    """One realisation of the phases, as a batch of a computation."""
 
     fields: CoherentFields
     moduli: NDArray[np.float64]
@@ -120,7 +120,7 @@ class _Realisation:
         return math.prod(self.fields.grids.count)
 
     def prepare(self) -> Callable[[], Part]:
-        """Return a function that computes the whole batch."""
+        """Return a function that computes this realisation in one piece."""
         waves = np.random.default_rng(self.seed).random(len(self.moduli))
         amplitudes = (self.moduli * np.exp(2j * math.pi * waves)).astype(np.complex64)
         image = self.fields.intensity(amplitudes) * np.float32(self.scale)
@@ -129,7 +129,7 @@ class _Realisation:
 
 
 class _Realisations:
-    """The mean of all modes, with the interface of `runtime.batches.LongSum`."""
+    """The mean over all realisations, with the interface of `runtime.batches.LongSum`."""
 
     channels = 1
     arrays: Any = np
@@ -139,13 +139,13 @@ class _Realisations:
         self.box, self.items = recorded_pixels(fields.system.camera), np.ones(count, np.int64)
 
     def batches(self, first: int) -> Iterator[_Realisation]:
-        """Yield one batch for each mode."""
+        """Yield one batch for each realisation."""
         count = len(self.items)
         for mode in range(first, count):
             yield _Realisation(self._fields, self._moduli, (self._seed, mode), 1 / count)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Move the channel to the last axis."""
+        """Return the image of the sums, with the channel as the last axis."""
         return np.ascontiguousarray(total.sums.transpose(1, 2, 0))
 
 

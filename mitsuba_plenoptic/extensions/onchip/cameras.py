@@ -15,11 +15,11 @@
     f/1.7 lens that corresponds to 25 mm. Ours: 8000 x 6000 pixels, whose diagonal is that of the type; 6.47 mm, from
     the diagonals. Expose captures with ``mosaic="QUAD_RGGB"``.
 
-No maker publishes what is between lenses and photodiodes. Ours: a height of 8 um
-for the full frame and of 4.5 um for telephones in a medium of the index 1.5, focused lenses without gaps, two pixels
-apart and shifted by `mla_cra` to the chief rays through the pupil's centre, no crosstalk. As all such cameras they have
-2 x 2 square pixels below each lens; `dual_pixel` adds those of a larger photodiode. Ours too: thin main lenses, focused
-at 2 m or at 1 m.
+No maker publishes what lies between lenses and photodiodes. Our assumptions: a height of 8 um for the full frame and of
+4.5 um for telephones in a medium of the index 1.5; focused lenses without gaps, two pixels apart and shifted by
+`mla_cra` to the chief rays through the pupil's centre; no crosstalk. As in all such cameras, 2 x 2 square pixels lie
+below each lens; `dual_pixel` adds those that form a larger photodiode. Main lenses are assumed thin, focused at 2 m or
+at 1 m.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ _HEIGHTS = 20
 
 
 def _chief_rays(corner: float, mla_distance: float, height: float, index: float) -> tuple[float, ...]:
-    """Return pairs of image height in mm, up to the corner, and chief-ray angle in degrees, as `mla_cra` takes them.
+    """Return pairs of image height in mm, up to the corner, and chief-ray angle in degrees, for `mla_cra`.
 
-    Image heights are those of pixels; their lenses stand nearer to the axis by the way of the chief ray in the medium.
+    Image heights are those of pixels; lenses stand nearer to the axis by the chief ray's path in the medium.
     """
     table = []
     for step in range(_HEIGHTS + 1):

@@ -1,8 +1,8 @@
-r"""Disparity of the pictures of two halves of the pupil: the closed form for half discs, and a block matcher.
+r"""Disparity between the pictures of two halves of the pupil: a closed form for half discs, and a block matcher.
 
-A point out of focus lights a disc of radius R on the array, each half of the pupil one half of it. The centroid of a
-half disc lies :math:`4 R / (3 \pi)` from the straight side, so that those of both halves are :math:`8 R / (3 \pi)`
-apart.
+A point out of focus lights a disc of radius R on the array; each half of the pupil lights one half of the disc. The
+centroid of a half disc lies :math:`4 R / (3 \pi)` from the straight side, so that the two centroids are :math:`8 R / (3
+\pi)` apart.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _FLAT = 1e-6
 
 @suggest_keywords
 def half_disparity(camera: PlenopticCamera, distance: float) -> float:
-    r"""Distance of the centroids of a point's light in the pictures of two half pupils, by rays and in closed form.
+    r"""Disparity in lenses between a point's pictures through two half pupils, by rays and in closed form.
 
-    It is :math:`-8 R / (3 \pi)` for a blur of radius R, in lenses from the left picture to the right one: negative for
-    what is nearer than the plane in focus, as `mitsuba_plenoptic.views.disparity` is. It holds on the axis, where
-    the pupil is round, if each photodiode sees one half of it.
+    The disparity of a point with the blur radius R is :math:`-8 R / (3 \pi)`, from the left picture to the right one:
+    negative for points nearer than the plane in focus, as `mitsuba_plenoptic.views.disparity` is. It holds on the axis,
+    where the pupil is round, if each photodiode sees one half of it.
 
     Parameters
     ----------
@@ -52,12 +52,12 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
 
 @suggest_keywords
 def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray:
-    """Return the distances of the centroids of halves in a bank of point spreads, by either model of light.
+    """Return the disparities in a bank of point spreads: the distances of the centroids of the two halves.
 
     Parameters
     ----------
     bank : xarray.DataArray
-        What `psf_bank` returned.
+        The bank, from `psf_bank`.
     axis : {"horizontal", "vertical"}
         Whether the halves are left and right, or top and bottom.
 
@@ -81,9 +81,9 @@ def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray
 
 
 def blur_radius(camera: PlenopticCamera, distance: Any) -> Any:
-    """Return radii in lenses of the images of points at distances: positive before the plane in focus, else negative.
+    """Return blur radii in lenses of points at given distances: positive before the plane in focus, otherwise negative.
 
-    They are those of the cone from the exit pupil to the image.
+    The radius is that of the cone from the exit pupil to the image.
     """
     with np.errstate(divide="ignore"):
         image = 1 / (1 / camera.focal_length - 1 / np.asarray(distance, np.float64))
@@ -93,12 +93,12 @@ def blur_radius(camera: PlenopticCamera, distance: Any) -> Any:
 
 @suggest_keywords
 def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int = 15, search: int = 16) -> xr.DataArray:
-    """Find, for each lens, the disparity from the first picture of a pair to the second, by matching blocks.
+    """Return the disparity from the first to the second picture of a pair for each lens, found by block matching.
 
-    The normalised correlation of a window with those displaced by whole lenses is highest at the disparity, which a
-    parabola through the highest value and its neighbours gives to fractions of a lens. The blurs of both pictures are
-    mirror images of each other, not the same, so that the result differs from `half_disparity` by a scale that depends
-    on texture and window: calibrate it with captures at known distances.
+    The normalised correlation of a window with windows displaced by whole lenses is highest at the disparity; a
+    parabola through the highest value and its neighbours gives fractions of a lens. The blurs of the two pictures are
+    mirror images of each other, so that the result differs from `half_disparity` by a scale that depends on texture and
+    window: calibrate it with captures at known distances.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
 
 
 def _correlation(first: np.ndarray, second: np.ndarray, step: int, axis: int, window: int) -> np.ndarray:
-    """Return the correlation of windows of one picture with those of another, `step` lenses further along an axis."""
+    """Return the correlation of windows of one picture with windows of another, `step` lenses along an axis."""
     moved = np.roll(second, -step, axis)
 
     def mean(values: np.ndarray) -> np.ndarray:

@@ -7,9 +7,12 @@ from typing import Annotated
 
 import typer
 
-from ...cli.choices import LAYOUTS, PICTURES
+from ...cli.choices import PICTURES
 from ...cli.inputs import CaptureFile, Exposure, Figure, Percentile, Scale, drawing_of, output_option
 from ...cli.judging import ends_in, one_of
+
+LAYOUTS = ("2x1", "1x2", "2x2")
+"""Layouts of photodiodes, written out, as help does not wait for the library."""
 
 
 def dual(
@@ -35,9 +38,8 @@ def dual(
 ) -> None:
     """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
 
-    The microlenses of the camera cover 2 x 2 pixels each, as those of the
-    presets full_frame_dual, phone_quad and phone_quad_bayer do. What is nearer
-    than the plane in focus lies further to the right in the left picture.
+    The camera's microlenses must cover 2 x 2 pixels each, as in the presets full_frame_dual, phone_quad and
+    phone_quad_bayer. Objects nearer than the plane in focus lie further to the right in the left picture.
 
     [bold]Examples:[/bold]
 

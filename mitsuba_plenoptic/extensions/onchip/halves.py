@@ -23,7 +23,7 @@ def dual_pixel(capture: Capture, layout: tuple[int, int] = (2, 1)) -> xr.DataArr
     """Sum the pixels of each photodiode of a capture with 2 x 2 pixels a lens.
 
     The left half of the pupil, as seen from behind the camera, lights the left photodiode and makes the left picture:
-    as in a pair of stereo pictures, what is nearer than the plane in focus lies further to the right in the left
+    as in a pair of stereo pictures, objects nearer than the plane in focus lie further to the right in the left
     picture. Pictures are in units of the capture times pixels, so that their sum over all photodiodes is the sum of the
     pixels of each lens, and no light is lost.
 
@@ -79,7 +79,7 @@ def photodiodes(image: NDArray[Any], along: int, across: int) -> NDArray[Any]:
 
 
 def photodiode_names(halves: xr.DataArray) -> NDArray[Any]:
-    """Return the name of each picture, (v, u): left and right, top and bottom, or both of these words."""
+    """Return the name of each picture, (v, u): left or right, top or bottom, or both words."""
     down = ("top", "bottom") if halves.sizes["v"] == ACROSS else ("",)
     across = ("left", "right") if halves.sizes["u"] == ACROSS else ("",)
     return np.array([["_".join(filter(None, (row, column))) for column in across] for row in down])

@@ -18,7 +18,7 @@ PhotodiodeParameter: TypeAlias = Parameter[
 
 
 def require_fit(camera: CameraGeometry) -> None:
-    """Refuse a camera whose lenses do not cover 2 x 2 pixels, or whose medium would count twice."""
+    """Refuse a camera whose lenses do not cover 2 x 2 pixels, or whose medium the response already contains."""
     require_pixel_pairs(camera)
     refuse_if(
         camera.mla_absorption > 0,

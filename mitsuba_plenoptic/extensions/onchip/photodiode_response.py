@@ -64,7 +64,7 @@ def require_pixel_pairs(camera: CameraGeometry) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PhotodiodeResponse:
-    """Response of the photodiodes under a lens by the direction of light before it; bilinear between the angles.
+    """Response of the photodiodes under a lens to light by its direction before the lens; bilinear between angles.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class PhotodiodeResponse:
         return np.repeat(np.repeat(table, rows, 0), columns, 1) / (rows * columns)
 
     def to_plain(self) -> dict[str, Any]:
-        """Return numbers and lists, for JSON files."""
+        """Return the response as numbers and lists, for JSON files."""
         plain = {"angles_x": list(self.angles_x), "angles_y": list(self.angles_y), "responses": self.responses.tolist()}
         return plain | ({"wavelengths": list(self.wavelengths)} if self.wavelengths else {})
 
@@ -127,7 +127,7 @@ class PhotodiodeResponse:
 
 
 def known_response(name: str, value: Any) -> PhotodiodeResponse | None:
-    """Return a response of photodiodes, given in any of its forms; None means that the microlenses refract light."""
+    """Return a photodiode response from any of its forms; None means that the microlenses refract light."""
     if value is None or isinstance(value, PhotodiodeResponse):
         return value
     if isinstance(value, (str, Path)):

@@ -38,7 +38,7 @@ class PhotodiodeTable:
         dr.make_opaque(self._table)
 
     def __call__(self, side: Pair, slope: Pair, wavelengths: Any) -> Any:
-        """Return the responses of pixels, by column and row under their lens, to light of given slopes."""
+        """Return the responses of pixels, given by column and row under their lens, to light of given slopes."""
         _, _, count, *sizes = self._shape
         places = [
             _between(_fraction(axis, dr.atan(t), dr), size)

@@ -12,8 +12,8 @@ incoherent light has the radiance L(s, x) along rays, so that the photodiode rec
 .. math:: \int\!\!\int L(s, x)\, W_j(s, x)\, d^2s\, d^2x, \qquad W_j(s, x) = \frac{1}{\lambda^2} \int
           O_s(\sigma)\, R_j(s + \sigma/2, s - \sigma/2)\, e^{-i k \sigma \cdot x}\, d^2\sigma,
 
-where :math:`O_s` is 1 if the pupil passes both directions. The function W is real and signed, and its integral over x
-is :math:`R_j(s, s)`. This module computes the :math:`U_s`, and `response_tables` tabulates W.
+where :math:`O_s` is 1 if the pupil passes both directions, otherwise 0. The function W is real and signed, and its
+integral over x is :math:`R_j(s, s)`. This module computes :math:`U_s`; `response_tables` tabulates W.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _ALONG = 9
 
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
-    """Return the count of pixels across a lens; refuse cameras that responses do not describe."""
+    """Return the number of pixels across a lens; refuse cameras that photodiode responses do not describe."""
     for name, refused, rule in (
         ("mla_lattice", camera.mla_lattice != "square", '"square"'),
         ("mla_rotation", camera.mla_rotation != 0, "0"),
@@ -86,33 +86,33 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
 
 
 def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int]:
-    """Return the first lattice index of the lenses with recorded pixels along an axis, and the index after the last."""
+    """Return the range of lattice indices of the lenses with recorded pixels along an axis: first, and last plus 1."""
     first = camera.crop_offset[axis] - camera.resolution[axis] // 2
     return first // count, -(-(first + camera.shape[1 - axis]) // count)
 
 
 def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float64]:
-    """Return the positions of the first and the last lens's pixels relative to the regular position of the lens."""
+    """Return the positions of the first and last lens's pixels relative to the lens's regular position."""
     index = np.array(lens_range(camera, count, axis)) - [0, 1]
     return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
 
 
 def lens_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
-    """Return the positions of lenses, aligned to chief rays, by their lattice indices."""
+    """Return the positions of lenses aligned to chief rays, by lattice indices."""
     centre = camera.lattice.centre(x, y)
     right, up = chief_ray_shift(camera, *centre)
     return centre[0] + right, centre[1] + up
 
 
 def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
-    """Return the positions of the middles of lenses' pixels relative to the lenses, by lattice indices."""
+    """Return the positions of the centres of lenses' pixels relative to the lenses' centres, by lattice indices."""
     width = count * camera.pixel_size
     return [(index + 0.5) * width - c for index, c in zip((x, y), lens_centre(camera, x, y), strict=True)]
 
 
 @dataclass(frozen=True)
 class Zones:
-    """Positions of the detector at which responses are tabulated, an even grid over the recorded lenses."""
+    """Detector positions at which responses are tabulated: an even grid over the recorded lenses."""
 
     # Lattice indices of the lenses at the zones, along x and y.
     x: NDArray[np.float64]
@@ -140,7 +140,7 @@ class Zones:
 
 @dataclass(frozen=True)
 class PlaneWaveResponses:
-    """The light of plane waves in the photodiodes of one lens, one per pixel under it, at one wavelength."""
+    """Responses of the photodiodes under one lens, one per pixel, to plane waves of one wavelength."""
 
     camera: PlenopticCamera
     # In nanometres.
@@ -163,27 +163,27 @@ class PlaneWaveResponses:
 
     @cached_property
     def zones(self) -> Zones:
-        """Zones of the detector with a table at each corner."""
+        """Zones of the detector, with a response table at each corner."""
         return Zones.of(self.camera, self.count)
 
     @property
     def reach(self) -> float:
-        """Largest difference between direction cosines of the pupil's light and of the pupil's centre."""
+        """Largest difference of direction cosines between light through the pupil and through the pupil's centre."""
         return float(self.system.lens.reach) / math.hypot(self.camera.pupil_distance, self.system.lens.reach)
 
     @property
     def width(self) -> float:
-        """Width of the diffraction at the pupil on the array in lenses, lambda N / D2."""
+        """Width on the array, in lenses, of the diffraction by the pupil: lambda N / D2."""
         return in_millimetres(self.wavelength) / (2 * self.reach * self.camera.mla_pitch)
 
     @property
     def stride(self) -> int:
-        """Steps of the direction cosines between the directions of neighbouring pairs of the near table."""
+        """Number of table steps between the direction cosines of neighbouring pairs in the near table."""
         return max(1, round(_STEPS[self.fine] * self.width / NEAR))
 
     @property
     def step(self) -> float:
-        """Step of the table's direction cosines."""
+        """Step of the direction cosines in the table."""
         return in_millimetres(self.wavelength) / (2 * NEAR * self.stride * self.camera.mla_pitch)
 
     @property
@@ -192,16 +192,16 @@ class PlaneWaveResponses:
         return math.ceil(self.reach / self.step) + 1
 
     def by_direction(self, x: float, y: float) -> NDArray[np.float64]:
-        """Return the light of plane waves in the photodiodes of a lens (photodiodes, n, n), rows along y.
+        """Return the light of plane waves in the photodiodes of a lens, (photodiodes, n, n), rows along y.
 
-        The direction cosines lie `step` apart around that of the chief ray; light of density 1 is its area in mm^2.
+        The direction cosines lie `step` apart around the chief ray's; light of density 1 is its area in mm^2.
         """
         every = [self.modes(x, y, diode) for diode in range(self.count**2)]
         return np.stack([(np.abs(modes) ** 2).sum(0, dtype=np.float64) for modes in every])
 
     @cached_property
     def _orders(self) -> tuple[NDArray[np.int64], NDArray[np.complex128]]:
-        """Orders of the lenses along an axis, and the amplitudes (orders along y, orders along x)."""
+        """Diffraction orders of the lenses along an axis, and their amplitudes (orders along y, orders along x)."""
         camera, wavelength = self.camera, in_millimetres(self.wavelength)
         most = math.ceil(camera.mla_medium * camera.mla_pitch / wavelength) + 2
         order = np.arange(-most, most + 1)
@@ -216,16 +216,16 @@ class PlaneWaveResponses:
         return order, waves @ np.exp(2j * math.pi * phase) @ waves.T
 
     def _place(self, x: float, y: float) -> list[float]:
-        """Return the position x, y of a lens in mm."""
+        """Return the position x, y in mm of a lens with given lattice indices."""
         return [float(c) for c in lens_centre(self.camera, x, y)]
 
     def chief(self, x: float, y: float) -> list[float]:
-        """Return the direction cosines of the light from the pupil's centre at a lens."""
+        """Return the direction cosines, at a lens, of the light from the pupil's centre."""
         slope = [-float(self.system.lens.slope_to(0.0, place)) for place in self._place(x, y)]
         return [each / math.sqrt(1 + slope[0] ** 2 + slope[1] ** 2) for each in slope]
 
     def is_open(self, x: float, y: float, along: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return a mask of pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
+        """Return a mask of the pairs of direction cosines, relative to the chief ray, that pass the pupil to a lens."""
         chief, place = self.chief(x, y), self._place(x, y)
         sy, sx = np.meshgrid(chief[1] + along, chief[0] + along, indexing="ij")
         cosine = np.sqrt(np.maximum(1 - sx**2 - sy**2, 1e-6))
@@ -238,7 +238,7 @@ class PlaneWaveResponses:
 
     @single_threaded_blas()
     def modes(self, x: float, y: float, diode: int) -> NDArray[np.complex64]:
-        """Return functions of the direction cosines (modes, n, n) whose products sum to the response to pairs."""
+        """Return functions of the direction cosines, (modes, n, n), whose products add up to the response to pairs."""
         camera, k = self.camera, 2 * math.pi / in_millimetres(self.wavelength)
         pixel, z, index = camera.pixel_size, camera.detector_distance, camera.mla_medium
         order, amplitude = self._orders

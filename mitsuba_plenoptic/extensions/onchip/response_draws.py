@@ -1,4 +1,4 @@
-"""Rays that are drawn for captures by the responses of photodiodes, and the tables of these responses in Dr.Jit."""
+"""Rays drawn for captures with photodiode responses, and the tables of the responses in Dr.Jit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .response_tables import PhotodiodeResponses, TableWindow
 
 
 class Aimed(NamedTuple):
-    """Rays drawn for lenses, with their weights."""
+    """Rays drawn for lenses, with their sampling weights."""
 
     pupil: Pair
     # Points on the array in the camera frame.
@@ -36,7 +36,7 @@ class Aimed(NamedTuple):
 
 
 class Tables:
-    """The tables of all wavelengths on the device of the active variant."""
+    """The response tables of all wavelengths on the device of the active variant."""
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
         self.camera, self.plans, self.count = camera, plans, plans[0].count
@@ -52,11 +52,11 @@ class Tables:
 
     @property
     def margin(self) -> int:
-        """Number of lenses on each side of a lens from whose rays the lens receives light."""
+        """Number of lenses, on each side of a lens, whose rays light the lens's photodiodes."""
         return self.plans[self._widest].far.lenses // 2
 
     def _packed(self, table: NDArray[np.float16]) -> Any:
-        """Return a table (zones, nodes, y, x, photodiodes) in packets of four, and a node without response."""
+        """Return a table (zones, nodes, y, x, photodiodes) packed in fours, followed by a node without response."""
         flat = table.reshape(-1, *table.shape[2:])
         flat = np.pad(flat, [(0, 1), (0, 0), (0, 0), (0, 4 * self._packets - self.count**2)])
         return drjit_array(mi.UInt32, np.ascontiguousarray(flat).view(np.uint32))
@@ -101,7 +101,7 @@ class Tables:
         return Aimed(tuple(pupil), place, is_open, near, far, drawn)
 
     def drawn(self, node: Any, random: Any) -> tuple[Pair, Any]:
-        """Draw cells of the far window for nodes; return also reciprocal probabilities."""
+        """Return cells of the far window drawn at random for nodes, and the reciprocal probabilities of the cells."""
         plan = self.plans[self._widest]
         window, quantiles = plan.far, _quantiles_of(plan.far)
         entry = dr.gather(
@@ -113,11 +113,11 @@ class Tables:
         return place, quantiles / mi.Float(entry & 0xFFFF)
 
     def near_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
-        """Return the responses of the photodiodes of a lens to rays from a lens of the near window."""
+        """Return the responses of the photodiodes of one lens to rays drawn for a lens in its near window."""
         return self._values(self._near[number], self.plans[number].near, first, cell, True)
 
     def far_values(self, number: int, first: Any, cell: Pair) -> list[Any]:
-        """Return the responses of the photodiodes of a lens to rays from a lens of the far window."""
+        """Return the responses of the photodiodes of one lens to rays drawn for a lens in its far window."""
         window = self.plans[number].far
         low, high = dr.minimum(*cell) - window.first, dr.maximum(*cell) - window.first
         return self._values(self._far[number], window, first, cell, (low >= 0) & (high < window.lenses))
@@ -146,7 +146,7 @@ class Tables:
         ]
 
     def _along(self, axis: int, index: Any) -> Any:
-        """Return positions among the zones along an axis."""
+        """Return fractional indices, among the zones along an axis, of lenses with given lattice indices."""
         zones = self.plans[0].zones.y if axis else self.plans[0].zones.x
         if len(zones) == 1:
             return mi.Float(0)
@@ -154,7 +154,7 @@ class Tables:
         return dr.clip((mi.Float(index) - float(zones[0])) * float(scale), 0, len(zones) - 1)
 
     def _zone(self, index: Pair, chance: Pair) -> Any:
-        """Return one of the zones around each lens, drawn at random."""
+        """Return, for each lens, one of the surrounding zones, drawn at random."""
         zones = self.plans[0].zones
         x, y = (
             mi.UInt(dr.minimum(dr.floor(self._along(axis, each) + part), count - 1))
@@ -164,16 +164,16 @@ class Tables:
 
 
 def _quantiles_of(window: TableWindow) -> int:
-    """Return the number of quantiles from which cells of a window are drawn, which exceeds the number of cells."""
+    """Return the number of quantiles for drawing cells of a window, which exceeds the number of cells."""
     return 1 << math.ceil(math.log2(2 * window.lenses**2))
 
 
 @functools.lru_cache(maxsize=2)
 def _quantiles(plan: PhotodiodeResponses) -> NDArray[np.uint32]:
-    """Return quantiles of the distribution over the cells of the far window of each node (nodes of all zones + 1, n).
+    """Return quantiles of the distribution over the far window's cells for each node, (nodes of all zones + 1, n).
 
-    The density of a cell is about the magnitude of its responses. Each quantile is the index of a cell, and in its
-    lower 16 bits the count of the quantiles of this cell.
+    The density of a cell is about the magnitude of its responses. Each quantile holds the index of a cell, and in its
+    lower 16 bits the number of quantiles of this cell.
     """
     window, count = plan.far, _quantiles_of(plan.far)
     lenses, low = window.lenses, -window.first - NEAR // 2

@@ -1,9 +1,9 @@
-"""Tables of the responses W of photodiodes to rays, over directions s and points x of the array: see `photodiodes`.
+"""Tables of the response W of photodiodes to rays, by the direction s and the array point x of a ray.
 
-W extends as far over the array as the pupil diffracts light. Near the lens it is tabulated finely. Light farther away
-is diffracted by the rim of the pupil, mostly that of rays near the rim. In a blurred image it is the fringes and the
-light beyond the blur. A far table with two samples per lens contains it, and all light beyond its window folded back.
-Both tables have the same directions.
+W extends as far over the array as the pupil diffracts light. Near the lens W is tabulated finely. Light farther away is
+diffracted by the rim of the pupil, mostly from rays near the rim; in a blurred image it makes the fringes and the light
+beyond the blur. A far table with two samples per lens contains it; light beyond the table's window is folded back into
+it. Both tables have the same directions. See `plane_waves` for W.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _ALIKE = 1e-6
 
 
 class TableWindow(NamedTuple):
-    """A window of x, in cells of a lens each, whose samples divide each cell evenly."""
+    """A window of the array in cells of one lens each, which are divided evenly into samples."""
 
     lenses: int
     # Samples per lens, which is an even number.
@@ -74,7 +74,7 @@ class TableWindow(NamedTuple):
 
     @property
     def mirrored(self) -> NDArray[np.int64]:
-        """Indices of the samples at the opposite positions; a window of an even count of lenses is periodic."""
+        """Indices of the samples at the mirrored positions; a window of an even number of lenses is periodic."""
         index = np.arange(self.across)
         return self.across - 1 - index if self.lenses % 2 else (self.samples - index) % (self.across - 1)
 
@@ -98,7 +98,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def _near_pairs(self) -> int:
-        """Pairs in the near table from equal directions to the largest difference."""
+        """Number of direction pairs in the near table, from equal directions to the largest difference."""
         return math.floor(self.reach / (self.step * self.stride)) + 1
 
     @property
@@ -108,7 +108,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def _finer(self) -> int:
-        """Differences of pairs in the far table per difference of nodes."""
+        """Ratio of direction steps: between neighbouring nodes, over between neighbouring pairs of the far table."""
         lenses = min(max(_FAR_WIDTHS * self.width, _FAR[0]), _FAR[1])
         return max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
 
@@ -119,7 +119,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def _far_pairs(self) -> int:
-        """Number of pairs in the far table, from equal directions to the largest resolved difference."""
+        """Number of direction pairs in the far table, from equal directions to the largest resolved difference."""
         resolved = math.floor((self.far.across / _OVERSAMPLING - 1) / 2)
         return min(resolved, math.floor(self.reach * self._finer / self.step) + 1)
 
@@ -183,7 +183,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         return ResponseTable(index, near, far, means)
 
     def _mirror_image(self, number: int, pupils: Sequence[_Pupil]) -> tuple[int, tuple[slice, ...]] | None:
-        """Return an earlier zone that mirrors a zone, and the slices that mirror rows and columns."""
+        """Return an earlier zone that is a mirror image of a zone, and the slices that flip rows and columns."""
         columns = len(self.zones.x)
         row, column = divmod(number, columns)
         _, amplitude = self._orders
@@ -200,7 +200,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         return None
 
     def _displacement(self, number: int) -> NDArray[np.float64]:
-        """Return the displacement x, y of the pixels of a zone's lens from the lens, in lenses."""
+        """Return the displacement x, y, in lenses, of the pixels under a zone's lens from the lens's centre."""
         row, column = divmod(number, len(self.zones.x))
         place = self.zones.x[column], self.zones.y[row]
         return np.array(displacement(self.camera, self.count, *place)) / self.camera.mla_pitch
@@ -208,7 +208,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
     def _mirrored(
         self, values: NDArray[np.float16], window: TableWindow, flips: tuple[slice, ...]
     ) -> NDArray[np.float16]:
-        """Return mirrored values (nodes, y, x, photodiodes) of a window."""
+        """Return values (nodes, y, x, photodiodes) of a window, mirrored along the flipped axes."""
         for axis, flip in enumerate(flips, 1):
             if flip == _REVERSED:
                 values = np.take(values, window.mirrored, axis)
@@ -224,9 +224,9 @@ class PhotodiodeResponses(PlaneWaveResponses):
         overlap: NDArray[np.float32],
         used: NDArray[np.bool_],
     ) -> NDArray[np.float32]:
-        """Return W of a photodiode at the used nodes: (nodes, y, x).
+        """Return the response W of a photodiode at the used nodes, (nodes, y, x).
 
-        The directions of neighbouring pairs differ by `stride` of the steps of the modes, divided by `finer`.
+        Neighbouring pairs differ in direction by `stride` steps of the modes, divided by `finer`.
         """
         pairs, inner = overlap.shape[1] // 2, self.across + 1
         known = modes.shape[1] // 2
@@ -289,7 +289,7 @@ class _Pupil:
 
     @classmethod
     def of(cls, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> _Pupil:
-        """Return the pupil, sampled as seen from a lens, with a multiple of a given number of samples per step."""
+        """Return the pupil as seen from a lens, with a multiple of the table's samples per step of direction."""
         n, step = 2 * plan.across + 1, multiple * math.ceil(_SUBSAMPLES / multiple)
         far = (2 * plan.across + plan.stride) * step
         along = (np.arange(-far, far) + 0.5) / step
@@ -323,7 +323,7 @@ class _Pupil:
 
     @single_threaded_blas()
     def overlap(self, lags: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return coefficients of O for each node and pair (n, n, lags, lags); lags are half differences in samples.
+        """Return coefficients of O for each node and pair, (n, n, lags, lags); lags are half differences in samples.
 
         The coefficients are the projection of O on functions that are linear between nodes.
         """
@@ -339,10 +339,7 @@ class _Pupil:
 
 
 def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return matrices from samples of the far window to samples of the near window, (near.across, far.across).
-
-    The first folds the far window into the near one, and the second interpolates within the near one.
-    """
+    """Return the matrices that fold and that interpolate far-window samples to near ones, (near.across, far.across)."""
     size = far.across - 1
 
     def interpolated(place: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -360,7 +357,7 @@ def _fold(near: TableWindow, far: TableWindow) -> tuple[NDArray[np.float32], NDA
 
 
 def _blurred(near: TableWindow, far: TableWindow, pairs: int) -> NDArray[np.float32]:
-    """Return the matrix from samples within the near window to the same light at the resolution of the far window."""
+    """Return the matrix that lowers samples within the near window to the resolution of the far window."""
     lag = np.arange(-pairs, pairs + 1)
     gain = (np.sinc(lag / (far.lenses * near.samples)) / np.sinc(lag / (far.lenses * far.samples))) ** 2
     far_waves, near_waves = (np.exp(2j * np.pi / far.lenses * np.outer(each.place, lag)) for each in (far, near))

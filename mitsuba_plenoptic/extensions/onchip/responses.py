@@ -1,10 +1,10 @@
 """Wave captures of scenes by the responses of photodiodes under lenses of a few wavelengths.
 
-From the cell of each lens rays are drawn to the pupil, evenly over both. A ray contributes to the photodiodes of all
-lenses around, with the signed response W of each (`onchip.response_tables`): the sum over the lenses of the near window
-is complete, and lenses of the far window are drawn at random. So each photodiode sums over the rays of many lenses, and
-rays are traced once. As in `signed_rays`, the mean radiance of independent rays around the lens is subtracted, and its
-light, whose response is known, is added as a whole.
+For the cell of each lens, rays are drawn to the pupil, evenly over cell and pupil. A ray contributes to the photodiodes
+of all surrounding lenses, with the signed response W of each (`onchip.response_tables`): the sum over the lenses of the
+near window is complete, and lenses of the far window are drawn at random. Each photodiode thus sums over the rays of
+many lenses, while rays are traced once. As in `signed_rays`, the mean radiance of independent rays around the lens is
+subtracted, and its light, whose response is known, is added in closed form.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _PROBES, _TIMED = 2**8, 2**6
 
 
 class Rays(NamedTuple):
-    """The light of the rays of lenses."""
+    """The light of traced rays, by lens."""
 
     # Light for each image of a channel at a wavelength.
     lights: list[Any]
@@ -72,7 +72,7 @@ class Rays(NamedTuple):
 
 
 class LensCells(NamedTuple):
-    """A rectangle of lenses."""
+    """A rectangle of lenses, by lattice indices."""
 
     # Lattice indices of the first lens.
     left: int
@@ -85,7 +85,7 @@ class LensCells(NamedTuple):
         return LensCells(self.left - margin, self.top - margin, self.columns + 2 * margin, self.rows + 2 * margin)
 
     def lenses(self) -> tuple[Pair, Any]:
-        """Return the lattice indices of the lenses, row by row, and a unique number for each lens."""
+        """Return the lattice indices of the lenses, row by row, and a unique number of each lens."""
         lens = dr.arange(mi.UInt32, self.rows * self.columns)
         row = lens // dr.opaque(mi.UInt32, self.columns)
         x = mi.Int(lens - row * self.columns) + dr.opaque(mi.Int, self.left)
@@ -95,23 +95,23 @@ class LensCells(NamedTuple):
 
 @dataclass(frozen=True)
 class LensRows:
-    """The pixels of a block of rows of lenses, which are finished."""
+    """The finished pixels of a block of rows of lenses."""
 
     box: Box
     sums: NDArray[np.float32]
 
     @property
     def samples(self) -> int:
-        """Number of pixels of these rows of lenses."""
+        """Number of pixels in this block of rows."""
         return self.sums.size
 
     def prepare(self) -> Callable[[], Part]:
-        """Return the function that returns the pixels."""
+        """Return the function that returns the finished pixels."""
         return partial(Part, self.box, self.sums)
 
 
 class ResponseSum:
-    """A capture by the responses of photodiodes, computed by rows of lenses; a `runtime.batches.LongSum`."""
+    """A capture by photodiode responses, computed by rows of lenses; a `runtime.batches.LongSum`."""
 
     arrays: Any = np
 
@@ -154,7 +154,7 @@ class ResponseSum:
         self.items = np.diff([*self._blocks, self._rows[1]]) * lenses
 
     def batches(self, first: int) -> Iterator[LensRows]:
-        """Yield the pixels of blocks from index `first` on, with their rays traced."""
+        """Yield the pixels of each block from index `first` on, after tracing its rays."""
         size, columns = self._across, self._columns[1] - self._columns[0]
         for number in range(first, len(self._blocks)):
             top, rows = self._blocks[number], int(self.items[number]) // columns
@@ -176,7 +176,7 @@ class ResponseSum:
         return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
 
     def probe(self) -> NDArray[np.float32]:
-        """Return the light of the rays of some lenses, which identifies a scene and its camera."""
+        """Return the light of the rays of some lenses, a fingerprint of a scene and its camera."""
         columns, every = self._columns[1] - self._columns[0], int(self.items.sum())
         lens = np.linspace(0, every - 1, min(_PROBES, every)).astype(int)
         index = (lens % columns + self._columns[0], lens // columns + self._rows[0])
@@ -184,7 +184,7 @@ class ResponseSum:
         return np.stack([light.numpy() for light in rays.sums])
 
     def cost(self) -> tuple[float, float]:
-        """Estimate from some of the lenses the time in seconds and the bytes that the sum takes."""
+        """Return the estimated time in seconds and memory in bytes of the sum, extrapolated from some of the lenses."""
         seconds = []
         (left, right), (top, bottom) = self._columns, self._rows
         columns, rows = min(_TIMED, right - left), min(_TIMED, bottom - top)
@@ -230,7 +230,7 @@ class ResponseSum:
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
     def _captured(self, grid: LensCells, seeds: Sequence[int]) -> list[list[Any]]:
-        """Return the values of the photodiodes of each lens for each channel, means of a capture for each seed."""
+        """Return the values of each lens's photodiodes for each channel: means over captures of all seeds."""
         result = [[mi.Float(0)] * self._across**2 for _ in range(self.channels)]
         for seed in seeds:
             around = grid.within(self._tables.margin)
@@ -242,14 +242,14 @@ class ResponseSum:
         return result
 
     def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list[Any]]:
-        """Return the values of the photodiodes of each lens for each image, from the rays of all lenses around."""
+        """Return the values of each lens's photodiodes for each image, from the rays of all surrounding lenses."""
         tables, count, size = self._tables, self._rays, self._across**2
         around = grid.within(tables.margin)
         lens, (index, _) = dr.arange(mi.UInt32, grid.rows * grid.columns), grid.lenses()
         line = dr.opaque(mi.UInt32, around.columns)
 
         def at(lens: Any, cell: Pair) -> Any:
-            """Return the indices of lenses in the surrounding grid, displaced by cells."""
+            """Return the indices, in the surrounding grid, of lenses displaced by given cells."""
             row = lens // dr.opaque(mi.UInt32, grid.columns)
             x, y = lens - row * grid.columns + tables.margin, row + tables.margin
             return (y + mi.UInt32(mi.Int(cell[1]))) * line + x + mi.UInt32(mi.Int(cell[0]))
@@ -353,19 +353,19 @@ class ResponseSum:
 
 @functools.lru_cache(maxsize=4)
 def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhotodiodeResponses:
-    """Return the responses of a camera, which are cached for further captures."""
+    """Return the photodiode responses of a camera, cached for further captures."""
     return PhotodiodeResponses(camera, wavelength, fine=fine)
 
 
 @dataclass(frozen=True)
 class ResponseCapture(SignedCapture):
-    """A capture by the responses of photodiodes: the camera, the light, the channels' responses and the accuracy."""
+    """A capture by photodiode responses: camera, light, responses of the channels, and accuracy."""
 
     has_gradients = False
 
     @cached_property
     def nodes(self) -> list[Node]:
-        """Return the nodes, the wavelengths of the tables."""
+        """Return the wavelengths at which the response tables are computed."""
         found = self.colours.shared(self.camera, self.accuracy)
         nodes = [
             Node(_plan(self.camera.at_wavelength(place), place, self.accuracy < FINE), channels, weights)
@@ -377,11 +377,11 @@ class ResponseCapture(SignedCapture):
     def _sum(
         self, kind: Callable[..., Any], light: SceneLight, nodes: list[Node], *, spp: int, seed: int
     ) -> Callable[[], Any]:
-        """Return a function that constructs one sum, which is of one kind only."""
+        """Return a function that constructs the sum of a capture; there is only one kind of sum."""
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
-        """Return no channels to mend: noise of few rays exceeds the light around, so that negative pixels remain."""
+        """Return no channels to mend: noise of few rays exceeds the light nearby, so that negative pixels remain."""
         return {}
 
 

@@ -1,4 +1,4 @@
-"""Banks of point spreads: the light of points at given depths and fields in the picture of each photodiode."""
+"""Banks of point spreads in the picture of each photodiode, for points at given depths and field positions."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def psf_bank(
 
 
 def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> NDArray[np.float64]:
-    """Return the points (n, 3) at some distances whose chief rays meet the array at a place."""
+    """Return the points (n, 3) at given distances whose chief rays meet the array at one position."""
     start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
     place = [float(start[i]) + (np.array(distances) - float(start[2])) * float(slope[i]) for i in (0, 1)]
     return np.stack([*place, np.array(distances)], -1)
@@ -142,7 +142,7 @@ def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequ
 def _reach(
     camera: PlenopticCamera, distances: Sequence[float], positions: NDArray[np.float64], wavelength: float
 ) -> float:
-    """Return the largest distance on the array between rays of points and chief rays at some positions, in mm."""
+    """Return the largest distance in mm, on the array, between a point's rays and its chief ray at some positions."""
     camera = camera.replace(mla_cra=())
     lens, farthest = OpticalSystem(camera, wavelength).lens, 0.0
     for x, y in positions * camera.mla_distance / (camera.mla_distance + camera.reduced_distance):
@@ -156,7 +156,7 @@ def _around(
 ) -> tuple[PlenopticCamera, NDArray[np.float64], tuple[float, float]]:
     """Return the camera of the lenses around a position, the middle of the lens's pixels, and the lens's centre.
 
-    Lenses that are aligned to chief rays are shifted all alike there.
+    Lenses aligned to chief rays are all shifted alike there.
     """
     width = ACROSS * camera.pixel_size
     offset = np.array(camera.mla_offset)

@@ -1,4 +1,4 @@
-"""Extension `paper`: the study of the paper, its figures, times and conclusions computed again."""
+"""Extension `paper`: the study of the paper, with its figures, times and conclusions computed again."""
 
 from ...extension import Extension
 

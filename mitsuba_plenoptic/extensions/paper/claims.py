@@ -1,4 +1,4 @@
-"""The paper's conclusions, each with a verdict computed from our results."""
+"""The paper's conclusions, each with a verdict computed from this package's results."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def check_claims(
 
 
 def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict[str, Any]]:
-    """Return our seconds next to the paper's, with their ratio where the detectors are alike."""
+    """Return this package's seconds beside the paper's, with their ratio where the detectors are alike."""
     same = experiment.camera.resolution == PAPER_RESOLUTION
     return [
         {

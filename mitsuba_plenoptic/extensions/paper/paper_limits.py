@@ -1,7 +1,7 @@
-"""What the paper says about limits, each sentence with a verdict: pixels against range, deconvolution, plain loops.
+"""The paper's statements on limits, each with a verdict: pixels against range, deconvolution, plain loops.
 
-The first two follow from the camera's closed forms (`mitsuba_plenoptic.design`), which cases of `tools/bench` compare
-with captures: `arrays.pixels-and-range`, `deconvolution.contrast` and `deconvolution.fine-lines`.
+The first two verdicts follow from the camera's closed forms (`mitsuba_plenoptic.design`), which cases of `tools/bench`
+compare with captures: `arrays.pixels-and-range`, `deconvolution.contrast` and `deconvolution.fine-lines`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SAME = 1e-3
 
 @dataclass(frozen=True)
 class FocusedCamera:
-    """A camera of a given virtual depth, with samples across the field and the range of distances that has them."""
+    """A camera of a given virtual depth, with its samples across the field and the distances that have them."""
 
     camera: PlenopticCamera
     virtual_depth: float
@@ -55,8 +55,8 @@ class FocusedCamera:
 def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedCamera]:
     """Return focused cameras derived from an unfocused camera, from fine to coarse, and the unfocused camera.
 
-    They have its main lens, pixels and plane in focus. Their samples are the finest in that plane; in their range
-    lenses are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
+    All have the same main lens, pixels and plane in focus, where their samples are finest. Within their range lenses
+    are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
     """
     focus, z = camera.focus_distance, camera.detector_distance
     image, found = image_distance(camera.focal_length, focus), []
@@ -75,7 +75,7 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
 
 
 def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: float, ray_seconds: float) -> list[Claim]:
-    """Return verdicts on limits, from the camera and from seconds of the plain loop and of our rays on one core."""
+    """Return verdicts on limits, from the camera and from seconds of a plain loop and of the ray method on one core."""
     return [
         _pixels_against_range(focused_cameras(camera, wavelength)),
         _deconvolution(camera, wavelength),
@@ -137,14 +137,14 @@ def _plain_program(plain_seconds: float, ray_seconds: float, camera: PlenopticCa
 
 
 def plain_seconds(camera: PlenopticCamera, distance: float) -> float:
-    """Return the processor time of the plain loop, measured on the rows of two lenses and scaled to the paper's pixels.
+    """Return the processor time of a plain loop over two rows of lenses, scaled to the paper's pixels.
 
-    Of several runs the shortest counts, which other work on the processor delays least.
+    The shortest of several runs counts, since other work on the processor delays it least.
 
     Raises
     ------
     RuntimeError
-        If its sums are not those of our reconstruction.
+        If the loop's sums differ from those of our reconstruction.
     """
     columns, rows = camera.resolution
     count = min(rows, round(2 * camera.pixels_per_lens))
@@ -170,16 +170,16 @@ def plain_sums(
     radius: float,
     bins: np.ndarray,
 ) -> None:
-    """Add each pixel of an image to the bin that its ray meets, in one plain loop.
+    """Add each pixel of an image to the bin that the pixel's ray meets, in one plain loop.
 
     Parameters
     ----------
     image : (rows, columns) array
         The capture.
     x, y : array
-        Coordinates of its columns and rows on the detector.
+        Coordinates of the image's columns and rows on the detector.
     distances : tuple of float
-        Of detector and main lens from the array, the main lens's focal length, and of the object.
+        Distances of detector and main lens from the array, the main lens's focal length, and distance of the object.
     pitch, radius : float
         Pitch of the lenses, and radius of the pupil.
     bins : (rows, columns) array
@@ -205,7 +205,7 @@ def plain_sums(
 def run_plain_sums(
     image: np.ndarray, camera: PlenopticCamera, distance: float, loop: Callable[..., None] = plain_sums
 ) -> np.ndarray:
-    """Return the sums of a plain loop over an image of an unfocused camera with square lenses."""
+    """Return an image's sums by a plain loop, for an unfocused camera with square lenses."""
     bins = np.zeros(camera.bin_count[::-1])
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     distances = camera.detector_distance, camera.mla_distance, camera.focal_length, distance

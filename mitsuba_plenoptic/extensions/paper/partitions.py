@@ -1,8 +1,8 @@
-r"""Partitions of the microlenses into subsets that are propagated one by one, for the verdict about the paper.
+r"""Partitions of the microlenses into subsets that are propagated separately, for a verdict about the paper.
 
-A partition is an array of labels, one for each lens; lenses of equal labels share a coherent wave. Its rows and columns
-are the lattice indices j and i of the lenses that the recorded pixels belong to, so that of a square array it is
-arranged like the micro-images in the capture. Of staggered or turned lattices some labels belong to no recorded lens.
+A partition is an array of labels, one per lens; lenses of equal labels share a coherent wave. Its rows and columns are
+the lattice indices j and i of the lenses of recorded pixels, so that for a square array it is arranged like the
+micro-images in the capture. In staggered or rotated lattices some labels belong to no recorded lens.
 
 Which lenses interfere
 ----------------------
@@ -11,18 +11,17 @@ lenses, come to the same bins. With the light :math:`I_1, I_2` of the two in eac
 :math:`\sum \sqrt{I_1 I_2} / \sqrt{\sum I_1 \sum I_2}` (the coefficient of Bhattacharyya), 1 for equal images and 0 for
 separate ones. An image is enlarged by one bin on each side, for the width of the lens and for diffraction.
 
-How much they interfere is known, too. All lenses' light leaves the array in phase. From a lens with centre c it comes
-to the bin x (both on the array) by the pupil point :math:`(c - x) / \kappa`, where :math:`\kappa = 1 + b/g - b/f_1`,
-with the phase
+The strength of the interference is known, too. The light of all lenses leaves the array in phase. From a lens with
+centre c it comes to the bin x (both on the array) by the pupil point :math:`(c - x) / \kappa`, where :math:`\kappa = 1
++ b/g - b/f_1`, with the phase
 
 .. math:: \phi_c(x) = \frac{\pi}{\lambda b} \left( |c|^2 - \frac{|x - c|^2}{\kappa} \right)
 
-up to what all lenses share. The fringes of two lenses :math:`\Delta` apart have the period
-:math:`|\kappa| \lambda b / \Delta`, so that a bin of the width D averages them to
-:math:`\mathrm{sinc}(D \Delta_x / \kappa \lambda b) \, \mathrm{sinc}(D \Delta_y / \kappa \lambda b)` of their contrast.
-Neighbours in a row interfere most, neighbours along a diagonal less, as their fringes are averaged along both axes. As
-phases are quadratic in c, the pairs of a regular subset may also add in phase and interfere more than those of a denser
-one.
+up to a phase common to all lenses. The fringes of two lenses :math:`\Delta` apart have the period :math:`|\kappa|
+\lambda b / \Delta`, so that a bin of the width D averages them to :math:`\mathrm{sinc}(D \Delta_x / \kappa \lambda b)
+\, \mathrm{sinc}(D \Delta_y / \kappa \lambda b)` of their contrast. Neighbours in a row interfere most, neighbours along
+a diagonal less, as their fringes are averaged along both axes. As phases are quadratic in c, the pairs of a regular
+subset may also add in phase and interfere more than those of a denser one.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ _ROWS = 256
 
 @dataclass(frozen=True)
 class LensArray:
-    """Lenses of the recorded pixels, with rows and columns by lattice indices j and i."""
+    """The lenses of the recorded pixels, in rows and columns by lattice indices j and i."""
 
     camera: PlenopticCamera
     first: tuple[int, int]
@@ -80,13 +79,13 @@ class LensArray:
         return cls(camera, first, (int(j.max()) - first[1] + 1, int(i.max()) - first[0] + 1))
 
     def at(self, i: NDArray[Any], j: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return row and column of lenses of given lattice indices, or of the nearest lens inside the array."""
+        """Return row and column of lenses with given lattice indices, or of the nearest lens inside the array."""
         indices = zip((j, i), self.first[::-1], self.shape, strict=True)
         row, column = (np.clip(index.astype(np.int64) - first, 0, size - 1) for index, first, size in indices)
         return row, column
 
     def of_pixels(self, labels: NDArray[Any]) -> NDArray[Any]:
-        """Return the value of each recorded pixel's lens, an array (rows, columns)."""
+        """Return each recorded pixel's value, (rows, columns), from one value per lens."""
         camera, lattice = self.camera, self.camera.lattice
         x, y = (_chief_points(camera, axis) for axis in (0, 1))
         if lattice.axis_aligned:
@@ -107,7 +106,7 @@ class LensArray:
 
 
 def _chief_points(camera: PlenopticCamera, axis: int) -> NDArray[np.float64]:
-    """Return the positions on the array of the chief rays of recorded columns (axis 0) or rows (axis 1)."""
+    """Return the array positions of the chief rays of recorded columns (axis 0) or rows (axis 1)."""
     points = rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance)
     return np.asarray(points)
 
@@ -120,7 +119,7 @@ def blocks(camera: PlenopticCamera, count: int) -> Labels:
 
 
 def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelength: float) -> Labels:
-    """Return labels of the copies of the sublattice that interferes least in an image of white.
+    """Return labels of the sublattice (and its shifted copies) that interferes least in a white image.
 
     Every sublattice with one of `subsets` lenses is tried. Far out of focus this takes seconds. The main lens is thin.
     """
@@ -135,18 +134,17 @@ def sublattice(camera: PlenopticCamera, distance: float, subsets: int, wavelengt
 
 
 def coloured(capture: Capture, distance: float) -> Labels:
-    """Return colours of lenses such that images of lit lenses of one colour do not overlap at a distance.
+    """Return colours of lenses such that the images of lit lenses of one colour do not overlap at a distance.
 
-    Lenses are coloured one after the other, from the middle of the lit ones outwards, each by the first colour that is
-    free. Those with less than a thousandth of the light of the brightest take no colours of their own. The main lens is
-    thin.
+    Lenses are coloured one by one, from the middle of the lit ones outwards, each with the first free colour. Lenses
+    with less than a thousandth of the brightest one's light get no new colours. The main lens must be thin.
     """
     lenses = LensArray.of(capture.camera)
     return _separate(_light_in_bins(capture, lenses, distance), np.array(lenses.centres)).reshape(lenses.shape)
 
 
 def refocused(capture: Capture, distances: Sequence[float], labels: Labels) -> dict[float, NDArray[Any]]:
-    """Return images by distance, of one coherent wave for each label of lenses, intensities added."""
+    """Return images by distance: the summed intensities of one coherent wave for each label of lenses."""
     of_pixels, sums = LensArray.of(capture.camera).of_pixels(labels), dict.fromkeys(distances, np.zeros(()))
     mask = of_pixels.reshape(of_pixels.shape + (1,) * (capture.image.ndim - 2))
     for label in np.unique(labels):
@@ -164,13 +162,13 @@ def _sublattices(index: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _sublattice_labels(i: NDArray[Any], j: NDArray[Any], step: tuple[int, int, int]) -> Labels:
-    """Return the label of the sublattice to which lenses of given indices belong."""
+    """Return labels of the sublattices that lenses of given indices belong to."""
     along, across, shift = step
     return np.asarray(j % across * along + (i - shift * (j // across)) % along, np.int64)
 
 
 def _shortest(step: tuple[int, int, int], basis: NDArray[np.float64]) -> float:
-    """Return the least distance of two lenses of a sublattice."""
+    """Return the least distance between two lenses of a sublattice."""
     along, across, shift = step
     reach = np.arange(-along * across, along * across + 1)
     m, n = np.meshgrid(reach, reach)
@@ -181,7 +179,7 @@ def _shortest(step: tuple[int, int, int], basis: NDArray[np.float64]) -> float:
 def sublattice_interference(
     camera: PlenopticCamera, distance: float, wavelength: float, steps: Sequence[tuple[int, int, int]]
 ) -> NDArray[np.float64]:
-    """Return the predicted interference of each sublattice in an image of white: root mean square over the mean."""
+    """Return the predicted interference of each sublattice in a white image: root mean square over the mean."""
     lattice, pitch, b = camera.lattice, camera.mla_pitch, camera.mla_distance
     wave_path, kappa = in_millimetres(wavelength) * b, camera.defocus(distance)
     blur = abs(kappa) * camera.aperture_radius
@@ -212,7 +210,7 @@ def sublattice_interference(
 
 
 def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_matrix:
-    """Return the light of each lens in each bin of an object plane, (lenses, bins), its image enlarged by one bin."""
+    """Return each lens's light in each bin of an object plane, (lenses, bins), with its image enlarged by one bin."""
     camera, lattice, pitch = lenses.camera, lenses.camera.lattice, lenses.camera.mla_pitch
     image = np.maximum(np.atleast_3d(capture.image), 0).sum(-1)
     px, py = (camera.pixel_coordinates(axis) for axis in (0, 1))
@@ -241,7 +239,7 @@ def _light_in_bins(capture: Capture, lenses: LensArray, distance: float) -> csr_
 
 
 def _common(light: csr_matrix) -> csr_matrix:
-    """Return, for all pairs of lenses, the sum of the square roots of their light in common bins."""
+    """Return, for all pairs of lenses, the sum over bins of the square root of the product of their light."""
     reach = light.getnnz(1).max(initial=0)
     # Images that overlap have centres within twice their width.
     require_memory(12.0 * light.shape[0] * 4 * reach, f"overlaps of {light.shape[0]} lenses' images of {reach} bins")
@@ -253,9 +251,9 @@ def _common(light: csr_matrix) -> csr_matrix:
 
 
 def _separate(light: csr_matrix, centres: NDArray[np.float64]) -> Labels:
-    """Return labels of lit lenses, each with the first colour none of whose lenses overlaps; dim lenses come last.
+    """Return labels of lit lenses, each the first colour without an overlapping lens; dim lenses come last.
 
-    From the middle outwards, which takes fewer colours than by rows.
+    Lenses are taken from the middle outwards, which needs fewer colours than row by row.
     """
     power = np.asarray(light.sum(1)).ravel()
     common, labels, scale = _common(light), np.full(len(power), -1), np.sqrt(power)

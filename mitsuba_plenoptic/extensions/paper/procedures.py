@@ -1,4 +1,4 @@
-"""The paper's figures 1 and 3, the setup and both ways back, drawn from the camera's parameters."""
+"""The paper's figures 1 and 3, the setup and both reconstruction paths, drawn from the camera's parameters."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _BEHIND = 0.08
 
 
 def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
-    """Return the rays from an object point (X, g) to the array.
+    """Return rays from an object point (X, g) through points of the pupil to the array.
 
     Returns
     -------
     array (rays, 3, 2)
-        For each pupil coordinate (z, x) at the object, the main lens and the microlens array; z is 0 at the main lens
-        and positive towards the detector.
+        Positions (z, x) of each ray at the object, the main lens and the microlens array; z is 0 at the main lens and
+        positive towards the detector.
     """
     X, g = point
     m = rays.mla_point(X, pupil, g, camera.mla_distance, camera.focal_length)
@@ -39,12 +39,12 @@ def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: np.nd
 
 
 def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance: float) -> np.ndarray:
-    """Return the rays of pixels, through the centre of a lens, back to an object plane.
+    """Return rays from pixels through a lens's centre, traced back to an object plane.
 
     Returns
     -------
     array (pixels, 4, 2)
-        For each pixel (z, x) at the detector, the centre of the lens, the main lens and the object plane.
+        Positions (z, x) of each ray at the detector, the lens's centre, the main lens and the object plane.
     """
     b, z = camera.mla_distance, camera.detector_distance
     P, place = follow_back(pixels, lens, lens, distance, camera)
@@ -54,7 +54,7 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
 
 
 def micro_image(camera: PlenopticCamera, lens: float, count: int = _RAYS) -> np.ndarray:
-    """Return detector points across the micro-image of a lens that see the whole pupil."""
+    """Return detector points across a lens's micro-image, between the ends of the pupil."""
     b, z = camera.mla_distance, camera.detector_distance
     middle = rays.chief_detector_point(lens, b, z)
     return middle + np.linspace(-1, 1, count) * camera.aperture_radius * z / b
@@ -85,7 +85,7 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
 
 
 def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
-    """Draw the paper's figure 3: the way back to an object plane by rays, and by waves."""
+    """Draw the paper's figure 3: reconstruction back to an object plane, by rays and by waves."""
     figure = Canvas(10.5, 5.6)
     axes = _plot(
         figure, 0.2, 0.5, 10.1, 3.2, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius

@@ -1,4 +1,4 @@
-"""Interference where the paper can be read in several ways: the four subsets, and the microlens's phase."""
+"""Interference by each reading of ambiguous statements in the paper: the four subsets, and the microlens phase."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .partitions import blocks, coloured, refocused, sublattice
 
 
 def measure_readings(experiment: Experiment, store: Stages, near: str, far: str) -> list[dict[str, Any]]:
-    """Measure the nearest and the farthest shape, by ids, each refocused to where the other one is.
+    """Measure the nearest and the farthest shape, by ids, each refocused to the distance of the other.
 
-    Each row has the interference with four subsets, the quarters of the array or the best sublattice; the count of
+    Each row has the interference with four subsets, the quarters of the array or the best sublattice; the number of
     subsets in which no images of lit lenses overlap; the interference without the second microlens phase (`literal`);
-    and how far the coherent image, and what is left of it without interference, are from that by rays.
+    and the difference from the ray image of the coherent image and of its part without interference.
     """
     distances = experiment.settings.distances
     blurred = [(near, distances[-1]), (far, distances[0])]

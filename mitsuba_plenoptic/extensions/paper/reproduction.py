@@ -1,4 +1,4 @@
-"""The paper once more: its figures, its timing, and its conclusions, with a report."""
+"""Reproduction of the paper's figures, timing and conclusions, with a report."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ PRESETS = {
 def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
     """Make the paper's figures, its timing comparison and its conclusions, with a report.
 
-    The wave capture is made from signed rays, and once more point by point, as in the paper; the report states their
+    The wave capture is made from signed rays, and again point by point, as in the paper; the report states their
     difference.
     """
     settings = PRESETS[require_choice("preset", preset, PRESETS)]
@@ -119,10 +119,10 @@ _REPEATS = 3
 
 
 def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
-    """Return seconds on one core by method, for the reconstruction of a capture's file at a distance.
+    """Return seconds of processor time on one core, by method, for a reconstruction of a capture at a distance.
 
-    What counts is processor time, which does not grow with what else the machine does, and of several runs the
-    shortest, in which kernels are compiled. Where the system allows it (Linux does), the process is held to one core.
+    Processor time does not grow with other work on the machine. The shortest of several runs counts, with compiled
+    kernels. Where the system allows it (Linux does), the process is held to one core.
     """
 
     def hold() -> None:
@@ -158,7 +158,7 @@ def _main() -> None:
 
 
 def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
-    """Return close-ups of micro-images in the middle of shapes, which are given as ids with titles."""
+    """Return close-ups of the micro-images in the middle of shapes, which are given by ids and titles."""
     middles = {title: np.add(*experiment.boxes[name]) / 2 for name, title in letters.items()}
     return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
 
@@ -166,7 +166,7 @@ def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zo
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
     """Draw the paper's figure 2: the object, its detector image by waves, and micro-images close up.
 
-    These are of three shapes, given with titles by their ids.
+    The micro-images belong to three shapes, given by ids and titles.
     """
     camera, wave = experiment.camera, experiment.wave.image
     window = lit_window([experiment.pinhole, *experiment.truths.values()])

@@ -1,13 +1,12 @@
-r"""From a mosaic of colour filters to three channels, micro-image by micro-image.
+r"""Demosaicking of colour-filter mosaics to three channels, micro-image by micro-image.
 
-What is missing of a colour is estimated from the pixels around that have it, as ratio to what they would record of
-white:
+A missing colour is estimated from the surrounding pixels of that colour, as ratio to the pixels' values for white:
 
 .. math:: \hat{I}_c(p) = W(p) \, \frac{\sum_q k(p - q) \, m_c(q) \, I(q)}{\sum_q k(p - q) \, m_c(q) \, W(q)}
 
-with the filters :math:`m_c` and the white image W: normalised convolution, whose certainty is the white image
-(Knutsson and Westin 1993). Only pixels q of the lens of p count: a neighbour's light comes from elsewhere, and what is
-dark between micro-images has no colour. Recorded pixels are unchanged.
+with the filters :math:`m_c` and the white image W. This is normalised convolution, with the white image as certainty
+(Knutsson and Westin 1993). Only pixels q of the lens of p count, since light in a neighbour's micro-image comes from
+elsewhere, and dark gaps between micro-images have no colour. Recorded pixels are unchanged.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from ...errors import InputError, argument, refuse_if, require_choice, suggest_k
 from ...io.captures import EXPOSED, MOSAICS, QUAD, RECORDED, Capture, mosaic_of, recording_of
 from ...light.detector import filters
 from ...views.lens_grid import lens_numbers
-from ...views.white_image import recorded_white, scaled_white, white_image
+from ...views.white_image import recorded_white, white_image
 
 METHODS = ("micro-images", "plain")
 
@@ -50,12 +49,12 @@ def demosaic(
     Parameters
     ----------
     capture : Capture
-        As `expose` makes it with a mosaic, or a raw picture of a real camera.
+        A capture exposed by `expose` with a mosaic, or a raw picture of a real camera.
     mosaic : {"RGGB", "GRBG", "GBRG", "BGGR"}, optional
         The filters of the first two pixels of the detector's first row and of its second. Default: what the capture
         says.
     white : Capture, optional
-        What the same camera records of something white, of one channel or of three. Default: computed by rays from the
+        Capture of something white by the same camera, with one channel or three. Default: computed by rays from the
         camera, which real main lenses do not allow.
     method : {"micro-images", "plain"}
         ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
@@ -64,7 +63,7 @@ def demosaic(
     Returns
     -------
     Capture
-        With three channels, and the wavelengths that they had before the exposure.
+        The capture with three channels, and with the wavelengths before the exposure.
 
     Raises
     ------
@@ -104,7 +103,7 @@ def demosaic(
 
 
 def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
-    """Return a mosaic of a white capture, each pixel divided by the mean over pixels of the same filter."""
+    """Return a white capture's mosaic, with each pixel divided by the mean over pixels of the same filter."""
     own, image = filters(white.camera, mosaic), white.image
     means = np.bincount(own.ravel(), image.ravel(), minlength=3) / np.bincount(own.ravel(), minlength=3)
     refuse_if(not means.min() > 0, "white: the pixels of a filter are black")
@@ -112,17 +111,16 @@ def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
 
 
 def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
-    """Return the white image, (rows, columns, 3)."""
+    """Return the white image, (rows, columns, 3), as the certainty of each pixel and channel."""
     if white is None:
         return np.repeat(white_image(capture.camera)[..., None], 3, axis=2)
-    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera])
-    if capture.camera.lens_data.is_thin:
-        image = scaled_white(image, white_image(capture.camera), capture.camera)
+    computed = white_image(capture.camera) if capture.camera.lens_data.is_thin else None
+    image = recorded_white(white, (*capture.image.shape, 3), [capture.camera], computed)
     return np.ascontiguousarray(np.broadcast_to(np.maximum(image, 0), (*capture.image.shape, 3)))
 
 
 def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:
-    """Yield steps along columns and rows to the pixels around, and their weights."""
+    """Yield steps along columns and rows to the surrounding pixels, and the pixels' weights."""
     for down in range(-reach, reach + 1):
         for across in range(-reach, reach + 1):
             if reach == 1:

@@ -51,11 +51,9 @@ def demosaic(
 ) -> None:
     """Estimate all three colours of every pixel, micro-image by micro-image.
 
-    Nothing is taken from a neighbouring lens's micro-image or from the dark
-    between them. A raw picture (.png or .tiff) that 'expose' wrote holds all
-    that is needed, and so do those of Lytro cameras (.lfp or .lfr); one of
-    another real camera needs its [bold]--camera[/bold]. White pictures of a
-    Lytro camera also correct pitches, rotation and offset of its lenses.
+    Only pixels of the same micro-image are used. A raw picture (.png or .tiff) that 'expose' wrote holds all that is
+    needed, and so do raw pictures of Lytro cameras (.lfp or .lfr); for another real camera give its
+    [bold]--camera[/bold]. White pictures of a Lytro camera also correct pitches, rotation and offset of its lenses.
 
     [bold]Examples:[/bold]
 

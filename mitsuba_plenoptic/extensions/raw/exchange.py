@@ -1,4 +1,4 @@
-"""Light fields in files: NetCDF and Zarr, and those of other programs, LFToolbox, mosaics and plain raw pictures."""
+"""Light-field files: NetCDF and Zarr, and formats of other programs: LFToolbox, mosaics and plain raw pictures."""
 
 from ...io.pictures import read_picture
 from ...views.light_field_files import (

@@ -1,7 +1,8 @@
 """Folders of the 4D Light Field Benchmark (HCI) as light fields.
 
-A folder has views ``input_Cam000.png`` and so on, row by row, and ``parameters.cfg``. What this package wrote has its
-own section there, with the camera, the radiance of white, and the number of channels, as views are always in colour.
+A folder has views ``input_Cam000.png`` and so on, row by row, and ``parameters.cfg``. Folders written by this package
+have a further section there, with the camera, the radiance of white, and the number of channels, as views are always in
+colour.
 """
 
 from __future__ import annotations
@@ -95,8 +96,8 @@ def write_hci(
 ) -> int:
     """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
-    The depth in millimetres of the central view, where it is known, is written, too. The value `white` is white in the
-    pictures, by default that of any other picture.
+    The depth of the central view in millimetres is written, too, if known. The value `white` becomes white in the
+    pictures; the default is that of other pictures.
     """
     camera = camera_of(lf)
     refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
@@ -130,7 +131,7 @@ def _write_parameters(
     views: int,
     ours: dict[str, str],
 ) -> None:
-    """Write the geometry of `views` cameras in a row, with pictures of a size, and what only this package reads."""
+    """Write the geometry of a row of `views` cameras with pictures of one size, and this package's entries."""
     columns, rows = size
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)

@@ -1,12 +1,12 @@
 """Files of the Light Field Toolbox for MATLAB (LFToolbox) by D. G. Dansereau.
 
-Its light fields are MATLAB files with an array ``LF`` of five dimensions, ``LF(j, i, l, k, c)``: row and column of the
-view, row and column of the lens, and channel; a second or fourth channel holds weights. That is our order. Its
-manual calls the first four axes t, s, v, u, with the letters of pupil and field exchanged against ours.
+LFToolbox's light fields are MATLAB files with an array ``LF(j, i, l, k, c)``: row and column of the view, row and
+column of the lens, and channel; a second or fourth channel holds weights. This package has the same order. The manual
+of LFToolbox calls the first four axes t, s, v, u, with the letters of pupil and field exchanged.
 
 ``LensletGridModel`` describes the micro-image centres: spacings, the offset of the first centre, rotation, counts, and
-``FirstPosShiftRow``, the first (1 or 2) of the rows that are shifted by half a spacing. Its pixels are counted from
-1 and centred on integers, ours cover [k, k + 1), so that offsets differ by a half.
+``FirstPosShiftRow``, the first (1 or 2) of the rows shifted by half a spacing. It counts pixels from 1 and centres them
+on integers; here pixel k covers [k, k + 1), so that offsets differ by a half.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ _TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
 
 
 def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uint16") -> None:
-    """Write a light field as LFToolbox does, with its weights as the last channel.
+    """Write a light field in LFToolbox's format, with its weights as the last channel.
 
-    Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps it, as in LFToolbox.
-    The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
+    Integers are scaled so that the largest value is full scale; the variable ``MaxLum`` keeps the largest value, as in
+    LFToolbox. The variable ``Camera`` (a JSON text) keeps the camera, which LFToolbox does not read.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _check(shape: tuple[int, ...]) -> None:
 
 
 def _require_unpacked(path: Path) -> None:
-    """Refuse a file of version 5 with packed variables too large for memory, whatever sizes its structures state."""
+    """Refuse a MATLAB 5 file with packed variables too large for memory, whatever sizes its structures state."""
     limit = int(memory_limit())
     left = limit
     with path.open("rb") as file:

@@ -1,16 +1,16 @@
 """Raw pictures of Lytro's cameras: containers (``.lfp``, ``.lfr``), and white pictures (``.raw`` with ``.txt``).
 
-The layout has been published by those who found it out: N. Patel (lfptools, README: sections of a container), the
-Department of Optics & Acoustics (optics.miloush.net/lytro: 12-bit pixels, white pictures, positions of the microlenses)
-and the authors of LFToolbox and imageio (10-bit pixels, names of the metadata). A container is
+The layout was reverse-engineered and published by N. Patel (lfptools, README: sections of a container), the Department
+of Optics & Acoustics (optics.miloush.net/lytro: 12-bit pixels, white pictures, positions of the microlenses) and the
+authors of LFToolbox and imageio (10-bit pixels, names of the metadata). A container is
 
 - a header of 16 bytes: 89 "LFP" 0D 0A 1A 0A, a version, and 4 bytes of zero;
 - sections: 89 "LFM" or "LFC" 0D 0A 1A 0A, a version, the length of the data (4 bytes, big-endian), 80 bytes that begin
   with the name of the data, ``sha1-`` and their digest in hexadecimal, the data, and zeros.
 
 The first section is JSON and names others: ``metadataRef``, again JSON, and ``imageRef``, the pixels. Two pixels of 12
-bits lie in 3 bytes, big-endian; of four pixels of 10 bits 4 bytes have the upper 8 bits and a fifth the lower 2, those
-of the first pixel lowest.
+bits occupy 3 bytes, big-endian. Of four pixels of 10 bits, 4 bytes hold the upper 8 bits, and a fifth byte the lower 2,
+with the first pixel's lowest.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ class _Picture:
 
     @property
     def details(self) -> str:
-        """Entry of the metadata that describes the pixels; first cameras name it differently."""
+        """Metadata entry that describes the pixels; the first cameras have another name for it."""
         return "image.rawDetails" if _within(self.metadata, "image", "rawDetails") else "image"
 
     @property
     def steps(self) -> tuple[float, float]:
-        """Positions of zoom and focus, in steps."""
+        """Positions of the zoom and focus motors, in steps."""
         return self.number("devices.lens.zoomStep"), self.number("devices.lens.focusStep")
 
 
@@ -88,10 +88,10 @@ def read_lytro(path: str | Path) -> Capture:
 
     The result is a mosaic for `demosaic`. Pixels are 0 at the black level and 1 at the white level of their filter. The
     camera follows from the metadata: pixels, lattice (pitches, rotation, offset), the distance of the lenses from the
-    pixels, focal length and f-number of the main lens. The metadata state neither the distance in focus nor the focal
-    length of the microlenses: the camera is focused at infinity, and its microlenses, too. Its main lens is thin, so
-    that its pupil is at the focal length from the array; pitches and offset are scaled by the distance of the true
-    exit pupil so that micro-images are centred where those of the file are.
+    pixels, focal length and f-number of the main lens. As the metadata state neither the distance in focus nor the
+    focal length of the microlenses, main lens and microlenses are focused at infinity. The main lens is thin, so that
+    its pupil is one focal length from the array; pitches and offset are scaled by the distance of the true exit pupil
+    so that micro-images are centred as in the file.
 
     Parameters
     ----------
@@ -117,20 +117,20 @@ def read_lytro(path: str | Path) -> Capture:
 
 
 def nearest_white(folder: str | Path, capture: Capture) -> Path:
-    """Return the white picture of a folder whose zoom and focus are nearest to those of a capture.
+    """Return the white picture of a folder with the zoom and focus nearest to a capture's.
 
     Parameters
     ----------
     folder : path
-        Where white pictures of the same camera lie, each a ``.raw`` with its ``.txt``, or a container.
+        Folder of white pictures of the same camera, each a ``.raw`` with its ``.txt``, or a container.
     capture : Capture
-        What `read_lytro` returned.
+        The capture, from `read_lytro`.
 
     Returns
     -------
     pathlib.Path
-        Of the nearest zoom step the nearest focus step; of several pictures there the brightest of which at most 1 % of
-        the pixels are saturated.
+        The picture with the nearest zoom step, and of these the nearest focus step; of several such pictures the
+        brightest with at most 1 % of saturated pixels.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
 
 
 def _brightness(path: Path) -> tuple[bool, float]:
-    """Return the key by which white pictures are ordered: unsaturated before saturated, then by brightness."""
+    """Return the sort key of a white picture: unsaturated before saturated, then by brightness."""
     capture = read_lytro(path)
     saturated = recording_of(capture)["saturated_pixels"] / capture.image.size
     return saturated <= _MOST_SATURATED, float(capture.image.mean())
@@ -233,7 +233,7 @@ def _within(found: Any, *names: str | int) -> Any:
 
 
 def _frame(contents: Any) -> Any:
-    """Return the first frame of a table of contents: of newer cameras in ``frames``, of the first in ``picture``."""
+    """Return the first frame of a table of contents, in ``frames`` of newer cameras or ``picture`` of others."""
     newer = _within(contents, "frames", 0, "frame")
     return _within(contents, "picture", "frameArray", 0, "frame") if newer is None else newer
 
@@ -288,7 +288,7 @@ def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
 
 
 def _tile(picture: _Picture) -> NDArray[np.str_]:
-    """Return the filters of the first two pixels of the first two rows, (2, 2)."""
+    """Return the colour filters of the first two pixels of the first two rows, (2, 2)."""
     name = f"{picture.details}.mosaic"
     text, first = picture.entry(f"{name}.tile"), picture.entry(f"{name}.upperLeftPixel")
     refuse_if(text != "r,gr:gb,b", f"{name}.tile = {short_repr(text)}: only r,gr:gb,b is known")
@@ -298,13 +298,13 @@ def _tile(picture: _Picture) -> NDArray[np.str_]:
 
 
 def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.float64]:
-    """Return the black or the white level of the filters of a tile."""
+    """Return the black or white levels of the filters of a tile, as digital numbers."""
     entry = f"{picture.details}.pixelFormat.{name}"
     return np.array([[picture.number(f"{entry}.{one}", minimum=0, maximum=65535) for one in row] for row in tile])
 
 
 def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
-    """Return the camera that metadata in metres describe."""
+    """Return the camera described by metadata in metres, with lengths in millimetres."""
 
     def length(name: str, **rules: Any) -> float:
         return picture.number(f"devices.{name}", **rules) * _MILLIMETRES

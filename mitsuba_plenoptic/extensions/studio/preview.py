@@ -1,4 +1,4 @@
-"""A look at a scene before it is captured: what its lens sees, what is in focus, and whether the camera suits it."""
+"""Preview of a scene before capture: the view of its lens, the range in focus, and whether the camera suits it."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ _SHARP, _FOCUS = "#3fb4ff", "#ffb000"
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """View of a scene by a camera without its microlenses, with the depths in it.
+    """View of a scene by a camera without its microlenses, with the depth at each pixel.
 
     Attributes
     ----------
     picture : (rows, columns) array
         Radiance, focused on the plane in focus.
     points : (rows, columns, 3) array
-        What the middle of the lens sees in the camera's frame, x to the left, y up and z the distance; NaN where there
-        is nothing.
+        Points seen from the middle of the lens, in the camera's frame: x to the left, y up, z the distance; NaN where
+        there is nothing.
     view : PreviewView
         The camera's view.
     scale : float
@@ -61,12 +61,12 @@ class Preview:
 
     @property
     def distance(self) -> np.ndarray:
-        """Distances of the visible points along the axis; NaN where nothing is visible."""
+        """Distances of the visible points along the axis, in the view's unit; NaN where nothing is visible."""
         return np.asarray(self.points[..., 2])
 
     @property
     def filled(self) -> float:
-        """Fraction of the picture's width or height that the scene spans, the larger one."""
+        """Fraction of the picture's width or height that the scene spans, whichever is larger."""
         known = np.isfinite(self.distance)
         spans = [np.flatnonzero(known.any(axis=axis)) for axis in (0, 1)]
         return max(
@@ -77,7 +77,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Proposed change: a distance from lens to MLA, or a scale of the scene and a position of the camera.
+    """A proposed change: a distance from lens to MLA, or a scale of the scene and a position of the camera.
 
     Attributes
     ----------
@@ -107,9 +107,9 @@ class Proposal:
 
 
 def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
-    """Return the preview of a scene, as the camera sees it or as a fit proposes.
+    """Return the preview of a scene with its present camera, or changed as a fit proposes.
 
-    In place of the scene the camera is scaled.
+    Instead of the scene, the camera is scaled.
     """
     scale, pose = (fit.scale, fit.pose) if fit else (1.0, None)
     if fit and fit.mla_distance != camera.mla_distance:
@@ -151,7 +151,7 @@ def framing_warnings(seen: Preview) -> list[str]:
 
 
 def propose(scene: Any, seen: Preview) -> Proposal:
-    """Return a proposed focus for the scene, or a scale and a position where focusing does not suffice."""
+    """Return a proposed focus for the scene, or a scale and a position where refocusing does not suffice."""
     view, camera = seen.view, seen.view.camera
     if seen.filled >= _LITTLE_FILLED:
         near, far = _span(seen.distance)
@@ -174,13 +174,13 @@ def propose(scene: Any, seen: Preview) -> Proposal:
 
 
 def _pose(scene: Any, position: Any) -> Any:
-    """Return the pose of the scene's sensor, moved to a position in its own frame."""
+    """Return the pose of the scene's sensor after a move to a position in the sensor's frame."""
     to_world = mi.ScalarTransform4f(np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4))
     return to_world @ mi.ScalarTransform4f().translate(list(position))
 
 
 def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of a box in the sensor's frame with the scene's objects, lamps only where all are."""
+    """Return the corners of a box around the scene's objects in the sensor's frame, without lamps if possible."""
     objects = [shape for shape in scene.shapes() if not shape.is_emitter()] or list(scene.shapes())
     refuse_if(not objects, "scene: it has no objects to be framed")
     to_camera = scene.sensors()[0].world_transform().inverse()
@@ -189,7 +189,7 @@ def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _span(distance: np.ndarray) -> tuple[float, float]:
-    """Return the distances between which most of the visible scene lies."""
+    """Return the distances between which most of the visible scene lies (5 to 95 %)."""
     known = distance[np.isfinite(distance)]
     return tuple(map(float, np.percentile(known, (5, 95)))) if known.size else (math.nan, math.nan)  # type: ignore[return-value]
 
@@ -199,7 +199,7 @@ _LONGEST_TITLE = 30
 
 
 def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
-    """Draw pictures with outlines of what is in focus and what refocusing makes sharp, and views from above."""
+    """Draw previews with outlines of the regions in focus and within reach of refocusing, and views from above."""
     canvas = Canvas(9.8, 4.9 * len(previews) + 0.1)
     for index, (title, seen) in enumerate(previews):
         top = 0.45 + 4.9 * index
@@ -219,7 +219,7 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
 
 
 def _outline(axes: Axes, seen: Preview) -> None:
-    """Draw outlines around what is in focus, and around what refocusing makes sharp."""
+    """Draw outlines around regions in focus, and around regions that refocusing makes sharp."""
     distance = seen.distance
     near, far = seen.view.sharp_range()
     in_focus = seen.view.is_focused(distance)
@@ -229,7 +229,7 @@ def _outline(axes: Axes, seen: Preview) -> None:
 
 
 def _draw_from_above(axes: Axes, seen: Preview) -> None:
-    """Draw the visible points from above, between the borders of the field."""
+    """Draw the visible points as seen from above, with the borders of the field."""
     view, focus = seen.view, seen.view.focus
     points = seen.points[np.isfinite(seen.distance)][::7]
     near, far = view.sharp_range()

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic preview``: a scene as the camera will see it, in seconds."""
+"""``mitsuba-plenoptic preview``: a quick view of a scene as the camera will see it."""
 
 from __future__ import annotations
 
@@ -45,11 +45,10 @@ def preview(
 ) -> None:
     """See in seconds what a camera will see of a scene, before it is captured.
 
-    The picture is that of Mitsuba's thin lens of the same aperture and field,
-    focused on the camera's plane in focus, or that of a microscope without its
-    microlenses. What refocusing makes sharp is outlined in blue, the plane in
-    focus in yellow. Printed are the field, the micro-images, what is poor about
-    the framing, and what captures by rays, with --waves by waves, will take.
+    The picture is made by Mitsuba's thin lens with the camera's aperture, field and plane in focus, or by a microscope
+    without its microlenses. Regions that refocusing makes sharp are outlined in blue, the plane in focus in yellow. The
+    command prints the field, the micro-images, faults of the framing, and the time of a ray capture, with --waves of a
+    wave capture.
 
     [bold]Examples:[/bold]
 

@@ -1,4 +1,4 @@
-"""How a camera sees a scene without its microlenses, as previews draw it: through a thin lens or an objective."""
+"""Views of a scene by a camera without its microlenses, through a thin lens or an objective, for previews."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FAR = 1e5
 
 @dataclass(frozen=True)
 class PreviewView(ABC):
-    """View of a camera without microlenses; distances are from the main lens or from the native object plane."""
+    """A camera's view without microlenses; distances are from the main lens or from the native object plane."""
 
     camera: PlenopticCamera
 
@@ -37,7 +37,7 @@ class PreviewView(ABC):
     @property
     @abstractmethod
     def focus(self) -> float:
-        """Distance of the plane in focus."""
+        """Distance of the plane in focus, in the view's unit."""
 
     @property
     def focus_label(self) -> str:
@@ -46,26 +46,26 @@ class PreviewView(ABC):
 
     @abstractmethod
     def sharp_range(self) -> tuple[float, float]:
-        """Return the nearest and the farthest distance that some microlenses bring back sharply; NaN for none."""
+        """Return the nearest and farthest distance that some microlenses show sharply when refocused; NaN for none."""
 
     @abstractmethod
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Return a picture of the scene, whose lengths are scaled by `scale`, optionally from another pose."""
+        """Return a picture of the scene, with lengths scaled by `scale`, optionally from another pose."""
 
     @abstractmethod
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return the rays through the middle of the pupil, one for each pixel, and the camera's position in the world.
+        """Return the rays through the centre of the pupil, one per pixel, and the transform of the camera to the world.
 
-        In place of the scene the camera is scaled.
+        Instead of the scene, the camera is scaled.
         """
 
     @abstractmethod
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
-        """Return a mask of distances that the picture blurs by less than a bin of reconstructions."""
+        """Return a mask of distances at which the picture's blur is below a bin of reconstructions."""
 
     @abstractmethod
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field at a distance."""
+        """Return width and height of the field at a distance, in the view's unit."""
 
     def field_in_units(self) -> str:
         """Return width and height of the field in the plane in focus as text with unit."""
@@ -78,7 +78,7 @@ class PreviewView(ABC):
 
     @abstractmethod
     def ticks(self, reach: float) -> dict[float, str]:
-        """Return the distances to mark on a drawing as far as `reach`, with their names."""
+        """Return the distances, up to `reach`, that a drawing marks, with their labels."""
 
     def in_units(self, distance: float) -> str:
         """Return a distance as text with its unit."""
@@ -97,7 +97,7 @@ class LensView(PreviewView):
 
     @property
     def focus(self) -> float:
-        """Distance of the object plane that the first microlenses see sharply."""
+        """Distance of the object plane on which the microlenses of the first type are focused."""
         camera = self.camera
         distance = design.best_distances(camera)[0]
         refuse_if(
@@ -124,7 +124,7 @@ class LensView(PreviewView):
         return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Return the picture by Mitsuba's thin lens."""
+        """Return the picture taken by Mitsuba's thin lens."""
         lens = {"aperture_radius": self.camera.aperture_radius / scale, "focus_distance": self.focus / scale}
         return photograph(
             scene, photographic_sensor(scene, self.camera, size, type="thinlens", **lens, **_posed(pose)), spp
@@ -139,14 +139,14 @@ class LensView(PreviewView):
         return rays, pinhole.world_transform()
 
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
-        """Compare the blur on the array with a lens."""
+        """Return a mask of distances whose blur on the array is at most a lens wide."""
         camera = self.camera
         image = image_distance(camera.focal_length, self.focus)
         blur = camera.aperture_diameter * np.abs(defocus_factor(distance, image, camera.focal_length))
         return np.asarray(blur <= camera.mla_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field at a distance, which grow with the distance."""
+        """Return width and height of the field at a distance, which grow with it, in mm."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size
@@ -156,7 +156,7 @@ class LensView(PreviewView):
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
     def ticks(self, reach: float) -> dict[float, str]:
-        """Mark the lens and the plane in focus."""
+        """Return marks at the lens and at the plane in focus."""
         return {0.0: "lens", self.focus: self.in_units(self.focus)}
 
 
@@ -209,12 +209,12 @@ class MicroscopeView(PreviewView):
         return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)), scale, pose)
 
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
-        """Compare the blur in the object with a bin."""
+        """Return a mask of depths whose blur in the object is at most a bin wide."""
         steepest = math.tan(self._objective.half_angle)
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field, the same at every depth."""
+        """Return width and height of the field in mm, the same at every depth."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.bin_size(0)
         return columns * bin_size, rows * bin_size
@@ -235,7 +235,7 @@ class MicroscopeView(PreviewView):
         return self.camera.objective
 
     def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any], scale: float, pose: Any) -> Any:
-        """Return the rays through points of the native object plane, in fractions of the field, and of the stop."""
+        """Return the rays through points of the native object plane and of the stop, in fractions of both."""
         lens = TelecentricLens(self._objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
         width, height = (self._objective.magnification * extent for extent in self.field(0.0))
@@ -259,7 +259,7 @@ def _posed(pose: Any) -> dict[str, Any]:
 
 
 def _pixel_centres(size: tuple[int, int]) -> tuple[Any, Any]:
-    """Return the middles of all pixels, row by row, in fractions of the picture."""
+    """Return the centres of all pixels, row by row, in fractions of the picture."""
     index = dr.arange(mi.UInt32, size[0] * size[1])
     row = index // size[0]
     return (index - row * size[0] + 0.5) / size[0], (row + 0.5) / size[1]

@@ -1,4 +1,4 @@
-"""``mitsuba-plenoptic run``: the steps of a run file, those that are not finished."""
+"""``mitsuba-plenoptic run``: runs those steps of a run file that are not finished."""
 
 from __future__ import annotations
 
@@ -24,11 +24,10 @@ def run(
 ) -> None:
     """Run several commands that a file lists, and again only those whose inputs have changed.
 
-    A run file has a list of steps, each a command with its options by name,
-    and options that several steps share. [bold]--save-run[/bold] of a command
-    writes one. Files are named from the folder of the run file. What each
-    step has read and written is noted next to it, in RUN.steps.json. A run
-    that was stopped resumes where it was.
+    A run file has a list of steps, each a command with its options by name, and options that several steps share.
+    [bold]--save-run[/bold] of a command writes one. File names are relative to the folder of the run file.
+    RUN.steps.json, next to it, notes the files that each step has read and written. A run that was stopped resumes
+    where it was.
 
     [bold]Examples:[/bold]
 
@@ -46,8 +45,7 @@ def run(
     parameters = parameters_of(commands)
     steps = read_run_file(file, parameters)
     log = file.absolute().with_suffix(".steps.json")
-    alone = locked(lock_of(log), f"{file}: another process is running it")
-    with contextlib.chdir(file.parent), alone, resumable():
+    with contextlib.chdir(file.parent), contextlib.ExitStack() as alone, resumable():
         # All are parsed before the first is run, which may take long.
         contexts, by_waves = [], False
         for number, step in enumerate(steps, 1):
@@ -63,14 +61,21 @@ def run(
                 file,
                 VERSION,
             )
+        is_locked = False
         for number, (step, context) in enumerate(zip(steps, contexts, strict=True), 1):
             label = f"step {number} of {len(steps)}, {step.command}"
             with _naming_step(file, number, step, parameters[step.command]):
                 settings = _settings(step, parameters[step.command])
-                if finished_step(log, settings):
-                    typer.echo(f"{label}: up to date")
-                    continue
-                typer.echo(label)
+                entry = finished_step(log, settings)
+            # A run with nothing to do needs no lock, and its folder may be one that it may not write.
+            if entry is None and not is_locked:
+                alone.enter_context(locked(lock_of(log), f"{file}: another process is running it"))
+                is_locked, entry = True, finished_step(log, settings)
+            if entry is not None:
+                typer.echo(f"{label}: up to date")
+                continue
+            typer.echo(label)
+            with _naming_step(file, number, step, parameters[step.command]):
                 with context, files_used() as used:
                     commands[step.command].invoke(context)
                 note_step(log, settings, used)
@@ -92,7 +97,7 @@ def _is_by_waves(context: Any) -> bool:
 
 @contextlib.contextmanager
 def _naming_step(file: Path, number: int, step: RunStep, parameters: Mapping[str, Any]) -> Iterator[None]:
-    """Begin the line on a user's mistake with the run file and the step, and spell options as the file does."""
+    """Prefix a user's mistake with run file and step, and spell options as the file does, while the context is open."""
     try:
         yield
     except Exception as error:
@@ -108,7 +113,7 @@ def _naming_step(file: Path, number: int, step: RunStep, parameters: Mapping[str
 
 
 def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
-    """Refuse two steps that write the same file: each would undo the other."""
+    """Refuse two steps that write the same file, since each would undo the other."""
     found: dict[Path, int] = {}
     for number, step in enumerate(steps, 1):
         if "output" in step.options:
@@ -121,7 +126,7 @@ def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
 
 
 def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything that a step depends on except the files it reads; for scenes, the files they name as well."""
+    """Return everything on which a step depends, except the files it reads, but with the files that scenes name."""
     # Brings libraries that take a while to load.
     from ...report.stage_store import scene_fingerprint
 

@@ -1,4 +1,4 @@
-"""Parameter sweeps: captures and reconstructions over a grid of cameras, wavelengths and distances, as one dataset."""
+"""Parameter sweeps: captures and reconstructions over a grid of cameras, wavelengths and distances in one dataset."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def merge_grids(*grids: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
 
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
-    """Return a grid with finite values, none of them twice; refuse an empty or a too large one."""
+    """Return a grid of finite values without repetitions; refuse grids that are empty or too large."""
     checked: dict[str, tuple[float, ...]] = {}
     for name, values in grid.items():
         refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
@@ -103,7 +103,7 @@ def _number(name: str, value: Any) -> float:
 
 @dataclass(frozen=True)
 class SweepSettings:
-    """Settings that all points of a sweep have in common.
+    """Settings shared by all points of a sweep.
 
     Attributes
     ----------
@@ -114,11 +114,11 @@ class SweepSettings:
     camera : mapping, optional
         Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
     unit : str
-        Of the scene's lengths, as for `load_scene`.
+        Unit of the scene's lengths, as for `load_scene`.
     model, spp, seed
         As for `render_capture`; by model "wave" captures are made from signed rays.
     method : str
-        Of the reconstructions.
+        Method of the reconstructions.
     variant : str
         Mitsuba variant.
     """
@@ -135,7 +135,7 @@ class SweepSettings:
 
 
 class Points:
-    """Points of a grid, with a capture and its reconstructions for each."""
+    """The points of a grid, each with a capture and its reconstructions."""
 
     def __init__(self, settings: SweepSettings, grid: Grid, store: Stages) -> None:
         self.settings, self.store = settings, store
@@ -156,9 +156,9 @@ class Points:
         return {**self.settings.parameters, **varied}
 
     def check(self, **for_waves: Any) -> None:
-        """Make every camera once before the work; refuse cameras whose images differ in size.
+        """Construct every camera once before the work starts; refuse cameras whose images differ in size.
 
-        Ray captures take none of the options `for_waves`; None means not given.
+        `for_waves` are options that ray captures refuse; None means not given.
         """
         require_choice("method", self.settings.method, METHODS)
         for wavelength in self.axes.get(WAVELENGTH, ()):
@@ -184,7 +184,7 @@ class Points:
                 )
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
-        """Yield each capture with its reconstructions, read from the store where they exist."""
+        """Yield each capture with its reconstructions, read from the store if they exist there."""
         method = {"method": self.settings.method}
         for point in self:
             capture, key = self._capture(point, batch_map)
@@ -236,7 +236,7 @@ _UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromk
 
 
 class SweepFile:
-    """Dataset of a sweep in its file, written image by image."""
+    """The dataset of a sweep in a file, written image by image."""
 
     def __init__(self, file: Any, settings: SweepSettings, grid: Grid, first: Capture) -> None:
         self.variables = file.variables
@@ -297,7 +297,7 @@ def sweep(
     batch_map: BatchMap | None = None,
     stages: StageOptions | None = None,
 ) -> xr.Dataset:
-    """Return the dataset of captures and, where distances are given, reconstructions at every point of a grid.
+    """Return the dataset of captures, and of reconstructions at given distances, at every point of a grid.
 
     Each point is stored in a folder next to the output, ``out.points`` for ``out.nc``: a sweep that was stopped, or
     whose grid has grown, computes only what is missing. The dataset is written point by point, so that memory does
@@ -306,23 +306,23 @@ def sweep(
     Parameters
     ----------
     settings : SweepSettings
-        What does not vary.
+        The settings that do not vary.
     grid : mapping of names to numbers
-        What does: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to which each
-        capture is refocused.
+        The settings that vary: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to
+        which each capture is refocused.
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.
     batch_map : callable, optional
         For wave captures: computes the sums, for example `Cluster`.
     stages : StageOptions, optional
-        How progress is reported, and what becomes of checkpoints.
+        Report of progress, and treatment of checkpoints.
 
     Returns
     -------
     xarray.Dataset
-        The file, read as it is used: ``capture`` over the grid, ``row`` and ``column`` (and ``channel``), with the
-        coordinate ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``,
-        ``bin_row`` and ``bin_column``, with ``bin_size``. Images are in units of radiance.
+        The file, opened: ``capture`` over the grid, ``row`` and ``column`` (and ``channel``), with the coordinate
+        ``pixel_size``; and, where distances are given, ``reconstruction`` over the grid, ``distance``, ``bin_row`` and
+        ``bin_column``, with ``bin_size``. Images are in units of radiance.
 
     Raises
     ------
@@ -336,9 +336,9 @@ def sweep(
 def prepare(
     settings: SweepSettings, grid: Grid, output: Path, stages: StageOptions | None, **for_waves: Any
 ) -> Callable[[BatchMap | None], xr.Dataset]:
-    """Check a sweep before workers are started; return the function that computes it on workers.
+    """Check a sweep before workers start, and return the function that computes it on workers.
 
-    `for_waves` are the options, by name, that ray captures do not take; None means not given.
+    `for_waves` are options, by name, that ray captures refuse; None means not given.
     """
     h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")

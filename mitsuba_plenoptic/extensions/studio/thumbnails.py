@@ -1,4 +1,4 @@
-"""Captures, reconstructions and cameras as notebooks show them: a small picture, or the design sheet."""
+"""Display of captures, reconstructions and cameras in notebooks: a small picture, or the design sheet."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def show_reconstruction(result: Reconstruction) -> str:
 
 
 def show_camera(camera: PlenopticCamera) -> str:
-    """Return the HTML of a camera: its design sheet as a table that folds."""
+    """Return the HTML of a camera: the design sheet as a collapsible table."""
     rows = []
     for group, members in groupby(design_sheet(camera), key=lambda row: row.group):
         inner = "".join(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ...cli.inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
-from ...cli.judging import ends_in
+from ...cli.judging import RECORDING, ends_in
 from ...errors import refuse_if
 from ...runtime.progress import progress_bar
 
@@ -21,6 +21,7 @@ def view(
             help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
             "reconstructions, a depth map.",
         ),
+        RECORDING,
     ],
     output: Annotated[
         Path | None,
@@ -34,10 +35,9 @@ def view(
 ) -> None:
     """Make a page to look at a capture: viewpoint, focus, micro-images.
 
-    The page is one HTML file that any browser opens from disk; it loads
-    nothing. Drag to move the viewpoint, click to refocus. The page refocuses
-    by rays, from views of the capture; reconstructions and focal stacks that
-    are given are shown as they were computed.
+    The page is one HTML file that any browser opens from disk, without loading anything else. Drag to move the
+    viewpoint, click to refocus. The page refocuses by rays, from views of the capture; given reconstructions and focal
+    stacks are shown as computed.
 
     [bold]Examples:[/bold]
 

@@ -1,4 +1,4 @@
-"""A page that shows a capture from any viewpoint, refocused and lens by lens: one HTML file that loads nothing."""
+"""An HTML page that shows a capture from any viewpoint, refocused and lens by lens, without loading other files."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _SURE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A light field with its name on the page and, if known, the raw picture from which it was decoded."""
+    """A light field with its title on the page and, if known, the raw picture from which it was decoded."""
 
     name: str
     light_field: xr.DataArray
@@ -72,11 +72,11 @@ _FAR = 1e5
 
 
 def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.DataArray:
-    """Decode a capture to be looked at.
+    """Return a capture decoded for display.
 
-    For cameras that `decode` does not support, with a real main lens or an objective, a thin lens stands in for the
-    exit pupil: near the axis, its micro-images are the same. Positions and distances are then left out, as they are
-    not those of the camera.
+    For cameras that `decode` does not support, with a real main lens or an objective, a thin lens replaces the exit
+    pupil: near the axis it gives the same micro-images. Positions and distances are then left out, as they would be
+    those of the thin lens.
     """
     camera, lens = capture.camera, capture.camera.lens_data
     if lens.is_thin or lens.images_stop:
@@ -91,7 +91,7 @@ def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.D
 
 @dataclass(frozen=True)
 class Viewer:
-    """An interactive page, as `view` makes it; notebooks show it in a frame.
+    """An interactive page made by `view`; notebooks show it in a frame.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ class Viewer:
 def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Dataset, title: str = "") -> Viewer:
     """Make a page that shows captures, light fields and focal stacks interactively.
 
-    The page moves the viewpoint over the pupil, refocuses by shifting the views and adding them (the ray model),
-    enlarges the micro-images of a capture, and compares two captures. Views and pixels that would make it too large are
+    The page moves the viewpoint over the pupil, refocuses by shifting and adding the views (the ray model), enlarges
+    the micro-images of a capture, and compares two captures. Views and pixels that would make the page too large are
     left out, which the page states.
 
     Parameters
@@ -196,7 +196,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, np.ndarray, str]], list[xr.Dataset]]:
-    """Return light fields, planes from near to far (distance, image and method), and depth maps among sources."""
+    """Return the light fields, the planes from near to far (distance, image, method), and the depth maps."""
     recordings: list[Recording] = []
     planes: list[tuple[float, np.ndarray, str]] = []
     depths: list[xr.Dataset] = []
@@ -256,7 +256,7 @@ def _recording(
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
-    """Return a light field with so few views that a limit of samples is kept."""
+    """Return a light field reduced to as many views as a limit of samples allows."""
     count = most = min(lf.sizes["v"], lf.sizes["u"])
     each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     if lf.size <= samples:
@@ -267,7 +267,7 @@ def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
 
 
 def _geometry(lf: xr.DataArray) -> dict[str, Any]:
-    """Return the positions of the views, and the disparities and distances of the focus slider."""
+    """Return the positions of the views on the pupil, and the disparities and distances of the focus slider."""
     try:
         steps = [view_steps(lf, axis).tolist() for axis in "vu"]
         reach = max(1.0, _REACH / (1 + np.ptp(steps[0])))
@@ -291,7 +291,7 @@ def _geometry(lf: xr.DataArray) -> dict[str, Any]:
 
 
 def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
-    """Return the raw picture with the positions of micro-images and bins, and a sentence about it."""
+    """Return the raw picture with positions of micro-images and bins, and a sentence that describes it."""
     factor = math.ceil(math.sqrt(image.size * count / _RAW_BYTES))
     small = shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
     full = min(max(float(small.max()), white), _WIDE * white)
@@ -319,7 +319,7 @@ def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple
 
 
 def _bins(lf: xr.DataArray) -> dict[str, Any] | None:
-    """Return the positions of bins on the raw picture, None where they are unknown."""
+    """Return the positions of bins on the raw picture, None if they are unknown."""
     if not lf.attrs.get("camera") or not lf.attrs.get("grid"):
         return None
     bins = bin_grid(camera_of(lf))
@@ -327,7 +327,7 @@ def _bins(lf: xr.DataArray) -> dict[str, Any] | None:
 
 
 def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[dict[str, Any]]:
-    """Return images with their distances, as the page takes them."""
+    """Return images with their distances in the page's format."""
     full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
     bits = 16 if full > _WIDE * white else 8
     return [
@@ -343,7 +343,7 @@ def _plane_facts(planes: list[tuple[float, np.ndarray, str]]) -> list[tuple[str,
 
 
 def _depth(found: xr.Dataset) -> dict[str, Any]:
-    """Return a depth map as inverse distances, unknown where the depth is hardly sure."""
+    """Return a depth map as inverse distances, without depths of low confidence."""
     depth = np.asarray(found["depth"], dtype=np.float64)
     inverse = np.where(np.asarray(found["confidence"]) > _SURE, 1 / depth, np.nan)
     known = inverse[np.isfinite(inverse)]
@@ -352,7 +352,7 @@ def _depth(found: xr.Dataset) -> dict[str, Any]:
 
 
 def _plain(distance: Any) -> Any:
-    """Return distances as JSON values: infinity as a text, unknown ones as None."""
+    """Return distances as JSON values: infinity as text, unknown distances as None."""
     values = [
         None if math.isnan(value) else "inf" if math.isinf(value) else float(f"{value:.6g}")
         for value in np.atleast_1d(distance).tolist()

@@ -1,4 +1,4 @@
-"""Files for the viewer: which of its sources a file holds, by its suffix and, of OpenEXR, by the kind in its header."""
+"""Source files of the viewer, recognised by suffix and, for OpenEXR, by the kind stated in the header."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read_source(
     linear: bool = False,
     camera: PlenopticCamera | None = None,
 ) -> Recording | xr.DataArray | xr.Dataset:
-    """Return the recording, focal stack or depth map that a source of the viewer contains.
+    """Return the recording, focal stack or depth map that a source file of the viewer contains.
 
     Parameters
     ----------

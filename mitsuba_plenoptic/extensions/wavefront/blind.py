@@ -1,15 +1,15 @@
-r"""Digital adaptive optics: an object, and the wavefront of each zone of the field, from one capture of the object.
+r"""Digital adaptive optics: an object, and the wavefront of each zone of its field, from one capture.
 
 A capture of zones z whose points have the weights :math:`w_z`, behind wavefronts of the Zernike terms :math:`a_z`, is
 
 .. math:: I = \sum_z A(a_z) \, w_z .
 
-Both are unknown (blind deconvolution). In turn, some of Richardson's and Lucy's steps change the weights, which stay
-positive, and some steps of a fit change the terms (see `search`).
+Both are unknown (blind deconvolution). Steps of Richardson and Lucy's method, which change the weights and keep them
+positive, alternate with steps of a fit, which change the terms (see `search`).
 
-A tilt of the wavefront is a shift of the object, and defocus is another distance of it: one capture cannot separate
-them, so that these terms are held. Nor does it separate a wavefront from an object without structure, or show what of
-the object is smaller than the camera resolves.
+A tilt of the wavefront is equivalent to a shift of the object, and defocus to another object distance: one capture
+cannot separate them, so these terms are held fixed. Nor can it separate a wavefront from an object without structure,
+or show details of the object that the camera does not resolve.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ _LEAST_FALL = 0.99
 
 @dataclass(frozen=True, eq=False)
 class CorrectedObject:
-    """An object and the wavefronts that were found together with it.
+    """An object and the wavefronts found together with it.
 
     Attributes
     ----------
     weights : list of float64 arrays (n,)
-        For each zone those of its points, as for `fitting.View`.
+        Weights of the points of each zone, as for `fitting.View`.
     cameras : list of PlenopticCamera
-        For each zone the camera with its ``wavefront``.
+        Camera of each zone, with its ``wavefront``.
     misfits : list of float
         Mean squared residual of a pixel over its variance, before each turn of the wavefronts and at the end; 1 is
         noise alone.
     explained : bool
-        Whether the last is as small as noise. Otherwise turns no longer helped, or all were made.
+        Whether the last misfit is as small as noise. Otherwise further turns did not help, or none were left.
     """
 
     weights: list[Array]
@@ -78,15 +78,15 @@ def deconvolve_zones(
     Parameters
     ----------
     cameras : sequence of PlenopticCamera
-        For each zone the camera with its ``wavefront``.
+        Camera of each zone, with its ``wavefront``.
     image : array (rows, columns)
         Capture.
     zones : Zone, or sequence of Zone
         Parts of the field, each with its points; their weights do not matter.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     noise : PixelNoise
-        That of the capture.
+        Noise of the capture.
     accuracy : float
         As for `CaptureOperator`.
     iterations : int
@@ -136,7 +136,7 @@ def digital_adaptive_optics(
     iterations: int = 10,
     progress: Callable[[int, int], None] | None = None,
 ) -> CorrectedObject:
-    """Return an unknown object and the unknown wavefront of each zone of the field, found from one capture.
+    """Return an unknown object and the unknown wavefront of each zone of the field, both estimated from one capture.
 
     Parameters
     ----------
@@ -152,18 +152,18 @@ def digital_adaptive_optics(
     held : int
         Terms up to this one stay as they are in `camera`: the default is piston, tilts and defocus.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     noise : PixelNoise
-        That of the capture. Default: that of pixels that are counted electrons.
+        Noise of the capture. Default: the noise of pixels that are counted electrons.
     accuracy : float
         As for `CaptureOperator`.
     turns : int
-        How often the wavefronts are improved at most. Turns end earlier where the residual is as small as noise, or
-        its excess falls by less than a hundredth.
+        Largest number of turns that improve the wavefronts. Turns end earlier where the residual is as small as noise,
+        or its excess falls by less than a hundredth.
     iterations : int
         Richardson's and Lucy's steps in each turn.
     progress : callable, optional
-        Called with the turns that have been made and the most that are.
+        Called with the number of turns made and the largest possible number.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def digital_adaptive_optics(
 
 
 class _ZoneSum:
-    """The sum of the captures of all zones, linear in the weights of their points."""
+    """The sum of the captures of all zones, a linear function of the weights of their points."""
 
     def __init__(self, search: Search, cameras: Sequence[PlenopticCamera], zones: Sequence[Zone]) -> None:
         self._search = search
@@ -227,11 +227,11 @@ class _ZoneSum:
         return np.asarray(total, np.float32).reshape(self._search.image.shape)
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
-        """Return, for each point, the sum of pixels weighted by the point's light."""
+        """Return, for each point, the sum over pixels weighted by the point's light in each pixel."""
         return [matrix.T @ image.ravel() for matrix in self._matrices]
 
     def improve(self, state: State | None, noise: PixelNoise, iterations: int, *, accelerate: bool) -> PlaneEstimates:
-        """Make some of Richardson's and Lucy's steps, fewer if the residual becomes as small as noise."""
+        """Make some Richardson-Lucy steps, fewer if the residual falls to the noise."""
         image = np.asarray(self._search.image, np.float32)
         return richardson_lucy(
             self,
@@ -245,7 +245,7 @@ class _ZoneSum:
 
 
 def _misfit(search: Search, model: NDArray[np.float32]) -> float:
-    """Return the mean squared residual over the variance."""
+    """Return the mean squared residual divided by the variance."""
     expected = np.asarray(model, np.float64)
     return float((((search.image - expected) / search.deviations(expected)) ** 2).mean())
 

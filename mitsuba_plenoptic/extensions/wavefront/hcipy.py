@@ -1,6 +1,6 @@
 """Plenoptic and Shack-Hartmann sensors as optical elements of HCIPy, and HCIPy's atmospheres as phase screens.
 
-The extra ``ao`` installs HCIPy. Its lengths are metres, its x and y those of the camera frame here.
+The extra ``ao`` installs HCIPy. HCIPy's lengths are metres, its x and y are those of the camera frame.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ __all__ = ["CameraOptics", "phase_screen"]
 
 
 class CameraOptics(hcipy.OpticalElement):
-    """Camera as an optical element of HCIPy: from a wavefront on the pupil of the main lens to the powers of pixels.
+    """A camera as an optical element of HCIPy: from a wavefront on the main lens's pupil to the powers of the pixels.
 
-    The aperture is that of the wavefront: the camera's `aperture_radius` is not applied, but should be about as large,
-    as it determines the sampling. A star off axis is a tilt of the wavefront. Aberrations of the camera are added.
-    Between its samples the wavefront is interpolated by its band limit, as in HCIPy's own propagations.
+    The wavefront has its own aperture: the camera's `aperture_radius` is not applied, but should be about as large, as
+    it determines the sampling. A star off axis is a tilt of the wavefront. Aberrations of the camera are added. Between
+    its samples the wavefront is interpolated by its band limit, as in HCIPy's propagations.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class CameraOptics(hcipy.OpticalElement):
 
     @one_at_a_time
     def forward(self, wavefront: Any) -> Any:
-        """Return the power in each recorded pixel, as a detector of HCIPy does.
+        """Return the power in each recorded pixel, like a detector of HCIPy.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ def phase_screen(phase: Any, wavelength: float) -> PhaseScreen:
 
 
 def _nanometres(wavelength: Any) -> float:
-    """Return a wavelength in nanometres from metres, or refuse it."""
+    """Return a wavelength given in metres in nanometres; refuse wavelengths out of range."""
     metres = require_number("wavelength", wavelength, positive=True)
     low, high = (bound * 1e-9 for bound in WAVELENGTHS)
     refuse_if(not low <= metres <= high, f"wavelength = {metres:g}: it must be from {low:g} to {high:g} metres")

@@ -38,14 +38,14 @@ _LEAST_COUNT = 1.0
 
 @dataclass(frozen=True)
 class InteractionMatrix:
-    """The capture of known points, and its derivatives by Zernike terms.
+    """The capture of known points, and its derivatives with respect to Zernike terms.
 
     Attributes
     ----------
     camera : PlenopticCamera
         The camera, with the reference wavefront.
     reference : float64 array (rows, columns)
-        Its capture, with a sum of 1.
+        Capture of the known points, with a sum of 1.
     responses : float64 array (modes - 1, rows, columns)
         Derivatives of the capture, by the second Zernike term and those that follow.
     """
@@ -65,7 +65,7 @@ class InteractionMatrix:
         wavelength: float = 633.0,
         accuracy: float = 0.01,
     ) -> InteractionMatrix:
-        """Return the matrix of a camera for known points.
+        """Return the interaction matrix of a camera for known points.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class InteractionMatrix:
         modes : int
             Number of Zernike terms, the piston included, which is not estimated; from 2 to 36.
         wavelength : float
-            In nanometres.
+            Wavelength in nanometres.
         accuracy : float
             As for `CaptureOperator`.
 
@@ -100,16 +100,16 @@ class InteractionMatrix:
         return cls(camera, image / image.sum(), responses / image.sum())
 
     def estimate(self, image: Any, *, prior: Any = None, rank: int | None = None) -> Array:
-        """Estimate the terms by which the wavefront of a capture differs from the reference.
+        """Return the Zernike terms by which the wavefront of a capture differs from the reference.
 
         Parameters
         ----------
         image : array (rows, columns)
-            Capture in counted electrons; its sum is taken for the number N.
+            Capture in counted electrons, whose sum is taken for the number N.
         prior : float or array (modes - 1,), optional
             Expected standard deviation of each term, in waves. Default: unknown.
         rank : int, optional
-            Number of directions of the terms that are estimated, those that the pixels determine best. The others stay
+            Number of directions of the terms that are estimated, from the best determined on. The other directions stay
             0. Default: all.
 
         Returns

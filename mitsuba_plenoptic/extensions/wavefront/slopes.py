@@ -1,14 +1,13 @@
-r"""Slopes of a wavefront over the pupil, measured in captures of a point source, and the Zernike terms that fit them.
+r"""Slopes of a wavefront over the pupil, measured in captures of a point source, and Zernike terms fitted to them.
 
-An aberration W bends the ray from the pupil point P by its slope, so that it arrives on the microlens array
+An aberration W tilts the ray from the pupil point P by its slope, so that the ray meets the array displaced by
 
 .. math:: \Delta m = b \, \nabla W(P)
 
-from the image of the point. Behind an array in focus each lens shows the pupil, so that a pixel stands for a pair of a
-lens and a pupil point: the centroid of the lenses that are lit from a pupil point is the slope there (Clare and Lane,
-"Wave-front sensing from subdivision of the focal plane with a lenslet array", J. Opt. Soc. Am. A 22, 2005). Behind an
-array in the pupil's image (Shack-Hartmann) the lens stands for a square of the pupil, and the place of its spot is the
-mean slope there.
+from the image of the point. Behind an array in focus each lens shows the pupil, so that a pixel stands for a lens and a
+pupil point: the centroid of the lenses lit from a pupil point is the slope there (Clare and Lane, "Wave-front sensing
+from subdivision of the focal plane with a lenslet array", J. Opt. Soc. Am. A 22, 2005). Behind an array in the pupil's
+image (Shack-Hartmann) a lens stands for a square of the pupil, and the position of its spot is the mean slope there.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Slopes:
-    """Slopes of a wavefront at points of the pupil.
+    """Slopes of a wavefront at points of the pupil, with their light.
 
     Attributes
     ----------
@@ -53,10 +52,10 @@ class Slopes:
 
 
 def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
-    """Return slopes from the views of a capture: for each pupil point, the centroid of the lenses lit from there.
+    """Return slopes measured in the views of a capture: the centroid of the lenses lit from each pupil point.
 
-    The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where it stays
-    within one, and coarse pixels make them some percent too small. They serve as a start for `fit_wavefronts`.
+    The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where light
+    stays within one lens, and coarse pixels make them some percent small. They start `fit_wavefronts`.
 
     Parameters
     ----------
@@ -96,11 +95,11 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
 def spot_slopes(
     image: Any, *, pixels_per_lens: int, pixel_size: float, focal_length: float, magnification: float = 1.0
 ) -> Slopes:
-    """Return slopes from the positions of the spots in a capture of a Shack-Hartmann sensor.
+    """Return slopes measured by the positions of the spots in a capture of a Shack-Hartmann sensor.
 
-    From the phase of the first Fourier coefficient of the lens's pixels, to which even light adds nothing. Centroids
-    read some percent too little, as the borders of cells cut the tails of spots off; of two pixels a lens they are
-    taken.
+    Positions are phases of the first Fourier coefficient of each lens's pixels, which uniform light does not change.
+    Centroids would be some percent too small, as the borders of cells cut off the tails of spots; they are used for two
+    pixels a lens.
 
     Parameters
     ----------
@@ -109,7 +108,7 @@ def spot_slopes(
     pixels_per_lens : int
         Rows and columns of pixels behind a lens, which divide those of the image; x and y grow with column and row.
     pixel_size : float
-        In millimetres.
+        Width of a pixel in millimetres.
     focal_length : float
         Distance from the lenses to the detector, in millimetres.
     magnification : float
@@ -155,15 +154,15 @@ _LEAST_PIXELS = 3
 
 
 def _sums(spots: Array, factors: NDArray[Any]) -> NDArray[Any]:
-    """Return (rows, columns, 2) the sums of lenses' pixels times factors by the column, and by the row."""
+    """Return sums over each lens's pixels, weighted by column factors and by row factors, (rows, columns, 2)."""
     return np.stack([np.einsum("imjn,n->ij", spots, factors), np.einsum("imjn,m->ij", spots, factors)], -1)
 
 
 def modes_from_slopes(slopes: Slopes, radius: float, modes: int) -> Array:
-    """Return Zernike terms fitted to slopes by least squares, weighted by their light.
+    """Return Zernike terms fitted to slopes by least squares, weighted by the light of each slope.
 
-    Slopes that are means over squares count as means over the part of the square in the pupil; squares outside do not
-    count.
+    Slopes that are means over squares are fitted by means over the part of each square in the pupil; squares outside
+    are ignored.
 
     Parameters
     ----------
@@ -202,7 +201,7 @@ _POINTS = 16
 
 
 def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the slopes of the terms as means over the squares of `slopes`, and a mask of the squares in the pupil."""
+    """Return the slopes of the terms as means over the squares of `slopes`, and a mask of squares in the pupil."""
     if slopes.width == 0:
         return mode_slopes(slopes.pupil, radius, modes), np.ones(len(slopes.pupil), bool)
     step = ((np.arange(_POINTS) + 0.5) / _POINTS - 0.5) * slopes.width
@@ -214,14 +213,14 @@ def _mean_slopes(slopes: Slopes, radius: float, modes: int) -> tuple[Array, NDAr
 
 
 def mode_slopes(pupil: Array, radius: float, modes: int) -> Array:
-    """Return the slopes (modes - 1, n, 2) of each Zernike term but the piston, of one unit, at points of the pupil."""
+    """Return the slopes (modes - 1, n, 2) at pupil points of each Zernike term, of one unit, without the piston."""
     x, y = pupil.T
     terms = np.eye(modes)[1:]
     return np.stack([np.stack(np.broadcast_arrays(*Wavefront(term, radius).slope(x, y)), -1) for term in terms])
 
 
 def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
-    """Return, (rows, columns, 2), the centre of each pixel's lens, and the pupil point seen through this centre."""
+    """Return the centre of each pixel's lens, and the pupil point seen through that centre, each (rows, columns, 2)."""
     b, z = camera.mla_distance, camera.reduced_distance
     detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
     chief = rays.chief_point(detector, b, z)
@@ -230,7 +229,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
 
 
 def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Array:
-    """Return a capture of one channel without negative pixels, or refuse it."""
+    """Return a capture of one channel with negative pixels set to 0; refuse other captures."""
     seen = np.asarray(as_array("image", image), np.float64)
     refuse_if(seen.ndim != 2, f"image of shape {seen.shape}: wavefronts are measured in images of one channel")
     require_pixels("image", seen)

@@ -1,8 +1,8 @@
-"""Wavefronts from the pixels of a capture: least squares with the derivatives of captures, by zones of the field.
+"""Wavefronts by zones of the field, fitted to the pixels of a capture by least squares with derivatives.
 
-Each zone of the field, a star or a part of an extended scene, has a wavefront of its own. Its Zernike terms are fitted
-to the capture by `fitting.fit`, from which the light of the other zones is subtracted; zones take turns until neither
-their wavefronts nor their brightness change.
+Each zone of the field, a star or a part of an extended scene, has its own wavefront. Its Zernike terms are fitted by
+`fitting.fit` to the capture minus the light of the other zones; zones take turns until neither wavefronts nor
+brightness change.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ _RINGS, _SPOKES = 8, 32
 
 @dataclass(frozen=True)
 class Zone:
-    """Part of the field over which the wavefront is equal.
+    """Part of the field over which the wavefront is constant.
 
     Parameters
     ----------
     points : array (n, 3)
-        Its point sources in the camera frame, in millimetres.
+        Point sources of the zone in the camera frame, in millimetres.
     weights : array (n,), optional
         Their relative brightness, not negative. Default: all alike.
 
@@ -104,10 +104,10 @@ def fit_wavefronts(
     noise: Any = COUNTS,
     accuracy: float = 0.01,
 ) -> list[Fit]:
-    """Return the fitted wavefront of each zone of the field, found from one capture of known points.
+    """Return the wavefront of each zone of the field, fitted to one capture of known points.
 
-    The positions of the points are known, their total light in each zone is not. Tilts are thus measured against the
-    positions, and defocus against the distances.
+    The positions of the points are known, but not their total light in each zone. Tilts are thus measured relative to
+    the positions, and defocus relative to the distances.
 
     Parameters
     ----------
@@ -121,9 +121,9 @@ def fit_wavefronts(
     modes : int
         Number of Zernike terms, the piston included, which stays 0; from 2 to 66.
     wavelength : float
-        In nanometres.
+        Wavelength in nanometres.
     noise : PixelNoise, float or array (rows, columns)
-        As for `fitting.View`. Default: that of pixels that are counted electrons.
+        Noise as for `fitting.View`. Default: the noise of pixels that are counted electrons.
     accuracy : float
         As for `CaptureOperator`.
 
@@ -184,7 +184,7 @@ def fit_wavefronts(
 
 
 def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
-    """Return the distance between the recorded lenses and the nearest ray of a zone behind the camera's wavefront."""
+    """Return the distance in mm between the recorded lenses and a zone's nearest ray, with the camera's wavefront."""
     lens = main_lens(camera)
     radius, angle = np.linspace(0, lens.pupil_radius, _RINGS), 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
@@ -196,7 +196,7 @@ def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
 
 
 class Search:
-    """A capture, and the captures of zones that a camera is expected to record."""
+    """A capture, and the captures of zones expected from a camera."""
 
     def __init__(self, camera: PlenopticCamera, image: Any, wavelength: float, noise: Any, accuracy: float) -> None:
         refuse_if(noise is None, "noise: give that of the capture")
@@ -211,18 +211,18 @@ class Search:
         return CaptureOperator(camera, points, wavelength=self.wavelength, accuracy=self.accuracy)
 
     def expected(self, camera: PlenopticCamera, zone: Zone) -> Array:
-        """Return the capture of a zone whose points have a total weight of 1, as for `View`."""
+        """Return the expected capture of a zone whose points have a total weight of 1, in units of `View`."""
         operator = self.operator(camera, zone.points)
         system = OpticalSystem(operator.camera.at_wavelength(self.wavelength), self.wavelength)
         weights = brightness_at(system, zone.points) * zone.weights
         return np.asarray(operator.forward(weights), np.float64)
 
     def deviations(self, expected: Array) -> Array:
-        """Return the standard deviation of each pixel where some values are expected."""
+        """Return the standard deviation of each pixel at given expected values."""
         return Pixels.of([self._view], expected[None], None).weight[0]
 
     def light(self, expected: Sequence[Array], sum_before: Array) -> Array:
-        """Return the weight of each zone that brings the zones' sum nearest to the capture, in units of its noise."""
+        """Return the weights of the zones whose weighted sum is nearest to the capture, in units of its noise."""
         weight = 1 / self.deviations(np.maximum(sum_before, 0)).ravel()
         rows = np.stack([each.ravel() * weight for each in expected], 1)
         found, *_ = np.linalg.lstsq(rows, self.image.ravel() * weight, rcond=None)
@@ -239,7 +239,7 @@ class Search:
         mask: NDArray[np.bool_] | None,
         **options: Any,
     ) -> tuple[Fit, list[Warning | str]]:
-        """Fit the wavefront of one zone to the pixels outside a mask, and return the warnings, too.
+        """Return the fitted wavefront of one zone, from the pixels outside a mask, and the warnings of the fit.
 
         `options` are those of `fit`.
         """
@@ -278,7 +278,7 @@ def terms_of(camera: PlenopticCamera, count: int) -> Array:
 
 
 def _start(camera: PlenopticCamera, image: Array, zone: Zone, modes: int) -> PlenopticCamera:
-    """Return the camera at which the search of a zone starts, found from the pixels of the zone's image."""
+    """Return the camera from which the search for a zone's wavefront starts, estimated from the zone's pixels."""
     if camera.wavefront:
         return camera.replace(wavefront=tuple(terms_of(camera, max(modes, len(camera.wavefront))).tolist()))
     slopes = view_slopes(camera, image, zone.weights @ zone.points)
@@ -286,7 +286,7 @@ def _start(camera: PlenopticCamera, image: Array, zone: Zone, modes: int) -> Ple
 
 
 def nearest_pixels(camera: PlenopticCamera, points: Array) -> NDArray[np.int64]:
-    """Return for each pixel which of some points, (n, 3), has the image that is nearest to the pixel's lens."""
+    """Return, for each pixel, the index of the point, of (n, 3), whose image is nearest to the pixel's lens."""
     images = main_lens(camera).images(points)
     lens, _ = lenses_of_pixels(camera)
     return np.asarray(((lens[..., None, :] - images) ** 2).sum(-1).argmin(-1))

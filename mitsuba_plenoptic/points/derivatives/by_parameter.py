@@ -1,4 +1,4 @@
-"""The parameters of a camera by which captures are differentiated, as Dr.Jit arrays that carry gradients."""
+"""The camera parameters with respect to which captures are differentiated, as Dr.Jit arrays with gradients."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _BLOCK = 2**14
 
 
 def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
-    """Return the path that changes of coefficients add at points of the pupil: zero, with gradients."""
+    """Return the path that changes of coefficients add at points of the pupil: zero, but with gradients."""
     return dr.custom(_VaryingPath, coefficients, radius, dr.detach(x), dr.detach(y))
 
 
 class _VaryingPath(dr.CustomOp):
-    """A sum of Zernike polynomials with coefficients that are zero except for their changes."""
+    """A sum of Zernike polynomials whose coefficients are zero, but carry changes."""
 
     def eval(self, coefficients: Any, radius: float, x: Any, y: Any) -> Any:
         self._count, self._radius, self._points = len(coefficients), radius, (x, y)
@@ -49,23 +49,20 @@ class _VaryingPath(dr.CustomOp):
 
     def backward(self) -> None:
         gradient, x, y = (backend().to_host(backend().from_drjit(part)) for part in (self.grad_out(), *self._points))
-        found = np.array(_gradients(self._count, gradient, x, y, self._radius))
+        # The sums over the samples of each polynomial times the gradient of the path, from the sums of powers.
+        polynomials = [zernike(j) for j in range(1, self._count + 1)]
+        size = max(len(polynomial) for polynomial in polynomials)
+        moments = np.zeros((size, size))
+        for first in range(0, len(gradient), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            across, up = (_powers(values[block] / self._radius, size) for values in (x, y))
+            moments += (across * gradient[block]) @ up.T
+        unit = in_millimetres(WAVEFRONT_UNIT)
+        found = np.array([unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials])
         self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), found))
 
     def name(self) -> str:
         return "aberrations"
-
-
-def _gradients(count: int, gradient: NDArray[Any], x: NDArray[Any], y: NDArray[Any], radius: float) -> list[float]:
-    """Return the sums over the samples of each polynomial times the gradient of the path."""
-    polynomials = [zernike(j) for j in range(1, count + 1)]
-    size = max(len(polynomial) for polynomial in polynomials)
-    moments = np.zeros((size, size))
-    for first in range(0, len(gradient), _BLOCK):
-        block = slice(first, first + _BLOCK)
-        moments += (_powers(x[block] / radius, size) * gradient[block]) @ _powers(y[block] / radius, size).T
-    unit = in_millimetres(WAVEFRONT_UNIT)
-    return [unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials]
 
 
 def _powers(values: NDArray[Any], count: int) -> NDArray[np.float64]:
@@ -87,7 +84,7 @@ MOVES = ("detector_width", "mla_rotation", "wavelength")
 
 
 def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
-    """Return the present parts of a parameter: two pitches, each focal length, 36 aberrations or more."""
+    """Return the present components of a parameter: two pitches, each focal length, 36 aberrations or more."""
     if name == WAVELENGTH:
         return np.array([wavelength])
     parts = parts_of(camera, name)
@@ -95,7 +92,7 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 
 def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Return names of parameters with derivatives, all for None; others are refused."""
+    """Return the names of differentiable parameters, all of them for None; refuse other names."""
     names = DIFFERENTIABLE if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in DIFFERENTIABLE:
@@ -107,7 +104,7 @@ def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
 
 
 def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np.float64]]:
-    """Return changes of parameters by name, each of all parts that `values_of` returns; others are refused."""
+    """Return changes of parameters by name, with all components as in `values_of`; refuse other parameters."""
     if not isinstance(changes, dict):
         raise InputError(f"changes = {short_repr(changes)}: they must be numbers by name")
     check_names(changes)
@@ -122,7 +119,7 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
 
 
 def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives of the logarithm of `units.brightness` by all parts of each parameter.
+    """Return the derivatives of the logarithm of `units.brightness` with respect to each parameter's components.
 
     The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
     """
@@ -136,7 +133,7 @@ def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str
 def light_slopes(
     system: OpticalSystem, names: Iterable[str], points: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the derivatives of the logarithm of `units.brightness_at` by each parameter.
+    """Return the derivatives of the logarithm of `units.brightness_at` with respect to each parameter.
 
     The arrays are (components, points).
     """
@@ -146,7 +143,7 @@ def light_slopes(
 
 
 class VaryingParameters:
-    """The parameters of a camera, and the wavelength, as Dr.Jit arrays; those in `names` carry gradients."""
+    """A camera's parameters and the wavelength as Dr.Jit arrays; the parameters in `names` carry gradients."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad
@@ -160,12 +157,18 @@ class VaryingParameters:
                 dr.enable_grad(self._parameters[name])
 
     def elements(self, grid: Grid, lanes: int) -> Elements:
-        """Return the elements of the camera in the frame of a grid.
+        """Return the elements of the camera in the frame of a grid, with gradients.
 
-        Each varying parameter is repeated for each of several lanes, so that one kernel scatters the gradients of all
-        of them. Single values would each need a kernel of their own, which would recompute everything.
+        Each varying parameter is repeated in several lanes, so that one kernel scatters the gradients of all of them.
+        Single values would need one kernel each, which would recompute everything.
         """
-        get = {name: [self._over(name, part, lanes) for part in self._parameters[name]] for name in DIFFERENTIABLE}
+        first = dr.zeros(self.types.UInt32, lanes)
+        get = {
+            name: [dr.gather(self.types.Float64, part, first) for part in parts]
+            if name in self._varies and name != "wavefront"
+            else parts
+            for name, parts in self._parameters.items()
+        }
         (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
         angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         # The array stays where it is in the frame of the grid, and the scene turns.
@@ -191,14 +194,8 @@ class VaryingParameters:
             aberration = partial(varying_path, dr.concat(self._parameters["wavefront"]), grid.camera.pupil_radius)
         return Elements(cache(lens), cache(array), wavelength, distance, turned, growth, aberration)
 
-    def _over(self, name: str, value: Any, lanes: int) -> Any:
-        """Return a value for each lane, if it varies."""
-        if name not in self._varies or name == "wavefront":
-            return value
-        return dr.gather(self.types.Float64, value, dr.zeros(self.types.UInt32, lanes))
-
     def brightness(self, camera: PlenopticCamera) -> Any:
-        """Return `units.brightness` for these parameters."""
+        """Return `units.brightness` as a function of these parameters."""
         get = self._parameters
         lattice = self._lattice(get, camera, (0.0, 0.0))
         pixel = get["detector_width"][0] / camera.resolution[0]
@@ -216,7 +213,7 @@ class VaryingParameters:
                 dr.set_grad(value, tangent)
 
     def gradients(self) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients that have been gathered."""
+        """Return the gradients accumulated so far, by parameter."""
         return {
             name: np.array([float(dr.grad(value)[0]) for value in self._parameters[name]])
             for name in sorted(self._varies)

@@ -1,4 +1,4 @@
-"""The derivatives of a sum of point spreads at one wavelength, forward and in reverse."""
+"""Derivatives of a sum of point spreads at one wavelength, forward and in reverse."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _LEFT_OUT = 0.1
 
 
 class DerivativePlan(PatchPlan):
-    """Point spreads and their copies, with the differences between their changes.
+    """Point spreads and their copies in other lenses, with the derivatives of their sum.
 
-    In sums of many points, points share spreads as they do for images; otherwise each has a spread of its own, whose
-    intensity is sampled twice as finely as its field. Its bandwidth is twice that of the field, and frequencies that
-    would be aliased change fastest; in sums of many points they average out.
+    In sums of many points, points share spreads as they do for images; otherwise each point has its own spread, whose
+    intensity is sampled twice as finely as the field. The intensity has twice the field's bandwidth, and frequencies
+    that would be aliased change fastest; in sums of many points they average out.
     """
 
     def __init__(
@@ -86,9 +86,9 @@ class DerivativePlan(PatchPlan):
         done: int,
         total: int,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients by parameters from the gradient of the image, (rows, columns, channels).
+        """Return gradients with respect to parameters, from the image's gradient (rows, columns, channels).
 
-        `done` of the `total` points of a job are already complete.
+        `done` of the job's `total` points are already complete.
         """
         parameters = VaryingParameters(self._camera, self._wavelength, names)
         moves, copied = ([name for name in some if name in names] for some in (MOVES, MOVED_COPIES))
@@ -99,17 +99,20 @@ class DerivativePlan(PatchPlan):
         moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), parameters) if chunks else ()
-        batches = (self._vjp_batch(chunk, weights, moving, offset, samples, summed, varies) for chunk in chunks)
         waiting: list[VjpBatch] = []
 
-        def remembered() -> Iterator[VjpBatch]:
-            for batch in batches:
-                waiting.append(batch)
-                yield batch
+        def batches() -> Iterator[VjpBatch]:
+            for chunk in chunks:
+                fields, copies = self.lit(chunk, weights, moving)
+                placement = fields.placement
+                covered = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
+                tile = self._tile(samples, covered)
+                waiting.append(VjpBatch(fields, copies, self._finer, offset, tile, int(summed), varies))
+                yield waiting[-1]
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
         sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
-        for result in job.each(remembered(), items.tolist(), done + self._count - int(items.sum()), total):
+        for result in job.each(batches(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(result, parameters)
             products[0] += result.products
             if result.spreads is not None:
@@ -134,16 +137,16 @@ class DerivativePlan(PatchPlan):
         return bool(self._shifts.any()) and any(name in SHIFTED_COPIES for name in names)
 
     def offset_for(self, names: Iterable[str]) -> VaryingParameters | None:
-        """Return the parameters with a varying ``mla_offset``, if the changes of copies by `names` depend on it."""
+        """Return parameters with a varying ``mla_offset``, if the changes of copies by `names` depend on the offset."""
         if not self._shifts.any() or not any(name in MOVED_LENSES for name in names):
             return None
         return VaryingParameters(self._camera, self._wavelength, ["mla_offset"])
 
     def moving(self, weights: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return a mask of the spreads for whose copies the motion of the lattice against their points is included.
+        """Return a mask of the spreads whose copies are moved with the lattice relative to their points.
 
-        The effect is proportional to their weights and distances. Spreads with few or near copies take as long as
-        others, so that those with the least effect, together a small fraction of the total, are omitted.
+        The effect is proportional to the copies' weights and distances. Spreads with few or near copies take as long as
+        others; those with the least effect, together a small fraction of the total, are omitted.
         """
         distances = np.abs(self._shifts * self._per_sample).sum(1) * np.abs(weights[self._order]).sum(1)
         amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
@@ -163,28 +166,12 @@ class DerivativePlan(PatchPlan):
             copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, bool(moving[pattern])))
         return self._fields(np.array(used, np.int64)), copies
 
-    def _vjp_batch(
-        self,
-        chunk: NDArray[np.int64],
-        weights: NDArray[np.float64],
-        moving: NDArray[np.bool_],
-        offset: VaryingParameters | None,
-        samples: Any,
-        summed: int,
-        varies: tuple[bool, ...],
-    ) -> VjpBatch:
-        """Describe a batch, with the samples that it covers; samples outside the recorded ones are zero."""
-        fields, copies = self.lit(chunk, weights, moving)
-        placement = fields.placement
-        box = reached(placement.corner, int(placement.samples[0]), copies, self._finer)
-        return VjpBatch(fields, copies, self._finer, offset, self._tile(samples, box), summed, varies)
-
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:
         """Return the bytes that derivatives of all channels in all directions take; refuse too many."""
         return super().check_memory(batch_map, self._kept(channels))
 
     def together(self, batch_map: BatchMap, channels: int, directions: int) -> int:
-        """Return the number of directions in which sums of some channels are differentiated at once: 1 at least."""
+        """Return the number of directions, at least 1, in which sums of some channels are differentiated together."""
 
         def memory(count: int) -> float:
             return self.memory(batch_map, self._kept(count * channels))
@@ -219,7 +206,7 @@ class JvpSum:
         ]
 
     def batches(self, first: int) -> Iterator[JvpBatch]:
-        """Yield the batches from one on, in their order."""
+        """Yield the batches in order, from index `first` on."""
         plan, slopes = self._plan, tuple(lattice for lattice, _ in self._slopes)
         offset = plan.offset_for(name for changes in self._directions for name in changes)
         moving = plan.moving(self._weights)
@@ -231,7 +218,7 @@ class JvpSum:
             yield JvpBatch(fields, copies, plan._finer, varied, slopes, offset, self._placed)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
-        """Integrate over the recorded pixels, and add the changes by the motion of the pixels."""
+        """Return the changes integrated over the recorded pixels, plus the changes due to the pixels' motion."""
         recorder, channels = self._plan._recorder, self._weights.shape[1]
         count = len(self._directions) * channels
         image, plain = recorder.record(total.sums[:count]), total.sums[count : count + channels]
@@ -251,7 +238,7 @@ class JvpSum:
 
 
 class Differentials:
-    """The derivatives of the sum of all point spreads, planned for each wavelength when they are first asked for."""
+    """Derivatives of the sum of all point spreads, planned for each wavelength on first use."""
 
     def __init__(self, camera: PlenopticCamera, points: int, plans: WavelengthPlans) -> None:
         self._camera, self._points, self._plans = camera, points, plans
@@ -267,7 +254,7 @@ class Differentials:
     ) -> NDArray[np.float32]:
         """Return the changes of the image in some directions, (rows, columns, directions times channels).
 
-        The columns of `weights` have the `wavelengths` given, and `matrix` leads from them to the image's channels.
+        The columns of `weights` have the given `wavelengths`; `matrix` maps them to the image's channels.
         """
         _require_threads(job)
 
@@ -299,7 +286,7 @@ class Differentials:
         matrix: NDArray[np.float32],
         job: Job,
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the gradients by parameters, by name, from the gradient of the image, (rows, columns, channels)."""
+        """Return gradients with respect to parameters, by name, from the image's gradient (rows, columns, channels)."""
         _require_threads(job)
         total: dict[str, NDArray[np.float64]] = {}
         with guards.watch():

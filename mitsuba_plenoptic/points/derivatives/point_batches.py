@@ -1,4 +1,4 @@
-"""Batches of point spreads that are differentiated: forward, by changes of the parameters, and in reverse."""
+"""Batches of differentiated point spreads: forward, along changes of parameters, and in reverse."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ MOVED_COPIES = ("mla_pitch", *SHIFTED_COPIES)
 
 
 def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[np.float64]:
-    """Return A and B for a unit change of each component of a parameter in `MOVED_COPIES`.
+    """Return the matrices A and B of moving copies for a unit change of each component of a parameter.
 
-    The result is (components, 2, 2, 2): for each component A and B, each as (x and y of the move, x and y of the copy's
-    position). Degrees and nanometres are the units of ``mla_rotation`` and ``wavelength``.
+    The result is (components, 2, 2, 2), for a parameter in `MOVED_COPIES`: for each component A and B, each as (x and y
+    of the move, x and y of the copy's position). ``mla_rotation`` is in degrees, ``wavelength`` in nanometres.
     """
     one, none = np.eye(2), np.zeros((2, 2))
     growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
@@ -68,7 +68,7 @@ class SpreadCopies(Copies):
     moving: bool  # whether the motion of the lattice against the points is included
 
     def summed(self, sums: int) -> SpreadCopies:
-        """Return the copies with repeated weights for 1 or 3 sums; for 3, weights times positions follow."""
+        """Return the copies with weights repeated for 1 or 3 sums; of 3, the last two have weights times positions."""
         factors = [np.ones(len(self.places)), *self.places.T][:sums]
         weights = np.hstack([self.weights * factor[:, None].astype(np.float32) for factor in factors])
         return replace(self, weights=weights)
@@ -81,10 +81,10 @@ class SpreadCopies(Copies):
 
 
 def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
-    """Sum the windows of the copies in a tile, with their weights.
+    """Return the weighted sum of the windows of the copies in a tile.
 
-    The tile (channels, rows, columns) is on the box of the windows. With `moments` two more sums follow, with the
-    weights times the copies' x and times their y.
+    The tile (channels, rows, columns) covers the box of the windows. With `moments` two more sums follow, with weights
+    multiplied by the copies' x and by their y.
     """
     along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
     which, channels = np.nonzero(copies.weights)
@@ -103,7 +103,7 @@ def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bo
 
 
 def varying_factors(fields: Fields, parameters: VaryingParameters) -> tuple[bool, ...]:
-    """Return for each factor of fields whether it changes with some parameters."""
+    """Return, for each factor of fields, whether it changes with given parameters."""
     # Single values serve all lanes where nothing is computed.
     elements = parameters.elements(fields.grid, 1)
     made = PatchFactors(fields, np.ones(len(fields.positions)), lambda lanes: elements, parameters.types)
@@ -111,7 +111,7 @@ def varying_factors(fields: Fields, parameters: VaryingParameters) -> tuple[bool
 
 
 def _factors(fields: Fields, parameters: VaryingParameters) -> PatchFactors:
-    """Return the factors of fields by parameters that carry gradients."""
+    """Return the factors of fields as functions of parameters that carry gradients."""
     elements = partial(parameters.elements, fields.grid)
     return PatchFactors(fields, np.ones(len(fields.positions)), elements, parameters.types)
 
@@ -128,7 +128,7 @@ def _moved_lattice(fields: Fields, parameters: VaryingParameters | None, copies:
 
 
 def _changed(fields: Fields, parameters: VaryingParameters) -> Parts:
-    """Return the changes of the factors of a batch with the tangents of the parameters."""
+    """Return the changes of a batch's factors along the tangents of the parameters."""
     made = _factors(fields, parameters)
     values = list(made.values())
     if varying := [value for value in values if dr.grad_enabled(value)]:
@@ -143,7 +143,7 @@ def _changed(fields: Fields, parameters: VaryingParameters) -> Parts:
 
 @dataclass(frozen=True)
 class JvpBatch(FieldBatch):
-    """Changes of point spreads and of their copies, to be added with weights, and the point spreads themselves."""
+    """Changes of point spreads and of their copies, to be added with weights, and the spreads themselves."""
 
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
@@ -160,7 +160,7 @@ class JvpBatch(FieldBatch):
 
 
 def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[Parts]) -> Part:
-    """Add the changes, direction by direction, and the point spreads last."""
+    """Return the sum of the changes for each direction, with the point spreads last."""
     arrays, finer, channels = batch.libraries.arrays, work.finer, work.copies[0].weights.shape[1]
     box = reached(batch.corner, batch.samples, work.copies, finer)
     parts = len(changes) + (3 if work.placed else 1)
@@ -189,7 +189,7 @@ def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[
 def _add(
     sums: Any, terms: list[tuple[Any, NDArray[np.float64]]], copies: SpreadCopies, windows: list[Window], arrays: Any
 ) -> None:
-    """Add to each copy's window the terms with its factors, times its weights."""
+    """Add terms, multiplied by each copy's factors and weights, to the window of each copy."""
     for copy, window in enumerate(windows if terms else []):
         total = sum(value if given[copy] == 1 else arrays.float32(given[copy]) * value for value, given in terms)
         for channel in np.flatnonzero(copies.weights[copy]).tolist():
@@ -207,7 +207,7 @@ class VjpResult:
 
 @dataclass(frozen=True)
 class VjpBatch(FieldBatch):
-    """Point spreads through which the gradient of an image is taken back to the factors on their fields."""
+    """Point spreads through which an image's gradient is propagated back to the factors of their fields."""
 
     copies: list[SpreadCopies]
     finer: int  # as in `FieldChain`
@@ -217,12 +217,12 @@ class VjpBatch(FieldBatch):
     varies: tuple[bool, ...]  # the factors whose cotangents are asked for
 
     def prepare(self) -> Callable[[], VjpResult]:
-        """Make the fields, and return the function that goes back."""
+        """Compute the fields, and return the function that propagates the gradient back."""
         lattice = _moved_lattice(self.fields, self.offset, self.copies)
         return partial(_vjp, self, PatchBatch(self.fields, np.ones(len(self.copies))), lattice)
 
     def gather(self, result: VjpResult, parameters: VaryingParameters) -> None:
-        """Add the gradients of a batch to those of the parameters."""
+        """Add a batch's gradients to the gradients of the parameters."""
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(part):
@@ -247,7 +247,13 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     ]
     *per_point, total = cotangents
     returning = arrays.conj(batch.parts[-1])
-    spreads = _spread_sum(work, batch, box) if work.summed else None
+    spreads = None
+    if work.summed:
+        own, low = [copies.summed(work.summed) for copies in work.copies], np.array([box.left, box.top])
+        places = [
+            (finer * (corner + each.shifts) - low)[:, ::-1] for corner, each in zip(batch.corner, own, strict=True)
+        ]
+        spreads = CopySum(own, places, finer * batch.samples, np.array([box.rows, box.columns]), 1)
     products, memory = np.zeros((2, 2)), Memory(arrays)
     for point, copies in enumerate(work.copies):
         memory.restart()
@@ -261,19 +267,10 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
             spreads.add(point, (slice(0, finer * batch.samples),) * 2, chain.intensity)
-        *own, transfer = chain.vjp(gradient, work.varies)
-        for target, part in zip(per_point, own, strict=True):
+        *found, transfer = chain.vjp(gradient, work.varies)
+        for target, part in zip(per_point, found, strict=True):
             if target is not None:
                 target[point] = part
         if total is not None:
             total[directions] += transfer
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
-
-
-def _spread_sum(work: VjpBatch, batch: PatchBatch, box: Box) -> CopySum:
-    """Return an empty sum of the point spreads, (channels, rows, columns)."""
-    copies, low = [own.summed(work.summed) for own in work.copies], np.array([box.left, box.top])
-    positions = [
-        (work.finer * (corner + own.shifts) - low)[:, ::-1] for corner, own in zip(batch.corner, copies, strict=True)
-    ]
-    return CopySum(copies, positions, work.finer * batch.samples, np.array([box.rows, box.columns]), 1)

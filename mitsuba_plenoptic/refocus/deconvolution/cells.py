@@ -1,9 +1,9 @@
 r"""The periodic cells of a camera: groups of object-plane bins and of detector samples that repeat together.
 
-Move a bin so that its image on the MLA moves by a lattice vector v: its point spread moves on the detector by
-:math:`v (b + z) / b`, and is the same except for the main lens's aberrations. On `Grid` that is a whole number of
-samples. So the plane of the bins and the grid are cut into *cells*, one for each lens (one for three lenses where
-three types are interleaved), and the response of all bins is known from that of the bins of one cell.
+If a bin moves so that its image on the MLA moves by a lattice vector v, its point spread moves on the detector by
+:math:`v (b + z) / b`, and is otherwise unchanged except for the main lens's aberrations. On `Grid` that is a whole
+number of samples. So the plane of the bins and the grid are divided into *cells*, one for each lens (one for three
+lenses where three types are interleaved), and the response of all bins is known from the bins of one cell.
 
 A cell (I, J) contains the bins around :math:`I v_1 + J v_2` on the MLA, a rectangle as wide as :math:`v_1` and as
 high as :math:`v_2`, and the samples around the same position times :math:`(b + z) / b`. :math:`v_1` is along x; rows
@@ -28,7 +28,7 @@ from ...runtime.batches import Box
 
 @dataclass(frozen=True)
 class CellSet:
-    """Cells in rows, each of which is a run without gaps."""
+    """Cells in rows; each row is a run without gaps."""
 
     top: int
     first: NDArray[np.int64]
@@ -49,14 +49,14 @@ class CellSet:
         return np.stack([np.arange(len(self)) - self.start[row] + self.first[row], row + self.top], axis=-1)
 
     def find(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the positions in this set of cells (..., 2); for a cell that is not in it, the set's length."""
+        """Return the positions in this set of cells (..., 2); the set's length for cells outside."""
         row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
         inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
         return np.asarray(np.where(inside, self.start[row] + along, len(self)))
 
     def grown(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> CellSet:
-        """Return the cells that are reached from these by steps from `low` to `high`, both included."""
+        """Return the cells reached from this set by steps from `low` to `high`, both included."""
         tops = np.arange(self.top + low[1], self.top + len(self.count) + high[1])
         first, last = np.full(len(tops), np.iinfo(np.int64).max), np.full(len(tops), np.iinfo(np.int64).min)
         for step in range(low[1], high[1] + 1):
@@ -68,14 +68,14 @@ class CellSet:
 
 @dataclass(frozen=True)
 class BinCells:
-    """Bins and samples of a camera by cells."""
+    """A camera's bins and samples, divided into cells."""
 
     grid: Grid
     oversample: int
 
     @property
     def camera(self) -> PlenopticCamera:
-        """Camera in the frame of its lattice."""
+        """The camera in the lattice frame."""
         return self.grid.camera
 
     @cached_property
@@ -84,7 +84,7 @@ class BinCells:
 
     @cached_property
     def vectors(self) -> NDArray[np.float64]:
-        """The two vectors, in rows, by which cells repeat on the MLA, in millimetres."""
+        """The two vectors (rows) by which cells repeat on the MLA, in millimetres."""
         return self._steps.astype(np.float64) @ np.array(self.camera.lattice.basis)
 
     @cached_property
@@ -94,17 +94,17 @@ class BinCells:
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
-        """Vectors of the lattice in samples of the grid."""
+        """The two vectors by which cells repeat, in samples of the grid."""
         return self._steps @ self.grid.lens_samples
 
     @property
     def size(self) -> tuple[int, int]:
-        """Samples of a cell along x and y."""
+        """Number of samples of a cell along x and y."""
         return int(self.samples[0, 0]), int(self.samples[1, 1])
 
     @cached_property
     def bins(self) -> tuple[int, int]:
-        """Bins of a cell along x and y, at most as wide as one over `oversample` of the pitch along the rows."""
+        """Number of bins of a cell along x and y; a bin is at most the pitch along the rows over `oversample` wide."""
         height = float(self.vectors[1, 1]) / self.camera.mla_pitch
         return self.oversample * self._types, math.ceil(self.oversample * height * (1 - 1e-9))
 
@@ -115,7 +115,7 @@ class BinCells:
 
     @cached_property
     def _origin(self) -> NDArray[np.int64]:
-        """Sample on the axis, the first of the cell (0, 0)."""
+        """Index of the sample on the axis, the first one of cell (0, 0)."""
         return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
 
     def bin_places(self, cell: NDArray[np.int64], parts: int = 1) -> NDArray[np.float64]:
@@ -129,7 +129,7 @@ class BinCells:
         return np.asarray(positions + cell @ self.vectors)
 
     def holding(self, box: Box) -> CellSet:
-        """Return the cells that hold the samples of a box."""
+        """Return the cells that contain the samples of a box of the grid."""
         width, height = self.size
         low = np.array([box.left, box.top]) - self._origin
         high = low + np.array([box.columns, box.rows]) - 1
@@ -139,7 +139,7 @@ class BinCells:
         return CellSet(int(rows[0]), first, last - first + 1)
 
     def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
-        """Cut the samples of a box into cells; what lies beyond the box is zero."""
+        """Return the samples of a box divided into cells; samples beyond the box are zero."""
         width, height = self.size
         result = np.zeros((len(cells), height, width), np.float32)
         for number, part, inside, position in self._strips(box, cells):
@@ -149,7 +149,7 @@ class BinCells:
         return result
 
     def join(self, values: NDArray[np.float32], cells: CellSet, box: Box) -> NDArray[np.float32]:
-        """Put the samples of cells together on a box; the adjoint of `split`."""
+        """Return the samples of cells, put together on a box; the adjoint of `split`."""
         width, height = self.size
         result = np.zeros((box.rows, box.columns), np.float32)
         for number, part, inside, position in self._strips(box, cells):
@@ -158,7 +158,7 @@ class BinCells:
         return result
 
     def _strips(self, box: Box, cells: CellSet) -> list[tuple[int, int, tuple[slice, slice], tuple[slice, slice]]]:
-        """Return, per row of cells, the first cell's index, the count, and the overlap of its strip with the box."""
+        """Return, per row of cells, the index of the first cell, the count, and the overlap of the row with the box."""
         width, height = self.size
         strips = []
         for row, (number, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
@@ -185,14 +185,14 @@ def to_bins(
     distance: float,
     oversample: int,
 ) -> NDArray[np.float32]:
-    """Return values at the centres of bins, interpolated from cells; unchanged where both grids are equal."""
+    """Return values at the centres of bins, interpolated from cells; unchanged if both grids are equal."""
     across, down = (count * oversample for count in camera.bin_count)
     made = bins_matrix(cells, lit, camera, distance, oversample) @ values.ravel()
     return made.astype(np.float32).reshape(down, across)
 
 
 def bins_matrix(cells: BinCells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int) -> csr_array:
-    """Return the matrix from the bins of cells to those of a reconstruction; see `to_bins`.
+    """Return the matrix from the bins of cells to the bins of a reconstruction; see `to_bins`.
 
     Behind a real main lens, cells are positions of chief rays on the array, and its distortion is corrected.
     """

@@ -1,14 +1,14 @@
 r"""The response of a Fourier light-field microscope to the bins of object planes: convolutions of the detector.
 
-The array stands in the image of the stop, where a point (X, Y, d) has the field of the point (0, 0, d) times a plane
+The array stands in the image of the stop. There a point (X, Y, d) has the field of the point (0, 0, d) times a plane
 wave of the direction cosines :math:`M X / f_F`. All lenses together are one thin screen there, and free space behind it
 propagates a tilted wave to the same intensity, shifted by :math:`z M X / f_F` (Goodman, "Introduction to Fourier
 Optics", section 4.2; exact for small directions, as behind an objective). So all points of a plane have the same point
 spread, and a plane's capture is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier light-field microscopy", Optics
 Express 27, 25573).
 
-Bins lie on a grid that is `oversample` times as fine as the pixels, in the pictures that the lenses make. Bins at the
-same position within a pixel have one kernel, so that a plane has as many kernels as there are bins on a pixel.
+Bins lie on a grid `oversample` times as fine as the pixels, in the pictures under the lenses. Bins at the same position
+within a pixel share one kernel, so that a plane has as many kernels as there are bins in a pixel.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from ...runtime.backend import backend
 from ...runtime.batches import Job
 from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
 from .kernels import StoredResponse, require_response_memory
+from .response import Response
 from .variation import TotalVariation
 
 _MEMORY = 2 * 2**30
@@ -71,7 +72,10 @@ class FourierResponse(StoredResponse):
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
         self._require_memory(fine, distances)
-        points = np.array([[*self._middle, depth] for depth in distances])
+        # The first bin on the pixel in the middle of a lens's picture.
+        size = camera.bin_size(0) / oversample
+        x, y = ((oversample * (count // 2) + 0.5 - oversample * count / 2) * size for count in camera.bin_count)
+        points = np.array([[x, y, depth] for depth in distances])
         system = OpticalSystem(fine.at_wavelength(wavelength), wavelength)
         self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
         one = np.ones(1, np.float32)
@@ -91,7 +95,7 @@ class FourierResponse(StoredResponse):
         return [(rows, columns)] * self._count
 
     def variation(self) -> TotalVariation:
-        """Return the total variation of the response's planes."""
+        """Return the total variation, as a regulariser, of the response's planes."""
         return TotalVariation.of_grids(self.shapes)
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
@@ -103,7 +107,7 @@ class FourierResponse(StoredResponse):
         return np.ascontiguousarray(image[::-1, ::-1], np.float32)
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Return the image that planes record."""
+        """Return the image that the detector records of planes."""
         libraries, (rows, columns) = backend(), self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
         with resting_drjit():
@@ -131,22 +135,12 @@ class FourierResponse(StoredResponse):
 
     @property
     def _phases(self) -> list[tuple[slice, slice]]:
-        """The bins at each position within a pixel."""
+        """First bins of each position within a pixel."""
         starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
         return list(itertools.product(starts, starts))
 
-    @property
-    def _middle(self) -> tuple[float, float]:
-        """Place in the object of the first bin on the pixel in the middle of a lens's picture."""
-        size = self._camera.bin_size(0) / self._oversample
-        x, y = (
-            (self._oversample * (count // 2) + 0.5 - self._oversample * count / 2) * size
-            for count in self._camera.bin_count
-        )
-        return x, y
-
     def _spectrum(self, samples: NDArray[np.float32]) -> Any:
-        """Return the spectrum of samples, which lie in the first corner of the convolutions' period."""
+        """Return the spectrum of samples that lie in the first corner of the convolutions' period."""
         arrays, (rows, columns) = backend().arrays, self._size
         wide = arrays.zeros((len(samples), columns), np.float32)
         wide[:, : samples.shape[1]] = arrays.asarray(samples)
@@ -155,7 +149,7 @@ class FourierResponse(StoredResponse):
         return fft(spectrum, axis=0)
 
     def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> NDArray[np.complex64]:
-        """Return the spectra of a plane's kernels from the spread of the middle bin on the fine camera's pixels."""
+        """Return the spectra of a plane's kernels, from the middle bin's spread on the fine camera's pixels."""
         o, camera = self._oversample, self._camera
         per_bin = round(camera.pixel_size / fine.pixel_size / o)
         for axis in (0, 1):
@@ -181,7 +175,7 @@ class FourierResponse(StoredResponse):
         return spectra
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:
-        """Lay a kernel, whose first sample belongs to these steps, around the first corner of the period."""
+        """Return a kernel placed around the first corner of the period; its first sample lies at `low`."""
         positions, taken = [], []
         for axis, first in enumerate(low):
             steps = np.arange(kernel.shape[axis]) + first
@@ -206,8 +200,13 @@ class FourierResponse(StoredResponse):
         require_response_memory(memory, self._oversample, distances)
 
 
+def response_of(camera: PlenopticCamera) -> type[Response] | type[FourierResponse]:
+    """Return the kind of the response of a camera."""
+    return FourierResponse if camera.lens_data.images_stop else Response
+
+
 def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:
-    r"""Return a camera with all of the detector that a bin in the middle lights, whose pixels resolve the light.
+    r"""Return a camera that records all light of a middle bin, with pixels that resolve the light.
 
     The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
     """
@@ -228,7 +227,7 @@ def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, de
 
 
 def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np.float32]:
-    """Return the mean of a point's spread over the positions of the point in a bin, `width` samples wide."""
+    """Return a point's spread averaged over the positions of the point in a bin `width` samples wide."""
     length = spread.shape[axis]
     spectrum = np.fft.rfft(spread, axis=axis).astype(np.complex64)
     factor = np.sinc(np.fft.rfftfreq(length) * width).astype(np.float32)
@@ -237,7 +236,7 @@ def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np
 
 
 def _over_pixels(parts: NDArray[np.float32], count: int, start: int, axis: int) -> NDArray[np.float32]:
-    """Sum parts of pixels to the pixels, for a bin that lies `start` parts farther; one pixel more than there are."""
+    """Return sums over pixels of parts of pixels, for a bin `start` parts farther; one pixel more than there are."""
     before = [(0, 0), (0, 0)]
     before[axis] = (start, count - start)
     padded = np.pad(parts, before)

@@ -1,8 +1,8 @@
-"""The kernels from the bins of one cell to the samples of the cells around: a few dense blocks of a sparse array.
+"""The kernels from the bins of one cell to the samples of surrounding cells, as a few dense blocks.
 
-Through each lens a bin lights a spot, at another position than through the next lens. So only a few of all pairs of a
-cell and a block of its samples contain light, and the others are left out. Their power is distributed to the remaining
-blocks by a common factor, so that no power is lost.
+A bin lights a spot through each lens, at a position that differs from lens to lens. So only a few pairs of a cell and a
+block of samples contain light, and the other pairs are left out. Their power is distributed to the remaining blocks by
+a common factor, so that no power is lost.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ...errors import InputError
 from ...runtime.backend import backend, backend_of
 from ...runtime.batches import Box, Part
 from ...runtime.fft import worker_count
-from ...runtime.limits import largest_fitting, require_memory, single_threaded_blas
+from ...runtime.limits import require_memory_for, single_threaded_blas
 from .cells import BinCells, CellSet
 
 _BLOCK = 8
@@ -34,7 +34,7 @@ LEAST = 2e-3
 
 @dataclass(frozen=True)
 class SampleBlock:
-    """The light that one block of a cell's samples receives."""
+    """The light that one block of samples in a cell receives."""
 
     rows: slice
     columns: slice
@@ -44,7 +44,7 @@ class SampleBlock:
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """The response of the bins of any cell near one position."""
+    """The samples' response to the bins of any cell near one position."""
 
     steps: NDArray[np.int64]
     blocks: list[SampleBlock]
@@ -53,7 +53,7 @@ class Kernel:
 class StoredResponse:
     """A response whose kernels may lie in a temporary folder.
 
-    As a context it removes the folder when it is left, else that is done when nothing refers to it any more.
+    The folder is removed when the context ends, or else when the response is no longer referenced.
     """
 
     def __init__(self, several: bool) -> None:
@@ -67,9 +67,9 @@ class StoredResponse:
             self._folder.cleanup()
 
     def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
-        """Return arrays of one type as read from a file of the folder, unchanged without a folder.
+        """Return arrays of one type as views of a file in the folder; unchanged without a folder.
 
-        The system holds what is read in memory as long as there is room for it.
+        The system keeps the file's data in memory as long as there is room.
         """
         if self._folder is None:
             return arrays
@@ -88,18 +88,14 @@ class StoredResponse:
 
 
 def require_response_memory(memory: Callable[[int], float], oversample: int, distances: Sequence[float]) -> None:
-    """Refuse a response that does not fit into memory, before anything is allocated; `memory` gives its bytes."""
-
-    def fitting(limit: float) -> str | None:
-        largest = largest_fitting(memory, limit, oversample)
-        return f"oversample = {largest}" if largest else None
-
+    """Refuse a response that does not fit into memory before anything is allocated; `memory` gives its bytes."""
     planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
-    require_memory(memory(oversample), f"oversample = {oversample}: deconvolution of {planes}", fitting)
+    what = f"oversample = {oversample}: deconvolution of {planes}"
+    require_memory_for(memory, oversample, what, "oversample = {}".format)
 
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
-    """Gather the point spreads of a cell's bins, of which `together` x `together` samples make one of the cells'."""
+    """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
     found = []
     for number, parts in enumerate(spreads):
         for part in parts:
@@ -120,7 +116,7 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
 
 
 def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, NDArray[np.float32]]:
-    """Return the means of `together` x `together` samples, and their box on the grid of these."""
+    """Return means over `together` x `together` samples, and the box of these means on their grid."""
     if together == 1:
         return box, samples
     left, top = box.left // together, box.top // together
@@ -133,7 +129,7 @@ def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, 
 
 
 def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kernel:
-    """Leave the nearly dark blocks out of a response (steps, bins, rows, columns)."""
+    """Return the kernel of a response (steps, bins, rows, columns), without nearly dark blocks."""
     np.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
     edges = [
         np.linspace(0, length, max(1, round(length / _BLOCK)) + 1).round().astype(int) for length in dense.shape[2:]
@@ -163,7 +159,7 @@ Result = TypeVar("Result")
 
 
 def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
-    """Cut cells into zones `width` rows high, of as many cells of each row."""
+    """Return cells divided into zones `width` rows high and equally many cells wide."""
     row = np.repeat(np.arange(len(cells.count)), cells.count)
     column = np.arange(len(cells)) - cells.start[row]
     along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))
@@ -173,7 +169,7 @@ def zones(cells: CellSet, width: int) -> list[NDArray[np.int64]]:
 
 
 class PlaneResponse:
-    """The light that the samples of all cells receive from the bins of a plane."""
+    """The light that the samples of all cells receive from the bins of an object plane."""
 
     def __init__(
         self, cells: BinCells, sampled: CellSet, zones: Sequence[NDArray[np.int64]], kernels: Sequence[Kernel]
@@ -194,11 +190,11 @@ class PlaneResponse:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Cells and their bins."""
+        """Number of cells, and of bins in each."""
         return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
 
     def add_forward(self, values: NDArray[np.float32], samples: Any) -> None:
-        """Add the light of bins to samples."""
+        """Add the light of bins to the samples."""
         arrays = backend().arrays
         padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
 
@@ -213,7 +209,7 @@ class PlaneResponse:
             pass
 
     def adjoint(self, samples: Any) -> NDArray[np.float32]:
-        """Weigh the samples of cells by the light of each bin."""
+        """Return, for each bin, the samples weighted by the bin's light."""
         arrays, bins = backend().arrays, self.shape[1]
         result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
 
@@ -234,7 +230,7 @@ class PlaneResponse:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: its blocks, their steps, its members, and the cells that light them."""
+    """A zone on the backend's device: its blocks, steps and member cells, and the cells that light these."""
 
     blocks: list[SampleBlock]
     steps: list[Any]
@@ -243,6 +239,6 @@ class _Placed:
 
 
 def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> Iterator[Result]:
-    """Compute zones on all cores, and yield their results in order; a CUDA device takes its work from one."""
+    """Yield the results of zones in order, computed on all cores; a CUDA device takes its work from one."""
     with single_threaded_blas(), ThreadPoolExecutor(1 if backend().is_cuda else worker_count()) as pool:
         yield from pool.map(work, zones)

@@ -9,7 +9,7 @@ import contextlib
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from ...points.units import radiance_weight
 from ...runtime.backend import backend
 from ...runtime.batches import Box, Job, Part
 from .cells import BinCells, bins_matrix, to_bins
-from .kernels import Kernel, PlaneResponse, SampleBlock, StoredResponse, make_kernel, require_response_memory, zones
+from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation
 
 _ACCURACY = 0.01
@@ -54,10 +54,10 @@ _INFINITY = 1e6
 
 
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> tuple[Grid, int]:
-    """Lay the grid that holds the light of planes at some distances, and count the samples to be merged on each axis.
+    """Return the grid for the light of planes at some distances, and how many samples are merged on each axis.
 
-    Pixels feel little of what is finer than a third of them. Where the lattice is turned, samples are interpolated
-    before they are integrated, and none are merged.
+    Pixels hardly feel detail finer than a third of them. Where the lattice is turned, samples are interpolated before
+    they are integrated, and none are merged.
     """
     depths = [finite_distance(camera, distance) for distance in distances]
     points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
@@ -69,11 +69,14 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
 
 
 def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
-    """Return for each bin of a cell the batches whose sums on a grid, added, are its response."""
+    """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response."""
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
-    places = cells.bin_places(cell, math.ceil(_points(cells, distance) / cells.oversample))
+    limit = resolution_limit(cells.camera, distance, grid.wavelength)
+    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
+    points_along = max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
+    places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
     places = lens.within(places)
     batches = []
@@ -93,21 +96,13 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     return batches
 
 
-def _points(cells: BinCells, distance: float) -> int:
-    """Return the count of points along a lens by which its bins are sampled."""
-    camera = cells.camera
-    limit = resolution_limit(camera, distance, cells.grid.wavelength)
-    lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
-    return max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
-
-
 def bin_weight(cells: BinCells) -> float:
     """Return the light that all pixels together record from a bin of radiance 1 if no light is lost."""
     return radiance_weight(cells.camera, cells.grid.lens, cells.bin_sizes[0] * cells.bin_sizes[1])
 
 
 def finite_distance(camera: PlenopticCamera, distance: float) -> float:
-    """Return a finite distance; for infinity, one so far that light is collimated."""
+    """Return a finite distance in mm; for infinity, one so large that light is collimated."""
     return min(distance, _INFINITY * camera.focal_length)
 
 
@@ -119,7 +114,7 @@ _NO_WAVE = 1.0
 
 
 def ray_grid(camera: PlenopticCamera) -> Grid:
-    """Lay a grid whose samples are at most half as wide as pixels."""
+    """Return a grid whose samples are at most half as wide as pixels."""
     camera.require_thin("this is done")
     require_no_shape(camera, "this is done")
     turned = upright(camera)
@@ -150,7 +145,7 @@ class RayBatch:
 
 
 def ray_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
-    """Return for each bin of a cell the batch whose sum is its response, as `wave_batches` does."""
+    """Return, for each bin of a cell, the batch whose result is the bin's response, as `wave_batches` does."""
     half = np.array(cells.bin_sizes) / 2
     return [[RayBatch(cells, distance, positions[0] - half)] for positions in cells.bin_places(cell)]
 
@@ -161,7 +156,7 @@ def _pairs() -> NDArray[np.float64]:
 
 
 def _trace(batch: RayBatch) -> Part:
-    """Trace the rays of a bin, and distribute each to the four samples around it."""
+    """Return the light of a bin's rays, each distributed to the four nearest samples."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
     lens, light, walk = grid.lens, grid.lens.bind(np.empty((0, 3))), Walk.of(camera, grid.lens)
     pairs, b = _pairs(), camera.mla_distance
@@ -215,10 +210,10 @@ In nanoseconds on two cores of a processor of 2023; a step is a forward and an a
 
 
 class Response(StoredResponse):
-    r"""The capture of object planes made of bins of even radiance: :math:`I = \sum_k A_k x_k`.
+    r"""The capture of object planes made of bins of uniform radiance: :math:`I = \sum_k A_k x_k`.
 
-    The spreads take the fraction `prepared` of the time of all that is done, with `steps` applications of the response
-    and its adjoint; a job's progress ends there.
+    Computing the point spreads takes the fraction `prepared` of the total time, with `steps` applications of the
+    response and its adjoint; a job's progress ends there.
     """
 
     def __init__(
@@ -254,24 +249,20 @@ class Response(StoredResponse):
         self.planes: list[PlaneResponse] = []
         for distance in distances:
             kernels = self._kernels(distance, asked, job, len(self.planes) * len(asked) * bins, total)
-            kernels = self._on_disk(kernels) * (len(groups) // len(kernels))
+            matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
+            stored = iter(self._stored(matrices, f"{len(self.planes)}"))
+            kernels = [
+                Kernel(kernel.steps, [replace(block, matrix=next(stored)) for block in kernel.blocks])
+                for kernel in kernels
+            ] * (len(groups) // len(kernels))
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
-
-    def _on_disk(self, kernels: list[Kernel]) -> list[Kernel]:
-        """Return kernels whose matrices are read from the folder, or unchanged without a folder."""
-        matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
-        stored = iter(self._stored(matrices, f"{len(self.planes)}"))
-        return [
-            Kernel(kernel.steps, [SampleBlock(b.rows, b.columns, b.steps, next(stored)) for b in kernel.blocks])
-            for kernel in kernels
-        ]
 
     def _kernels(
         self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
     ) -> list[Kernel]:
-        """Return the kernel of each zone, computed from the spreads of the cell in its middle.
+        """Return the kernel of each zone, computed from the point spreads of the zone's middle cell.
 
-        A zone may be one batch, so that only the batches of all zones together keep all cores busy.
+        A zone may be a single batch, so that all cores are busy only if the batches of all zones are computed together.
         """
         cells = [self._middle(members) for members in groups]
         batches = [self._batches(self.cells, distance, cell) for cell in cells]
@@ -284,7 +275,7 @@ class Response(StoredResponse):
             ]
 
     def _prepared(self, groups: Sequence[NDArray[np.int64]], steps: float) -> float:
-        """Estimate the part of the time that the spreads take, beside some steps of an inversion."""
+        """Return the part of the time that point spreads take, compared with some steps of an inversion."""
         spreads = products = 0.0
         for distance in self._distances:
             batches = self._batches(self.cells, distance, self._middle(groups[0]))
@@ -315,12 +306,14 @@ class Response(StoredResponse):
         camera, grid = self.cells.camera, self.cells.grid
         samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
         across, down = (samples / size + 2 for size in self.cells.size)
-        return float(4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * _period(camera))
+        return float(
+            4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths)
+        )
 
     def _require_memory(self, groups: int) -> None:
         def memory(oversample: int) -> float:
             each = [self._kernel_memory(distance, oversample) for distance in self._distances]
-            bins = 4.0 * len(self._sampled) * _period(self.cells.camera) * oversample**2 * len(each)
+            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(each) if self._folder else sum(each))
             return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
@@ -329,11 +322,11 @@ class Response(StoredResponse):
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
-        """Cells and their bins, of each plane."""
+        """Number of cells, and of bins in each, for each plane."""
         return [plane.shape for plane in self.planes]
 
     def variation(self) -> TotalVariation:
-        """Return the total variation of the response's planes."""
+        """Return the total variation, as a regulariser, of the response's planes."""
         return TotalVariation.of_cells(self.cells, [plane.lit for plane in self.planes])
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
@@ -348,7 +341,7 @@ class Response(StoredResponse):
         return (matrix.T @ image.ravel()).astype(np.float32).reshape(self.shapes[plane])
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Return the image that planes record."""
+        """Return the image that the detector records of planes."""
         width, height = self.cells.size
         libraries = backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
@@ -366,12 +359,7 @@ class Response(StoredResponse):
 
 
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
-    """Return whether spreads a lens apart are equal: with an objective, or by rays in air without aberrations."""
+    """Return whether point spreads one lens apart are equal: with an objective, or by rays without aberrations."""
     without = camera.mla_medium == 1 and not any(camera.wavefront)
     by_rays = wavelength is None and camera.lens_model == "ideal" and without
     return by_rays or not camera.lens_data.converges
-
-
-def _period(camera: PlenopticCamera) -> int:
-    """Return the count of lenses in a cell."""
-    return len(camera.mla_focal_lengths)

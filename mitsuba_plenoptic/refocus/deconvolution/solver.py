@@ -1,9 +1,9 @@
-r"""Richardson's and Lucy's iteration, plain or accelerated, stopped by the noise or after a given count.
+r"""Richardson and Lucy's iteration, plain or accelerated, stopped by the noise or after a given number of steps.
 
 .. math:: x \leftarrow \frac{x}{A^T 1} \, A^T \frac{y + \beta}{A x + \beta}
 
-(Richardson 1972, J. Opt. Soc. Am. 62, 55; Lucy 1974, Astron. J. 79, 745). It keeps x positive and raises the likelihood
-of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value that counts one electron: with it a
+(Richardson 1972, J. Opt. Soc. Am. 62, 55; Lucy 1974, Astron. J. 79, 745). The iteration keeps x positive and raises the
+likelihood of Poisson counts. :math:`\beta` is the variance of a dark pixel over the value of one electron: with it a
 Poisson law describes photon and read noise together (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014).
 
 Accelerated, each step starts from a point extrapolated along the last one by Nesterov's momentum (1983, Soviet Math.
@@ -11,16 +11,16 @@ Dokl. 27, 372; for this iteration Wang and Miller 2014, IEEE Trans. Image Proces
 
 .. math:: z_k = x_k + \frac{m}{m + 3} (x_k - x_{k-1}),
 
-where m counts the steps since one pointed against the way made, from where it begins anew (O'Donoghue and Candès 2015,
-Found. Comput. Math. 15, 715). Extrapolating by what the last two steps have in common (Biggs and Andrews 1997, Appl.
-Opt. 36, 1766) overshoots here: lines that are well resolved swing to a contrast of 1.2 and back for a hundred steps.
+where m counts the steps since one pointed against the way made, where it restarts (O'Donoghue and Candès 2015, Found.
+Comput. Math. 15, 715). Extrapolation by what the last two steps have in common (Biggs and Andrews 1997, Appl. Opt. 36,
+1766) overshoots here: well resolved lines swing to a contrast of 1.2 and back for a hundred steps.
 
-It ends where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy principle
-(Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit the noise.
-It ends as well where what is above that hardly falls any more, since it is then no light from these bins.
+The iteration stops where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy
+principle (Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit
+the noise. It also stops where the excess of the residual over noise hardly falls any more.
 
-A penalty P of weight :math:`\lambda` on what x may look like, its total variation for one (see `variation`), divides
-each step (Green 1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microscopy Research and Technique 69, 260):
+A penalty P of weight :math:`\lambda` on x, such as its total variation (see `variation`), divides each step (Green
+1990, IEEE Trans. Med. Imaging 9, 84; Dey et al. 2006, Microscopy Research and Technique 69, 260):
 
 .. math:: x \leftarrow \frac{x}{A^T 1 \, (1 + \lambda \nabla P(x))} \, A^T \frac{y + \beta}{A x + \beta}
 """
@@ -54,18 +54,18 @@ Misfit = Callable[[NDArray[np.float32], NDArray[np.float32]], float]
 
 
 class Linear(Protocol):
-    """From the radiance of bins to pixels, and the transpose."""
+    """A linear map from the radiance of bins to pixels, with its transpose."""
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the pixels that bins light."""
+        """Return the pixels lit by bins of given radiance."""
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
-        """Return for each bin the pixels weighted by its light."""
+        """Return, for each bin, the pixels weighted by the bin's light."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneEstimates:
-    """Planes that an iteration has found, with facts about it."""
+    """Planes found by an iteration, with facts about it."""
 
     values: Values
     seen: Values
@@ -75,7 +75,7 @@ class PlaneEstimates:
 
 
 class Penalty(Protocol):
-    """A demand on the radiance of bins besides that it explains the image."""
+    """A penalty on the radiance of bins, in addition to the fit of the image."""
 
     def gradient(self, values: Values, inside: list[NDArray[np.bool_]]) -> Values:
         """Return the derivatives of the penalty by the bins, 0 for bins that are not inside."""
@@ -83,7 +83,7 @@ class Penalty(Protocol):
 
 @dataclass
 class State:
-    """State of an iteration: all data on which its next steps depend."""
+    """State of an iteration: all data on which the next steps depend."""
 
     found: Values
     last: Values
@@ -105,7 +105,7 @@ def richardson_lucy(
     keep: Callable[[State], None] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> PlaneEstimates:
-    """Find the radiance of bins that explains an image."""
+    """Return the radiance of bins that explains an image, by Richardson and Lucy's iteration."""
     step = RichardsonLucyStep(response, image, shift)
     if not step.total:
         dark = [np.zeros_like(part) for part in step.seen]
@@ -115,11 +115,15 @@ def richardson_lucy(
         state = State(start, start)
     scale = float(np.linalg.norm(image))
     while True:
-        point = _start(state) if accelerate else state.found
+        point = state.found
+        if accelerate and state.momentum:
+            along = np.float32(state.momentum / (state.momentum + 3))
+            point = [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
         model = response.forward(point)
         if misfit is not None:
             state.misfits = [*state.misfits[-_SPAN:], misfit(image, model)]
-        stopped = _explained(state.misfits)
+        above = [value - 1 for value in state.misfits[-1 - _SPAN :]]
+        stopped = above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
         if stopped or state.done == iterations:
             break
         new = step.scaled(point, response.adjoint(step.ratio(model)))
@@ -127,8 +131,11 @@ def richardson_lucy(
             slopes = penalty[0].gradient(point, step.inside)
             new = [part / (1 + np.float32(penalty[1]) * slope) for part, slope in zip(new, slopes, strict=True)]
         if accelerate:
-            against = _dot(new, point, new, state.found) < 0
-            state.momentum = 0 if against else state.momentum + 1
+            along_way = sum(
+                float(np.vdot(part - start, part - last))
+                for part, start, last in zip(new, point, state.found, strict=True)
+            )
+            state.momentum = 0 if along_way < 0 else state.momentum + 1
         state.last, state.found = state.found, new
         state.done += 1
         if keep:
@@ -139,7 +146,7 @@ def richardson_lucy(
 
 
 class RichardsonLucyStep:
-    """The numbers of an iteration that no step changes, and the parts of a step."""
+    """The constant quantities of an iteration, and the parts of a step."""
 
     def __init__(self, response: Linear, image: NDArray[np.float32], shift: float = 0.0) -> None:
         self.total = float(np.maximum(image, 0).sum(dtype=np.float64))
@@ -163,42 +170,23 @@ class RichardsonLucyStep:
         )
 
     def start(self) -> Values:
-        """Return bins of one radiance, which send as much light as the image has."""
+        """Return bins of uniform radiance that send as much light as the image has."""
         level = np.float32(self.total / self.sent)
         return [np.where(mask, level, np.float32(0)) for mask in self.inside]
 
     def ratio(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the recorded image over the model's image."""
+        """Return the recorded image divided by the model's image, both shifted by the dark variance."""
         return np.asarray(self.given / (np.maximum(model, 0) + self.shift))
 
     def scaled(self, point: Values, back: Values) -> Values:
-        """Multiply bins by the adjoint of a ratio, over their light."""
+        """Return bins multiplied by the adjoint of a ratio, divided by the bins' light."""
         parts = zip(point, back, self.weight, strict=True)
         return [z * np.maximum(part, 0) * gain for z, part, gain in parts]
 
 
-def _explained(misfits: list[float]) -> bool:
-    """Return whether the residual is as small as noise, or hardly decreases any more."""
-    above = [value - 1 for value in misfits[-1 - _SPAN :]]
-    return above[-1] <= 0 or (len(above) > _SPAN and above[-1] > _LEAST_FALL * above[0])
-
-
-def _start(state: State) -> Values:
-    """Return the point from which the next step is made, extrapolated along the last one, nowhere negative."""
-    if state.momentum == 0:
-        return state.found
-    along = np.float32(state.momentum / (state.momentum + 3))
-    return [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
-
-
-def _dot(a: Values, b: Values, c: Values, d: Values) -> float:
-    """Return (a - b) . (c - d)."""
-    return sum(float(np.vdot(w - x, y - z)) for w, x, y, z in zip(a, b, c, d, strict=True))
-
-
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Result for one channel of one plane."""
+    """Result of deconvolution for one channel of one plane."""
 
     image: NDArray[np.float32]
     iterations: int
@@ -208,9 +196,9 @@ class Solved:
 
 @dataclass
 class Work:
-    """The state of a deconvolution: the channels and planes that are solved, and the iteration of the next ones.
+    """The state of a deconvolution: the channels and planes already solved, and the current iteration.
 
-    A checkpoint holds the arrays of it.
+    A checkpoint stores this state as arrays.
     """
 
     solved: list[Solved] = field(default_factory=list)
@@ -218,7 +206,7 @@ class Work:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> Work:
-        """Take the work from its arrays by name; it is empty without any."""
+        """Return the work stored in arrays by name; empty work for no arrays."""
         with refusing("checkpoint: it is damaged:", KeyError, ValueError):
             solved = [
                 Solved(arrays[f"image.{index}"], int(done), float(left), bool(stopped))
@@ -232,7 +220,7 @@ class Work:
             return cls(solved, State(found, last, momentum, done, arrays["misfits"].tolist()))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays of the work by name."""
+        """Return the state as arrays by name."""
         counts = [[one.iterations, one.residual, one.stopped] for one in self.solved]
         images = {f"image.{index}": one.image for index, one in enumerate(self.solved)}
         arrays: dict[str, NDArray[Any]] = {"solved": np.array(counts, np.float64).reshape(-1, 3), **images}
@@ -244,7 +232,7 @@ class Work:
         return arrays | {"misfits": np.array(self.state.misfits), "counts": counted}
 
     def take_state(self, shapes: Sequence[tuple[int, int]]) -> State | None:
-        """Return, only once, the state of the unfinished iteration; refuse one with bins of other shapes."""
+        """Return the state of the unfinished iteration, only once; refuse a state with bins of other shapes."""
         state, self.state = self.state, None
         for values in [] if state is None else [state.found, state.last]:
             refuse_if(

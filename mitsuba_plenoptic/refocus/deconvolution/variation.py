@@ -1,4 +1,4 @@
-r"""Total variation of planes of bins, by which an iteration prefers even areas with sharp borders.
+r"""Total variation of planes of bins, by which an iteration prefers uniform areas with sharp borders.
 
 .. math:: \mathrm{TV}(x) = \sum \sqrt{(\Delta_1 x)^2 + (\Delta_2 x)^2 + \epsilon^2}
 
@@ -10,6 +10,7 @@ over the shorter side, so that the gradient is at most :math:`2 + \sqrt 2`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -35,14 +36,12 @@ class Noise:
 
     @classmethod
     def of(cls, exposure: Any, photons: float | None) -> Noise | None:
-        """Return the noise from `photons` if given, otherwise from the metadata that `expose` stored."""
+        """Return the noise for `photons`, if given, otherwise for the exposure that `expose` recorded."""
         if photons is not None:
             return cls(require_number("photons", photons, positive=True), 0.0)
-        return None if exposure is None else cls._exposed(exposure)
-
-    @classmethod
-    def _exposed(cls, exposure: Any) -> Noise:
-        """Return a detector's noise (EMVA 1288, Release 4.0 Linear, equation for the digital number)."""
+        if exposure is None:
+            return None
+        # EMVA 1288, Release 4.0 Linear, equation for the digital number.
         with refusing("exposure of the capture: it is not one that 'expose' writes:", KeyError, TypeError):
             photons = exposure["photons"]
             detector = Detector(**{field.name: exposure[field.name] for field in fields(Detector)})
@@ -53,14 +52,14 @@ class Noise:
 
     @property
     def shift(self) -> float:
-        """Variance of a dark pixel over the value that counts one electron."""
+        """Variance of a dark pixel divided by the value of one electron."""
         return self.dark * self.electrons
 
     def misfit(self, image: NDArray[np.float32], model: NDArray[np.float32]) -> float:
-        """Return the squared residual, weighted by the pixels' variances, over its expectation for noise alone.
+        """Return the squared residual, weighted by the pixels' variances, divided by its expectation for noise alone.
 
-        Pearson's statistic, of expectation 1; pixels that should be all but dark count less than it would have them,
-        since a single photon of light that the model does not know would outweigh all else.
+        This is Pearson's statistic, of expectation 1. Pixels that should be nearly dark get a lower weight than
+        Pearson's, since otherwise one photon of light unknown to the model would outweigh all pixels.
         """
         variance = np.maximum(model, 0) / np.float32(self.electrons) + np.float32(self.dark)
         weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
@@ -77,53 +76,46 @@ Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
 
 
 class TotalVariation:
-    """Total variation of planes."""
+    """Total variation of planes, with its gradient."""
 
     def __init__(self, differences: Sequence[Differences]) -> None:
         self._differences = differences
 
     @classmethod
     def of_cells(cls, cells: BinCells, lit: Sequence[CellSet]) -> TotalVariation:
-        """Return the total variation of bins that are grouped in the cells of each plane."""
+        """Return the total variation for bins grouped in the cells of each plane."""
         return cls([_differences(cells, some) for some in lit])
 
     @classmethod
     def of_grids(cls, shapes: Sequence[tuple[int, int]]) -> TotalVariation:
         """Return the total variation of planes of upright square bins, (rows, columns)."""
-        known = {shape: _grid_differences(shape) for shape in set(shapes)}
+        known = {}
+        for shape in set(shapes):
+            number = np.arange(math.prod(shape)).reshape(shape)
+            right, below = np.full(shape, -1), np.full(shape, -1)
+            right[:, :-1], below[:-1] = number[:, 1:], number[1:]
+            whole = np.ones(number.size)
+            known[shape] = _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
         return cls([known[shape] for shape in shapes])
 
     def gradient(
         self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
     ) -> list[NDArray[np.float32]]:
         """Return the dimensionless gradient, one value for each bin."""
-        return [
-            _gradient(steps, part, mask) for steps, part, mask in zip(self._differences, values, inside, strict=True)
-        ]
-
-
-def _gradient(differences: Differences, values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    flat, beyond = values.ravel(), (~inside.ravel()).astype(np.float32)
-    # Steps to bins that are not inside do not count.
-    steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
-    even = _SMOOTH * float(values[inside].mean()) if inside.any() else 0.0
-    length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
-    found = sum(matrix.T @ (step / length) for matrix, step in zip(differences, steps, strict=True))
-    return np.asarray(found, np.float32).reshape(values.shape)
-
-
-def _grid_differences(shape: tuple[int, int]) -> Differences:
-    """Return the differences of upright square bins."""
-    rows, columns = shape
-    number = np.arange(rows * columns).reshape(shape)
-    right, below = np.full(shape, -1), np.full(shape, -1)
-    right[:, :-1], below[:-1] = number[:, 1:], number[1:]
-    whole = np.ones(rows * columns)
-    return _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
+        slopes = []
+        for differences, part, mask in zip(self._differences, values, inside, strict=True):
+            flat, beyond = part.ravel(), (~mask.ravel()).astype(np.float32)
+            # Steps to bins that are not inside do not count.
+            steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
+            even = _SMOOTH * float(part[mask].mean()) if mask.any() else 0.0
+            length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
+            slope = sum(matrix.T @ (step / length) for matrix, step in zip(differences, steps, strict=True))
+            slopes.append(np.asarray(slope, np.float32).reshape(part.shape))
+        return slopes
 
 
 def _differences(cells: BinCells, lit: CellSet) -> Differences:
-    """Return the differences of bins in cells."""
+    """Return the matrices of differences between neighbouring bins of cells, along rows and across them."""
     across, down = cells.bins
     width, height = cells.bin_sizes
     index = lit.index
@@ -148,7 +140,7 @@ def _differences(cells: BinCells, lit: CellSet) -> Differences:
 
 
 def _steps(neighbours: list[tuple[NDArray[np.int64], NDArray[np.float64]]], scale: float) -> sparse.csr_matrix:
-    """Return the matrix of the steps from every bin to a mean of others; a bin that lacks one of these has none."""
+    """Return the matrix of differences from every bin to a mean of others; bins that lack one of them have none."""
     count = len(neighbours[0][0])
     bins = np.arange(count)
     whole = np.all([(number >= 0) | (share == 0) for number, share in neighbours], axis=0)

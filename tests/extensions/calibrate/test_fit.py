@@ -24,6 +24,7 @@ from mitsuba_plenoptic.calibration import (
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.adjustment import Problem, adjust
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, Observations, numbers_of, predict_centres
+from mitsuba_plenoptic.microlens import Conic
 
 NOISE = 0.1
 START = PlenopticCamera.preset("raytrix").replace(
@@ -457,3 +458,20 @@ def test_lenses_are_counted_as_rows_are_shifted():
     index = LensIndex(0.5, -1, (3, 1))
     places = index.unit(np.array([3, 3, 3]), np.array([1, 2, 3]))
     np.testing.assert_array_equal(places, [[0, 0], [-0.5, -1], [0, -2]])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ({"mla_medium": 1.5}, r"mla_medium = 1\.5: cameras are calibrated with 1 only"),
+        ({"mla_shape": Conic(0.25)}, "mla_shape = .*with parabolic microlenses only"),
+    ],
+)
+def test_arrays_that_are_not_calibrated_are_refused(numbers, words):
+    with pytest.raises(InputError, match=words):
+        calibrate([], None, PlenopticCamera(**numbers))
+
+
+def test_a_name_is_no_camera():
+    with pytest.raises(InputError, match="start = 'raytrix': it must be a PlenopticCamera"):
+        calibrate({}, None, "raytrix")

@@ -10,6 +10,7 @@ import shutil
 import mitsuba as mi
 import numpy as np
 import pytest
+from foreign_files import write_exr_parts
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
@@ -17,13 +18,17 @@ from mitsuba_plenoptic.benchmark import (
     BASELINES,
     CAMERAS,
     CAPTURES,
+    DISTANCES,
+    PUPIL_POINTS,
     SCENES,
     TASKS,
     Benchmark,
     Size,
     benchmark_recipe,
+    depth_scores,
     export_hci,
     make_benchmark,
+    picture_scores,
     run_baseline,
     score,
     table,
@@ -32,9 +37,8 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.data import baselines
 from mitsuba_plenoptic.extensions.data import dataset_production as production
 from mitsuba_plenoptic.extensions.data.baselines import Question, _finer
-from mitsuba_plenoptic.extensions.data.contents import DISTANCES, PUPIL_POINTS, capture_of, central_truth, view_image
+from mitsuba_plenoptic.extensions.data.contents import capture_of, central_truth, view_image
 from mitsuba_plenoptic.extensions.data.scenes import MIRROR, MIRRORED, Frame, SceneMaker
-from mitsuba_plenoptic.extensions.data.score import depth_scores, picture_scores
 from mitsuba_plenoptic.report.metrics import relative_error
 
 TINY = Size(8, 8, 1, 2)
@@ -215,14 +219,13 @@ def test_pictures_that_are_off_have_the_ratio_of_the_closed_form():
 def test_answers_may_have_other_formats(made, perfect, suffix):
     import xarray as xr
 
-    from mitsuba_plenoptic.io.exr import write_exr
-
     for path in list(perfect.rglob("*.npy")):
         array = np.load(path).astype(np.float32)
         if suffix == ".nc":
             xr.DataArray(array).to_netcdf(path.with_suffix(suffix), engine="scipy")
         else:
-            write_exr(path.with_suffix(suffix), array.reshape(-1, array.shape[-1]), {})
+            planes = {"": {"Y": array.reshape(-1, array.shape[-1])}}
+            write_exr_parts(path.with_suffix(suffix), planes, {})
         path.unlink()
     assert all(row["scores"].get("psnr", 100) == 100 for row in score(made, perfect))
 
@@ -363,3 +366,8 @@ def test_other_data_sets_are_refused(made, tmp_path):
     with pytest.raises(InputError, match="it holds a data set that is no benchmark"):
         Benchmark(tmp_path / "other")
     assert set(TASKS) == {"depth", "refocus", "views"} and len(PUPIL_POINTS) == len(made[0].arrays["target_views"])
+
+
+def test_the_network_is_answered_with_what_serves_instead():
+    with pytest.raises(InputError, match=r"^baseline = network: it is gone since version 2\.0; use ray[^\n]*$"):
+        run_baseline("network", None, "answers")

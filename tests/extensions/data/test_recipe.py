@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 from dataset_cases import small
+from foreign_files import large
 from scipy import stats
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design
-from mitsuba_plenoptic.dataset import parse_recipe, read_recipe
+from mitsuba_plenoptic.dataset import DataSet, parse_recipe, read_recipe
 
 
 def test_values_have_the_distributions_that_they_are_said_to_have():
@@ -132,3 +133,23 @@ def test_the_recipe_in_the_documentation_is_one():
     recipe = parse_recipe(yaml.safe_load(re.search(r"```yaml\n(.*?)```", text, re.DOTALL)[1]))
     assert recipe.count == 100
     assert {recipe.plan(index).source for index in range(20)} == {0, 1}
+
+
+def test_a_recipe_draws_the_numbers_of_a_data_sheet(tmp_path):
+    (tmp_path / "recipe.yaml").write_text(
+        "count: 3\nscenes:\n  - generator: shapes\n"
+        "camera:\n  f_number: {from: 2, to: 8}\n  lenses: [8, 6]\n  pixels_per_lens: 10\n  pixel_size: 0.005\n"
+        "  focal_length: 50\n  focus_distance: 320\n"
+    )
+    recipe = read_recipe(tmp_path / "recipe.yaml")
+    cameras = [recipe.plan(index).camera for index in range(3)]
+    assert len({camera.f_number for camera in cameras}) == 3
+    assert all(camera.micro_image_pitch == pytest.approx(0.05) for camera in cameras)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("recipe.yaml", read_recipe), ("dataset.json", lambda path: DataSet(path.parent))]
+)
+def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
+    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
+        read(large(tmp_path / name))

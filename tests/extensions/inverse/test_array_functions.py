@@ -7,7 +7,7 @@ import numpy as np
 from wave_cases import WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator
-from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture, Latest
+from mitsuba_plenoptic.array_functions import CameraCapture, Latest
 
 CAMERA = small_camera(2)
 POINTS = scattered(3, image=0.05)

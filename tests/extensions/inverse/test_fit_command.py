@@ -9,8 +9,10 @@ from PIL import Image
 from scene_cases import write_scene
 from wave_cases import HALF
 
-from mitsuba_plenoptic import InputError, fitting, load_scene, render_capture, write_capture
+from mitsuba_plenoptic import load_scene, render_capture, write_capture
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.extensions.inverse import approach
+from mitsuba_plenoptic.io import checkpoints
 
 SENSOR = '<float name="detector_width" value="0.128"/>' + "".join(
     f'<float name="{name}" value="{value}"/>' for name, value in HALF.items()
@@ -78,23 +80,44 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     assert "fit: chi-square is " in said and said.count("\n") == 1
 
 
-def test_a_resumed_fit_from_afar_comes_near_unless_a_checkpoint_has(tmp_path, complaint, monkeypatch):
-    path, raw, checkpoint = (
-        write_scene(tmp_path, WALL, sensor=SENSOR),
-        tmp_path / "raw.exr",
-        tmp_path / "camera.json.checkpoint",
-    )
-    write_capture(raw, render_capture(load_scene(path), model="ray", spp=4))
+def test_a_fit_from_afar_goes_on_with_the_blur_where_it_stopped(tmp_path, capsys, monkeypatch):
+    path, raw = write_scene(tmp_path, WALL, sensor=SENSOR), tmp_path / "raw.exr"
+    write_capture(raw, render_capture(load_scene(path), model="ray", spp=64))
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
+    tried = []
+    nearest = approach._nearest
 
-    def coarse(*_, **__):
-        raise InputError("coming near")
+    def counted(*arguments):
+        tried[-1].append(arguments[4])
+        if len(tried) == 1 and len(tried[0]) == 3:
+            raise KeyboardInterrupt
+        return nearest(*arguments)
 
-    monkeypatch.setattr(fitting, "coarse_fit", coarse)
-    words = ["fit", raw, "--scene", path, "--parameter", "mla_pitch", "--photons", "1e5", "--points-per-lens", "4"]
-    words += ["--model", "ray", "--from-afar", "--resume", "-o", tmp_path / "camera.json"]
-    assert complaint(*words) == "coming near"
-    checkpoint.write_bytes(b"")
-    assert "camera.json.checkpoint: it is not a checkpoint of this version" in complaint(*words)
+    monkeypatch.setattr(approach, "_nearest", counted)
+    words = ["fit", raw, "--scene", path, "--parameter", "mla_pitch", "--photons", "1e3"]
+    words += ["--parameter", "detector_distance", "--model", "ray", "--from-afar"]
+
+    def fitted(name):
+        tried.append([])
+        status = main(list(map(str, [*words, "-o", tmp_path / f"{name}.json"])))
+        return status, len(tried[-1])
+
+    assert fitted("broken") == (130, 3)
+    assert "the same command goes on from there" in capsys.readouterr().err
+    assert [one.name for one in tmp_path.glob("*.checkpoint")] == ["broken.json.coarse.checkpoint"]
+    whole, rest = fitted("whole"), fitted("broken")
+    assert whole[0] == rest[0] == 0
+    # The blur during which the first run was stopped, and those that are less.
+    assert rest[1] == whole[1] - 2
+    # Rays of points are added in any order, so runs differ by rounding, which kinks of the captures enlarge.
+    broken, unbroken = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("broken", "whole"))
+    for name in ("mla_pitch", "detector_distance"):
+        assert broken[name] == pytest.approx(unbroken[name], rel=1e-4)
+    assert not list(tmp_path.glob("*.checkpoint"))
+    (tmp_path / "broken.json.coarse.checkpoint").write_bytes(b"")
+    assert main(list(map(str, [*words, "--resume", "-o", tmp_path / "broken.json"]))) == 2
+    assert "broken.json.coarse.checkpoint: it is not a checkpoint of this version" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -105,7 +128,34 @@ def test_a_resumed_fit_from_afar_comes_near_unless_a_checkpoint_has(tmp_path, co
     ],
 )
 def test_mistakes_are_one_line(tmp_path, capsys, words, message):
+    (tmp_path / "raw.exr").touch()
     given = ["fit", str(tmp_path / "raw.exr"), "--parameter", "mla_pitch", "-o", str(tmp_path / "camera.json")]
     assert main([*given, *([] if "--photons" in words else ["--photons", "10"]), *words]) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["focal_length=50", "resolution=64", "mla_focal_length=0.5"])
+def test_parameters_of_the_scenes_own_camera_are_refused(name, mistake):
+    words = "it is of the scene's own camera, which another one replaces; leave it out"
+    mistake(f"fit {{raw}} --scene letters --parameter mla_pitch --photons 9 -o {{out}}.json -D {name}", words)
+
+
+def test_a_fit_is_checked_before_light_is_found(mistake, monkeypatch):
+    def found(*_, **__):
+        raise AssertionError("light was found")
+
+    monkeypatch.setattr("mitsuba_plenoptic.fitting.known_view", found)
+    line = "fit {raw} -o {out}.json --scene letters --parameter"
+    mistake(f"{line} zoom --photons 9", "'zoom': it is none of the parameters")
+    mistake(f"{line} mla_pitch --photons -1", "photons = -1")
+    mistake(f"{line} mla_pich --photons 9", "did you mean mla_pitch?")
+
+
+def test_the_capture_is_not_written_over(raw, tmp_path, complaint):
+    copy, link = tmp_path / "copy.exr", tmp_path / "copy.json"
+    copy.write_bytes(raw.read_bytes())
+    link.symlink_to(copy)
+    words = ["--scene", "letters", "--parameter", "mla_pitch", "--photons", "9"]
+    assert "it is read, and would be lost; write to another file" in complaint("fit", copy, "-o", link, *words)
+    assert copy.read_bytes() == raw.read_bytes()

@@ -6,9 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scene_cases import film
-from wave_cases import HALF, WAVELENGTH, error
+from wave_cases import HALF, WAVELENGTH, error, small_camera
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.fitting import known_view
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
@@ -104,3 +104,21 @@ def test_what_is_not_followed_is_refused(numbers, message):
     camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64), **HALF, **numbers)
     with pytest.raises(InputError, match=message):
         PointRays(camera, np.array([[0.0, 0.0, 120.0]]), WAVELENGTH)
+
+
+def test_points_in_a_medium_lie_where_waves_have_them():
+    camera = small_camera(mla_medium=1.5, mla_focal_length=0.768, detector_distance=0.8, lens_model="parabolic")
+    points = np.array([(0.2, -0.1, 225.0)])
+    wave = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([1.0])
+    ray = PointRays(camera, points, WAVELENGTH).image(OpticalSystem(camera, WAVELENGTH), np.ones(1))
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    for place, axis in ((x, 0), (y, 1)):
+        first, second = (image.sum(axis) @ place / image.sum() for image in (wave, ray))
+        assert first == pytest.approx(second, abs=0.4 * camera.pixel_size)
+
+
+@pytest.mark.parametrize("distance", [0.24, 10.0])
+def test_points_in_metres_are_recognised(distance):
+    words = r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$"
+    with pytest.raises(InputError, match=words):
+        PointRays(PlenopticCamera(), np.array([(0.0, 0.0, distance)]), WAVELENGTH)

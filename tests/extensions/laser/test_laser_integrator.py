@@ -348,3 +348,9 @@ def test_refusals(make, message):
 def test_colour_variants_are_refused():
     with pytest.raises(InputError, match=r"plenoptic_laser: variant llvm_ad_rgb: laser light has one wavelength"):
         load_scene({"type": "scene", "integrator": {"type": "plenoptic_laser", "lasers": "a"}}, variant="llvm_ad_rgb")
+
+
+def test_a_misspelt_parameter_is_answered_by_mitsubas_own_loader():
+    words = r"plenoptic_laser: roughnes: it has no such parameter; did you mean roughness\?"
+    with pytest.raises(RuntimeError, match=words):
+        mi.load_dict({"type": "plenoptic_laser", "roughnes": 3.0, "lasers": "one"})

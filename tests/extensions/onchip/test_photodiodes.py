@@ -240,3 +240,9 @@ def test_waves_refuse_tables():
     camera = CAMERA.replace(photodiode_response=halves_of(CAMERA))
     with pytest.raises(InputError, match="photodiode_response"):
         render_capture(scene_of(camera), model="wave", spp=2)
+
+
+def test_a_table_contains_the_mediums_absorption():
+    table = {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]}
+    with pytest.raises(InputError, match="mla_absorption = 1: photodiode_response contains the medium"):
+        PlenopticCamera(mla_pitch=0.004, photodiode_response=table, mla_absorption=1.0)

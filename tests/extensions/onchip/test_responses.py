@@ -5,8 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.camera import has_small_lenses
+from mitsuba_plenoptic import InputError, render_capture
 from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
 from mitsuba_plenoptic.extensions.onchip import response_tables
 from mitsuba_plenoptic.extensions.onchip.plane_waves import Zones, pixels_per_lens
@@ -275,6 +274,18 @@ def test_what_responses_do_not_describe_is_refused_by_name(changes, message):
         pixels_per_lens(camera_of(2.0, 40).replace(**changes))
 
 
-def test_only_lenses_of_a_few_wavelengths_need_responses():
-    assert has_small_lenses(camera_of(2.0, 4), 550.0)
-    assert not has_small_lenses(PlenopticCamera(), 550.0)
+def test_diffraction_orders_behind_small_lenses_lose_light_along_their_directions(monkeypatch):
+    monkeypatch.setattr(photodiodes, "_STEPS", (6.0, 20.0))
+    camera = camera_of(4.0, 4).replace(mla_absorption=50.0)
+    light = PhotodiodeResponses(camera, 550.0).by_direction(-0.5, -0.5).sum(0)
+    middle = light.shape[0] // 2
+    pitch, n, lam = camera.mla_pitch, 1.5, 550e-6
+    x = ((np.arange(1024) + 0.5) / 1024 - 0.5) * pitch
+    orders = np.fft.fft(np.exp(-1j * np.pi * n * x**2 / (lam * 0.004))) / 1024
+    sine = np.fft.fftfreq(1024, 1 / 1024) * lam / (n * pitch)
+    square = sine**2 + sine[:, None] ** 2
+    energy = np.abs(orders) ** 2 * np.abs(orders[:, None]) ** 2
+    cosine = np.sqrt(np.where(square < 1, 1 - square, 1))
+    expected = (energy * np.exp(-50 * 0.004 / cosine))[square < 1].sum() * pitch**2
+    assert light[middle, middle] == pytest.approx(expected, rel=2e-3)
+    assert expected < 0.995 * np.exp(-50 * 0.004) * energy[square < 1].sum() * pitch**2

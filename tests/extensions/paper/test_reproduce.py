@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from mitsuba_plenoptic import (
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import reproduce, seconds_on_one_core
+from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.comparison import compare
@@ -217,6 +219,26 @@ def test_a_stage_that_another_process_makes_is_refused(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["facts.json", "stages.json"]
 
 
+def test_stages_that_end_together_are_both_noted(tmp_path, monkeypatch):
+    write, begun, ended = checkpoints.write_json, threading.Event(), threading.Event()
+
+    def slow(path, content):
+        if not begun.is_set():
+            # The log has been read: the other stage has a second to be noted in between.
+            begun.set()
+            ended.wait(1)
+        write(path, content)
+
+    monkeypatch.setattr(checkpoints, "write_json", slow)
+    first = threading.Thread(target=Stages(tmp_path).facts, args=("first", {}, lambda _: {}))
+    first.start()
+    assert begun.wait(10)
+    Stages(tmp_path).facts("second", {}, lambda _: {})
+    ended.set()
+    first.join()
+    assert len(json.loads((tmp_path / "stages.json").read_text())) == 2
+
+
 def test_photographs_are_aligned_with_each_other(tiny):
     scene = load_scene("letters", parameters=tiny.parameters)
     camera = scene.sensors()[0].camera
@@ -247,3 +269,15 @@ def test_a_camera_of_few_lenses_is_compared(tmp_path, capsys):
     numbers = json.loads((tmp_path / "few" / "results.json").read_text())
     assert all(row["ssim"] is None for row in numbers["reconstructions"])
     assert "not defined" in (tmp_path / "few" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("reproduce --preset huge -o {out}", "preset = 'huge': it must be one of quick, paper"),
+        ("reproduce --preset quik -o {out}", "did you mean quick?"),
+        ("reproduce -o {raw}", "the folder cannot be made"),
+    ],
+)
+def test_mistakes_on_the_command_line(line, words, mistake):
+    mistake(line, words)

@@ -142,3 +142,15 @@ def test_the_commands(tmp_path, capsys):
     lit = white_image(CAMERA) > 0.02
     found = read_capture(back).image / (60000 / 65535)
     assert np.abs(found - coloured(CAMERA).image)[lit].mean() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("demosaic {raw} -o {raw} --mosaic RGGB", "it is read, and would be lost; write to another file"),
+        ("demosaic {raw} -o {out}.exr --mosaic RGGB --linear", "--linear: it is for pictures (.png, .tiff)"),
+        ("demosaic {raw} -o {out}.exr --mosaic RGGG", "did you mean RGGB?"),
+    ],
+)
+def test_mistakes_on_the_command_line(line, words, mistake):
+    mistake(line, words)

@@ -13,7 +13,7 @@ import xarray as xr
 from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import StoppedError, start_command, stopped_before
 
-from mitsuba_plenoptic import InputError, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import Cluster, InputError, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.studio import sweep as sweeps
 from mitsuba_plenoptic.extensions.studio.sweep import SweepSettings, check_grid, parse_grid, read_grid, sweep
@@ -235,3 +235,32 @@ def test_a_full_disk_leaves_what_was_there(tmp_path):
     assert "Traceback" not in errors and "reused" in errors
     assert (tmp_path / "out.nc").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.nc", "out.points"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--vary aperture_radius=3,4 --method ray", "--method: nothing is refocused"),
+        ("--vary aperture_radius=3,4 --resume", "--resume: a ray capture does not take it"),
+        ("--vary aperture_radius=3,4 --workers 2", "--workers: a ray capture does not take it; it is for --model wave"),
+        ("--vary aperture_radios=3,4", "did you mean aperture_radius?"),
+    ],
+)
+def test_mistakes_on_the_command_line(options, words, mistake, monkeypatch):
+    def started(*_, **__):
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.Cluster.__enter__", started)
+    mistake(f"sweep letters -o {{out}}.nc {options}", words)
+
+
+@pytest.mark.slow
+def test_a_sweep_on_workers_has_the_same_bits(tmp_path):
+    pytest.importorskip("distributed")
+    pytest.importorskip("h5netcdf")
+    settings = SweepSettings("letters", parameters=letters(4), model="wave", spp=1)
+    grid = {"wavelength": [500, 633]}
+    alone = sweep(settings, grid, tmp_path / "alone.nc").load()
+    assert alone.capture.any()
+    with Cluster(workers=2) as cluster:
+        assert sweep(settings, grid, tmp_path / "shared.nc", batch_map=cluster).load().equals(alone)

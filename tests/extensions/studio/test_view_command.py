@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 import tifffile
+from foreign_files import write_exr_parts
 
 from mitsuba_plenoptic import read_capture
-from mitsuba_plenoptic.io.exr import write_exr_parts
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+from mitsuba_plenoptic.array_functions import CameraCapture
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.light.lens_kinds import chief_ray_shift, regular_array
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
@@ -81,3 +81,16 @@ def test_methods_of_regular_arrays_take_aligned_presets(name):
     assert mp.decode(even, camera=camera).shape[2:] == (LENSES, LENSES)
     assert np.isfinite(mp.reconstruct(even, distance, camera=camera).image).any()
     assert RayRefocus(camera, distance).camera == regular
+
+
+@pytest.mark.parametrize("name", ON_CHIP)
+@pytest.mark.parametrize("wavelength", [450, 550, 650])
+def test_dual_pixels_have_no_warnings_of_themselves(name, wavelength):
+    assert mp.design.design_warnings(mp.PlenopticCamera.preset(name), wavelength) == []
+
+
+def test_dual_pixels_whose_spots_are_wider_than_a_pixel_are_told():
+    camera = mp.PlenopticCamera.preset("phone_quad")
+    wavelength = 550 * mp.design.mla_fresnel_number(camera, 550) / 0.49
+    (warning,) = mp.design.design_warnings(camera, wavelength)
+    assert "their Fresnel number is 0.49" in warning

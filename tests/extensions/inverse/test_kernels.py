@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
-from mitsuba_plenoptic.extensions.inverse.array_functions import CameraCapture
+from mitsuba_plenoptic.array_functions import CameraCapture
 
 POINTS = np.array([(0.01, -0.02, 215.0), (-0.03, 0.02, 240.0)])
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
+import xarray as xr
+import yaml
+from scene_cases import letters
 
 from mitsuba_plenoptic import read_capture
-from mitsuba_plenoptic.cli import command_group, commands_of, step_commands
-from mitsuba_plenoptic.cli.run_file import RunStep, add_step, parameters_of, read_run_file
+from mitsuba_plenoptic.cli import app, commands_of, main
 from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.io.exr import read_exr
@@ -105,6 +111,23 @@ def test_a_file_that_another_process_runs_is_refused(folder, complaint):
     assert not log.exists()
 
 
+def test_a_finished_run_needs_no_folder_that_it_may_write(folder, fresh, monkeypatch):
+    assert fresh() == [1, 2, 3]
+    opened = Path.open
+
+    def denied(path, mode="r", *given, **options):
+        if "w" in mode:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return opened(path, mode, *given, **options)
+
+    monkeypatch.setattr(Path, "open", denied)
+    folder.chmod(0o555)  # for all but the superuser
+    try:
+        assert fresh() == []
+    finally:
+        folder.chmod(0o755)
+
+
 def test_save_run_repeats_a_command(raw, tmp_path, run):
     here, file = tmp_path / "results", tmp_path / "run.yaml"
     here.mkdir()
@@ -135,11 +158,11 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
     (tmp_path / "letters").mkdir()
     (tmp_path / "ray").write_text("")
     words = ["--spp", 1, "-D", "resolution=64", "--model", "ray"]
-    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml")
+    run("render", "letters", "-o", "small.exr", *words, "--save-run", "runs/run.yaml", "--quiet")
     run("views", "raw.exr", "-o", "views.png", "--count", 1, "--save-run", "runs/run.yaml")
     text = (tmp_path / "runs" / "run.yaml").read_text()
     assert "scene: letters" in text and "source: ../raw.exr" in text and "define: [resolution=64]" in text
-    assert "model: ray\n" in text
+    assert "model: ray\n" in text and "quiet" not in text
     before = read_capture("small.exr")
     (tmp_path / "small.exr").unlink()
     run("run", "runs/run.yaml")
@@ -149,21 +172,25 @@ def test_files_are_named_from_the_run_file(raw, tmp_path, monkeypatch, run):
 WORDS = ["0x10", "010", "1e5", "true", "null", "a: b", "#x", "- a", "é", "a,b", "1:30", '"', " a", "no", ".5", "@", "~"]
 
 
-def test_words_survive(tmp_path):
-    parameters = parameters_of(step_commands())
-    steps = [RunStep("render", {"scene": word, "define": [f"a={word}", word], "noise": True}) for word in WORDS]
-    for step in steps:
-        add_step(tmp_path / "run.yaml", step, parameters)
-    found = read_run_file(tmp_path / "run.yaml", parameters)
-    words = [[each.words(parameters["render"]) for each in given] for given in (found, steps)]
-    assert words[0] == words[1]
+def test_words_survive(raw, tmp_path, monkeypatch, run):
+    """Files whose names would be other values in YAML."""
+    monkeypatch.chdir(tmp_path)
+    for word in WORDS:
+        Path(word).write_bytes(raw.read_bytes())
+        run("reconstruct", "-o", "a.exr", "--distance", 240, "--save-run", "run.yaml", "--", word)
+        Path("a.exr").unlink()
+        run("run", "run.yaml")
+        assert Path("a.exr").exists()
+        Path("run.yaml").unlink()
 
 
-def test_values_by_name_are_definitions():
-    parameters = parameters_of(step_commands())
-    step = RunStep("sweep", {"scene": "letters", "output": "s.nc", "vary": {"distance": [210, 240.5], "spp": 1}})
-    words = ["--output=s.nc", "--vary=distance=210,240.5", "--vary=spp=1", "--", "letters"]
-    assert step.command_line(parameters["sweep"]) == words
+def test_values_by_name_are_definitions(tmp_path, run):
+    given = {"scene": "letters", "output": "s.nc", "vary": {"distance": [210, 240.5], "aperture_radius": 4}}
+    step = given | {"define": [f"{name}={value}" for name, value in letters(2).items()], "spp": 1}
+    (tmp_path / "run.yaml").write_text(yaml.safe_dump({"steps": [{"sweep": step}]}))
+    run("run", tmp_path / "run.yaml")
+    with xr.open_dataset(tmp_path / "s.nc") as found:
+        assert found.distance.values.tolist() == [210, 240.5] and found.aperture_radius.values.tolist() == [4]
 
 
 @pytest.mark.parametrize(
@@ -218,8 +245,44 @@ def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
     assert kept[True].path == tmp_path / "a.exr.checkpoint"
     texts = {
         option.help
-        for _, command in commands_of(command_group())
+        for _, command in commands_of(typer.main.get_command(app))
         for option in command.params
         if "--resume" in option.opts
     }
     assert len(texts) == 1
+
+
+OLD = Path(__file__).parents[2] / "files_of_1_0"
+VERSION = version("mitsuba-plenoptic")
+
+
+def test_a_run_file_says_what_has_changed_and_runs(tmp_path, monkeypatch, capfd):
+    steps = (OLD / "run.yaml").read_text()
+    (tmp_path / "run.yaml").write_text(steps.replace("letter_scale=0.05", "letter_scale=0.05, lens_model=parabolic"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "run.yaml"]) == 0
+    said = [line for line in capfd.readouterr().err.splitlines() if "1.0" in line]
+    assert said == [
+        "mitsuba-plenoptic: run.yaml: it states no version, as those of version 1.0 and earlier: waves refracted at a "
+        "thin main lens as lens_model parabolic then, and follow the camera's lens_model now; the line version: "
+        f"{VERSION} ends this"
+    ]
+    assert read_capture("wave.exr").camera == read_capture(OLD / "wave.exr").camera
+
+
+@pytest.mark.parametrize(
+    ("version", "step", "changed"),
+    [
+        ("", "render: {scene: letters, output: a.exr, spp: 0}", False),
+        ("", "render: {scene: speckle, output: a.exr, spp: 0}", True),
+        ("", "render: {scene: letters, model: wave, output: a.exr, spp: 0}", True),
+        (f"version: {VERSION}\n", "render: {scene: letters, model: wave, output: a.exr, spp: 0}", False),
+        ("", "reconstruct: {capture: no.exr, output: a.exr, distance: 240}", False),
+        ("", "reconstruct: {capture: no.exr, output: a.exr, distance: 240, method: coherent}", True),
+        ("", "dataset: {recipe: no.yaml, output: data}", True),
+    ],
+)
+def test_the_remark_is_made_of_waves_without_a_version(tmp_path, capfd, version, step, changed):
+    (tmp_path / "run.yaml").write_text(f"{version}steps:\n- {step}\n")
+    assert main(["run", str(tmp_path / "run.yaml")]) == 2
+    assert capfd.readouterr().err.count("it states no version") == changed

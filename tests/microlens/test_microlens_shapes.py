@@ -5,20 +5,19 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
+from drjit.llvm import Float64
 from wave_cases import HALF, error, small_camera
 
 from mitsuba_plenoptic import (
     CaptureOperator,
     InputError,
     PlenopticCamera,
-    calibrate,
     point_spread_function,
     reconstruct,
     render_capture,
 )
 from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.microlens import Conic, Sampled, ZoneLens
-from mitsuba_plenoptic.runtime.backend import array_module
 from tools.bench.cases.arrays import GREEN, SHAPES, X, Y, bumpy, path_of, propagated
 
 LINE_D = 587.5618
@@ -69,7 +68,7 @@ def test_slopes_are_those_of_the_phase(name):
         smooth = np.abs(change) < 1e3
         assert smooth.mean() > 0.95
         assert np.allclose(found[smooth], ratio * change[smooth] * LINE_D * 1e-6, atol=2e-5)
-    lanes = [array_module().Float64(values) for values in (x, y)]
+    lanes = [Float64(values) for values in (x, y)]
     assert np.allclose(np.array(shape.waves(*lanes, GREEN)), shape.waves(x, y, GREEN))
     for one, other in zip(shape.slopes(*(mi.Float(values) for values in (x, y))), shape.slopes(x, y), strict=True):
         assert np.allclose(np.array(one), other, atol=1e-5)
@@ -251,7 +250,6 @@ def test_what_needs_parabolic_microlenses_refuses_others():
     for call in (
         lambda: reconstruct(image, 230.0, camera=camera, method="coherent", wavelength=GREEN),
         lambda: operator.derivative([1.0], {"mla_distance": 1.0}),
-        lambda: calibrate([], None, camera),
     ):
         with pytest.raises(InputError, match=r"mla_shape = .*with parabolic microlenses only"):
             call()

@@ -1,0 +1,98 @@
+"""Layout of the documentation's pictures: sheets of titled images, colours of maps, pages in a browser."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from PIL import Image
+
+from mitsuba_plenoptic.report.framing import Canvas
+from mitsuba_plenoptic.report.images import Brightness, to_bytes
+
+WIDTH, DPI, LARGEST = 7.5, 104, 150_000
+"""Width of a picture in inches, its pixels per inch, and the size of its file in bytes."""
+
+Panel = tuple[str, np.ndarray]
+"""A title, and an image of bytes or of radiances, which are drawn on the scale of their sheet."""
+
+
+def sheet(
+    rows: Sequence[Sequence[Panel]], white: float | None = None, colours: tuple[ScalarMappable, str] | None = None
+) -> Image.Image:
+    """Lay out images of one size with their titles; radiances share a scale.
+
+    The colours of the last image are explained by a bar below it.
+    """
+    radiances = [image for row in rows for _, image in row if image.dtype != np.uint8]
+    peak = white or (Brightness().peak(radiances) if radiances else 1.0)
+    columns, gap, title = len(rows[0]), 0.06, 0.24
+    side = (WIDTH - (columns - 1) * gap) / columns
+    tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
+    tops = [sum(tall[:index]) + index * (title + gap) + title for index in range(len(rows))]
+    below = tops[-1] + tall[-1]
+    canvas = Canvas(WIDTH, below + (0.6 if colours else 0), DPI)
+    if colours:
+        # Numbers at the ends of the bar need room.
+        left, narrower = (columns - 1) * (side + gap) + 0.1, side - 0.25
+        canvas.colour_bar(colours[0], left, below + 0.06, 0.1, colours[1], width=narrower, text=8)
+    for top, height, row in zip(tops, tall, rows, strict=True):
+        for index, (name, image) in enumerate(row):
+            axes = canvas.axes(index * (side + gap), top, side, height)
+            shown = image if image.dtype == np.uint8 else to_bytes(image, peak)
+            axes.imshow(shown, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+            axes.set_title(name, size=9, loc="left", pad=3)
+    return drawn(canvas)
+
+
+def drawn(canvas: Canvas) -> Image.Image:
+    """Return what a canvas shows."""
+    stream = io.BytesIO()
+    canvas.figure.savefig(stream, format="png")
+    return Image.open(stream).convert("RGB")
+
+
+def write(path: Path, image: Image.Image) -> None:
+    """Write a palette PNG with as many colours as its size allows."""
+    for colours in (256, 128, 64, 32):
+        stream = io.BytesIO()
+        palette = image.quantize(colours, kmeans=1, dither=Image.Dither.NONE)
+        palette.save(stream, "PNG", optimize=True)
+        if stream.tell() <= LARGEST:
+            break
+    else:
+        raise SystemExit(f"{path}: {stream.tell()} bytes with 32 colours; at most {LARGEST}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(stream.getvalue())
+    size = f"{image.width} x {image.height}, {colours} colours, {stream.tell() / 1000:.0f} kB"
+    print(f"{path.relative_to(path.parents[1])}: {size}", flush=True)
+
+
+def coloured(
+    values: np.ndarray, low: float, high: float, *, colours: str = "viridis", unknown: int = 217
+) -> np.ndarray:
+    """Return values as colours between two ends, and NaN as a grey."""
+    shown = matplotlib.colormaps[colours](np.clip((values - low) / (high - low), 0, 1))
+    return np.where(np.isnan(values)[..., None], unknown, 255 * shown[..., :3]).astype(np.uint8)
+
+
+def in_browser(page: Path, width: int, height: int) -> Image.Image:
+    """Take a picture of a page."""
+    with tempfile.TemporaryDirectory() as folder:
+        taken = Path(folder) / "page.png"
+        words = [str(Path(__file__).with_name("report_picture.py")), str(page), str(taken)]
+        size = ["--width", str(width), "--height", str(height)]
+        subprocess.run([sys.executable, *words, *size], check=True)
+        return Image.open(taken).convert("RGB")
+
+
+def narrowed(image: Image.Image, width: int = 900) -> Image.Image:
+    """Shrink a picture to a width."""
+    return image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS)
