@@ -122,7 +122,8 @@ def test_slopes_of_terms_are_their_differences():
 def test_pixels_know_the_direction_of_their_light():
     camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
     draws = Draws(camera, [plan_of(camera, 633.0, False, 633.0)])
-    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), np.zeros(2))
+    (nearest,) = np.flatnonzero((draws.candidates == 0).all(axis=1)).tolist()
+    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(nearest))
     u, v = draws.cosines(pixels)
     aims = draws.aims(pixels)
     pupil = draws.seen(aims.middle, aims)
