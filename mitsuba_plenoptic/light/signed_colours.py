@@ -159,7 +159,7 @@ class SignedColours:
 
     @classmethod
     def lines(cls, wavelengths: tuple[float, ...]) -> SignedColours:
-        """Return the responses for light given by one value, at one wavelength, for each channel."""
+        """Return the responses of channels that each see one wavelength, with one value of light per channel."""
         return cls(Spectrum.lines(*wavelengths), True, np.eye(len(wavelengths)))
 
     @functools.cached_property

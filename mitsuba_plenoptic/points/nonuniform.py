@@ -98,7 +98,7 @@ def length(count: int) -> int:
 
 
 def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
-    """Return `count` samples about the origin along an axis, from frequencies that begin at index `first`."""
+    """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
     padded = _embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
     whole = fft(padded, axis=axis, inverse=True, norm="forward")
     return np.take(whole, (np.arange(count) - count // 2) % size, axis)

@@ -13,7 +13,7 @@ from .partitions import blocks, coloured, refocused, sublattice
 
 
 def measure_readings(experiment: Experiment, store: Stages, near: str, far: str) -> list[dict[str, Any]]:
-    """Measure the nearest and the farthest shape, by ids, each refocused to the distance of the other.
+    """Return the interference in images of the shapes `near` and `far`, each refocused to the distance of the other.
 
     Each row has the interference with four subsets, the quarters of the array or the best sublattice; the number of
     subsets in which no images of lit lenses overlap; the interference without the second microlens phase (`literal`);
