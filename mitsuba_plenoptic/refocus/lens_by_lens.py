@@ -527,8 +527,9 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
 def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     """Return the bins of the image, cut from the sum of power at samples over lenses."""
     tile = lenses.tile
+    total = backend().to_host(total)
     for axis in (0, 1):
-        total = integrated(backend().to_host(total), tile, axis)
+        total = integrated(total, tile, axis)
     columns, rows = tile.camera.bin_count
     image = np.zeros((rows * tile.oversample, columns * tile.oversample))
     reach = tile.lenses // 2

@@ -114,14 +114,6 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
     waves lose from a micro-image at the pupil's edge.
     """
     camera, oversample = task.camera, task.oversample
-    # First, as its time is short and none of what is reported.
-    white = [
-        np.stack(
-            [white_sums(camera, g, camera.lit_radius, "lens", oversample, w, relay) for w in task.wavelengths], axis=-1
-        )
-        for g in (task.distances if task.white is None else ())
-    ]
-    reach = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
     sums = []
     for image, distances, progress in captures(task):
         # The shortest waves, which take the most memory, come first.
@@ -133,6 +125,13 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
             found[channel] = _signed_power(*given, portion(progress, index, works))
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
+    white = [
+        np.stack(
+            [white_sums(camera, g, camera.lit_radius, "lens", oversample, w, relay) for w in task.wavelengths], axis=-1
+        )
+        for g in (task.distances if task.white is None else ())
+    ]
+    reach = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
     return to_radiance(task, sums, white, reach)
 
 
