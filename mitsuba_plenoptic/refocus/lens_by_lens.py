@@ -35,7 +35,20 @@ from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
 from ..runtime.backend import backend, drjit_array
-from ..runtime.fft import Field, as_field, as_words, fast_length, fft, fft2, pack, resting_drjit, split, unpack
+from ..runtime.fft import (
+    Field,
+    as_field,
+    as_words,
+    fast_length,
+    fft,
+    fft2,
+    irfft,
+    pack,
+    resting_drjit,
+    rfft,
+    split,
+    unpack,
+)
 from ..runtime.limits import check_memory, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
@@ -527,7 +540,6 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
 def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
     """Return the bins of the image, cut from the sum of power at samples over lenses."""
     tile = lenses.tile
-    total = backend().to_host(total)
     for axis in (0, 1):
         total = integrated(total, tile, axis)
     columns, rows = tile.camera.bin_count
@@ -541,7 +553,7 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
         into.append(slice(inside.start * tile.oversample, inside.stop * tile.oversample))
         out.append(slice((inside.start - first) * tile.oversample, (inside.stop - first) * tile.oversample))
     # Integrals of dark bins are zero up to rounding, on either side.
-    image[tuple(into)] = total[tuple(out)].clip(0)
+    image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
     return image
 
 
@@ -556,10 +568,10 @@ def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
         return power.reshape(*power.shape[:axis], -1, tile.samples, *power.shape[axis + 1 :]).sum(axis + 1)
     shape = (-1, *(1,) * (power.ndim - axis - 1))
     frequency = np.fft.rfftfreq(count).reshape(shape)
-    spectrum = np.fft.rfft(power, axis=axis) * (
-        per_bin * np.sinc(frequency * per_bin) * np.exp(1j * np.pi * frequency * (per_bin - 1))
-    )
-    if per_bin > 1:
-        return np.take(np.fft.irfft(spectrum, count, axis), range(0, count, round(per_bin)), axis)
-    bins = count // tile.samples * tile.oversample
-    return np.fft.irfft(spectrum * (bins / count), bins, axis)
+    response = per_bin * np.sinc(frequency * per_bin) * np.exp(1j * np.pi * frequency * (per_bin - 1))
+    # As many samples as bins or more: those at the bins' starts; fewer: as many as bins, of the same polynomial.
+    bins = count if per_bin > 1 else count // tile.samples * tile.oversample
+    with resting_drjit():
+        spectrum = rfft(power, axis=axis) * backend().arrays.asarray((response * (bins / count)).astype(np.complex64))
+        found = irfft(spectrum, bins, axis=axis)
+    return found[(slice(None),) * axis + (slice(None, None, round(per_bin) if per_bin > 1 else 1),)]
