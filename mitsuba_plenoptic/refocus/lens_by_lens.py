@@ -413,14 +413,15 @@ def reconstruct_lens_by_lens(
 ) -> list[np.ndarray]:
     """Return images from lenses propagated one by one, the limit of `reconstruct_subsets` for large periods."""
     tile = reconstruction_tile(camera, wavelength, distances, oversample)
-    check_memory(tile.memory, "wave reconstruction lens by lens")
-    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     lenses = LensSet(tile)
+    # Every lens puts its patch among the samples of all lenses, and a margin for those at the edge.
+    shape = [(count + tile.lenses - 1) * tile.samples for count in lenses.bins[::-1]]
+    # The sum of each plane, and its spectrum while one is integrated.
+    check_memory(tile.memory + 4.0 * math.prod(shape) * (len(distances) + 2), "wave reconstruction lens by lens")
+    conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     lit = lenses.lit(image)
     arrays = backend().arrays
     amplitude = arrays.sqrt(arrays.asarray(image))
-    # Every lens puts its patch among the bins of all lenses, and a margin for those at the edge.
-    shape = [(count + tile.lenses - 1) * tile.samples for count in lenses.bins[::-1]]
     totals = [arrays.zeros(shape) for _ in distances]
     # Stopped once, as stopping takes as long as the transforms of a lens.
     with resting_drjit():
