@@ -120,7 +120,7 @@ def test_ctrl_c_while_a_scene_is_loaded(monkeypatch, capsys):
     assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")
 
 
-def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys):
+def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys, request):
     """C++ code that tries to convert an object of Python drops any exception from there."""
     loading = render_command.open_scene
 
@@ -130,6 +130,9 @@ def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys):
         return loading(*arguments)
 
     monkeypatch.setattr(render_command, "open_scene", dropping)
+    # Shells have background processes ignore it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     assert main([*WAVES, "-o", str(tmp_path / "raw.exr")]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("mitsuba-plenoptic: stopped")
     assert not list(tmp_path.glob("*.exr"))
@@ -140,7 +143,9 @@ def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys):
 def test_ctrl_c_is_one_line_and_a_status(tmp_path):
     """Sent from outside, at whatever moment of the capture."""
     words = [sys.executable, "-m", "mitsuba_plenoptic", *WAVES, "-v", "-o", str(tmp_path / "raw.exr")]
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, before)
     told = []
     for line in process.stderr:
         told.append(line)
