@@ -193,20 +193,25 @@ def test_the_title_states_scene_and_camera():
     assert headline(reconstruct(recorded, [240.0])[0]) == "Light field"
 
 
-def opened(browser, path, page):
-    """Open a page in a browser, and return it with a function for what a canvas shows once all is drawn."""
-    page.save(path)
-    seen = browser(path)
+def opened(browser, path, **size):
+    """Open a page in a browser, and return it with functions that find an element, and what the scene's canvas shows.
+
+    The page draws, and writes what it has drawn, in the next frame after an action. Both functions wait for that frame.
+    """
+    seen = browser(path, **size)
     seen.implicitly_wait(20)
     seen.find_element("css selector", "main:not([aria-busy])")
     seen.implicitly_wait(0)
 
-    def drawn(identity="field"):
+    def find(selector):
         seen.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
-        url = seen.execute_script("return document.getElementById(arguments[0]).toDataURL()", identity)
+        return seen.find_element("css selector", selector)
+
+    def drawn():
+        url = seen.execute_script("return arguments[0].toDataURL()", find("#field"))
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))))
 
-    return seen, drawn
+    return seen, find, drawn
 
 
 def likeness(image, white, drawn):
@@ -224,9 +229,10 @@ def test_colours_of_a_crop_in_16_bits_in_a_browser(tmp_path, browser):
     made = view(recorded)
     data = content(made)
     assert data["recordings"][0]["views"]["bits"] == 16
-    page, drawn = opened(browser, tmp_path / "view.html", made)
-    page.find_element("css selector", "input[value=refocus]").click()
-    step = int(page.find_element("css selector", "#focus").get_attribute("value"))
+    made.save(tmp_path / "view.html")
+    page, find, drawn = opened(browser, tmp_path / "view.html")
+    find("input[value=refocus]").click()
+    step = int(find("#focus").get_attribute("value"))
     refocused = shift_and_add(decode(recorded), data["recordings"][0]["disparities"][step])
     assert likeness(refocused, data["white"], drawn()) >= 40
     assert page.get_log("browser") == []
@@ -243,11 +249,8 @@ def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
     )
     depth["depth"][4:] = 400.0
     made = view(results[0], holed, depth)
-    page, drawn = opened(browser, tmp_path / "view.html", made)
-
-    def find(selector):
-        return page.find_element("css selector", selector)
-
+    made.save(tmp_path / "view.html")
+    page, find, drawn = opened(browser, tmp_path / "view.html")
     assert find("#focus-text").text == "260 mm"
     assert not find("#pupil-panel").is_displayed() and not find("#raw-panel").is_displayed()
     assert np.array_equal(drawn()[..., 3] == 0, np.eye(16) > 0)
@@ -266,11 +269,9 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     ray = capture()
     wave = dataclasses.replace(capture(seed=1), model="wave")
     made = view(Recording("<b>", decode(ray), ray.image), wave, title="A <b>")
-    page, drawn = opened(browser, tmp_path / "view.html", made)
+    made.save(tmp_path / "view.html")
+    page, find, drawn = opened(browser, tmp_path / "view.html")
     lf, data = decode(ray), content(made)
-
-    def find(selector):
-        return page.find_element("css selector", selector)
 
     def alike(image):
         return likeness(image, data["white"], drawn())
@@ -286,7 +287,6 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
         canvas.dispatchEvent(new PointerEvent(name, {clientX: x, clientY: box.top + 50, pointerId: 1}));
       send("pointerdown", box.left + 100); send("pointermove", box.left + 100 + box.width / 4); send("pointerup", 0);
     """)
-    drawn()
     assert find("#view-text").text != before
     # Refocused, at another step of the slider.
     steps = data["recordings"][0]["disparities"]
@@ -298,20 +298,17 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     # A click finds the disparity of the squares.
     page.execute_script("document.querySelector('input[value=view]').click()")
     find("#field").click()
-    drawn()
-    step = int(page.execute_script("return document.getElementById('focus').value"))
+    step = int(find("#focus").get_attribute("value"))
     assert abs(abs(steps[step]) - 0.5) < 0.06
     # The other capture, by keyboard, and the difference.
     find("input[value='1'][name=sources]").send_keys(" ")
     assert alike(shift_and_add(decode(wave), steps[step])) >= 35
     find("input[value=difference]").click()
-    # The page draws in its next frame, and writes what it has drawn.
     white = drawn()[8, 8, :3]
     assert "wave - <b>" in find("#field-tag").text and (white > 200).all()
     # From lens to lens.
     before = find("#lens-text").text
     find("#raw").send_keys("\ue014")  # arrow right
-    drawn()
     assert find("#lens-text").text != before
 
     requested = page.execute_script("return performance.getEntriesByType('resource').map((one) => one.name)")
@@ -319,16 +316,15 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     assert page.get_log("browser") == []
     assert_sliders_in_line(page, 2)
     for narrow in (320, 390):
-        page = browser(tmp_path / "view.html", width=narrow, height=800)
+        page, find, _ = opened(browser, tmp_path / "view.html", width=narrow, height=800)
         assert page.execute_script("return document.documentElement.scrollWidth") <= narrow
         # The map of viewpoints is next to the picture, and both are seen at once.
         field, pupil = (boxed(page, name) for name in ("field", "pupil"))
         assert pupil["left"] >= field["right"] and abs(pupil["top"] - field["top"]) < 4 and field["bottom"] < 800
         assert_sliders_in_line(page, 1)
-        before = page.find_element("css selector", "#view-text").text
-        page.find_element("css selector", "#pupil").send_keys("\ue012")  # arrow left
-        page.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
-        assert page.find_element("css selector", "#view-text").text != before
+        before = find("#view-text").text
+        find("#pupil").send_keys("\ue012")  # arrow left
+        assert find("#view-text").text != before
         assert page.get_log("browser") == []
 
 

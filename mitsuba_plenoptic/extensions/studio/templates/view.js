@@ -647,7 +647,8 @@ async function start() {
     "Hatched: unknown.",
   ].filter(Boolean).join(" ");
   new ResizeObserver(() => state.picture && drawBin()).observe(canvas);
-  find("main").removeAttribute("aria-busy");
+  // After the first frame, which draws the pictures and their texts.
+  requestAnimationFrame(() => find("main").removeAttribute("aria-busy"));
 }
 
 start().catch((error) => {
