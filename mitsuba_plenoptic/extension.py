@@ -51,7 +51,7 @@ class Extension:
     Parameters
     ----------
     names : mapping of str to tuple of str
-        Public names of `mitsuba_plenoptic`, by the modules that define them.
+        Public names of `mitsuba_plenoptic`, by the modules that define them; ``refocus.name`` is one of a subpackage.
     modules : mapping of str to str
         Public modules of `mitsuba_plenoptic`, such as ``torch``, and the modules that they are.
     commands : mapping of str to str
@@ -69,8 +69,8 @@ class Extension:
     captures : mapping of str to str
         Kinds of cameras whose scenes the core's signed rays cannot capture, such as ``small lenses``, and the places of
         functions of a camera, its light, the colours and the accuracy, which return their wave capture.
-    methods : tuple of str
-        Modules that register methods of reconstruction by `refocus.methods.method`.
+    methods : mapping of str to str
+        Methods of reconstruction, and the modules that register them by `refocus.methods.method`.
     lenses : tuple of str
         Modules that register main lenses by `lenses.common.builds`.
     cameras : mapping of str to str
@@ -92,7 +92,7 @@ class Extension:
     presets: Mapping[str, str] = field(default_factory=dict)
     plugins: Mapping[str, str] = field(default_factory=dict)
     captures: Mapping[str, str] = field(default_factory=dict)
-    methods: tuple[str, ...] = ()
+    methods: Mapping[str, str] = field(default_factory=dict)
     lenses: tuple[str, ...] = ()
     cameras: Mapping[str, str] = field(default_factory=dict)
     displays: Mapping[str, str] = field(default_factory=dict)
@@ -154,7 +154,8 @@ class Displayed:
 def register(kind: str) -> None:
     """Import the modules listed under ``methods`` or ``lenses`` of the records, which register themselves."""
     for package, record in installed().items():
-        for module in getattr(record, kind):
+        modules = getattr(record, kind)
+        for module in modules.values() if isinstance(modules, Mapping) else modules:
             importlib.import_module(f"{package}.{module}")
 
 

@@ -61,9 +61,9 @@ MOVED = {
     "reconstruction.methods": "refocus.methods",
     "reconstruction.partitions": "extensions.paper.partitions",
     "reconstruction.waves": "refocus.wave_methods",
-    "reconstruction.deconvolution": "refocus.deconvolution",
-    "reconstruction.deconvolution.variation": "refocus.deconvolution.variation",
-    "reconstruction.deconvolution.solver": "refocus.deconvolution.solver",
+    "reconstruction.deconvolution": "extensions.deconvolution",
+    "reconstruction.deconvolution.variation": "extensions.deconvolution.variation",
+    "reconstruction.deconvolution.solver": "extensions.deconvolution.solver",
     "operator": "points",
     "operator.spectral": "points.spectral",
     "operator.full_field": "points.full_field",
@@ -100,7 +100,8 @@ def public_names() -> list[str]:
     """Return the public names of the core and of the installed extensions."""
     from .extension import entries
 
-    return sorted({*_MODULE_OF, *(name for _, _, names in entries("names") for name in names)})
+    added = (name for _, _, names in entries("names") for name in names)
+    return sorted({*_MODULE_OF, *(name for name in added if "." not in name)})
 
 
 def modules() -> set[str]:
@@ -119,7 +120,7 @@ def attribute(name: str) -> Any:
         return getattr(importlib.import_module(f"{ROOT}.{_MODULE_OF[name]}"), name)
     for package, module, names in entries("names"):
         if name in names:
-            return getattr(importlib.import_module(f"{package}.{module}"), name)
+            return getattr(importlib.import_module(f"{package}.{module}"), name.rpartition(".")[2])
     if name in modules() or name in MOVED:
         return importlib.import_module(f"{ROOT}.{name}")
     from .errors import did_you_mean

@@ -8,6 +8,9 @@ SHIPPED: dict[str, dict[str, str]] = {
     "names": {
         "calibrate": "calibrate",
         "fit": "inverse",
+        "refocus.CoherentRefocus": "inverse",
+        "refocus.DeconvolvedRefocus": "inverse",
+        "refocus.RayRefocus": "inverse",
         "bank_disparity": "onchip",
         "dual_pixel": "onchip",
         "half_disparity": "onchip",
@@ -51,6 +54,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     "captures": {"small lenses": "onchip"},
     "cameras": {"libpleno": "calibrate"},
     "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", "parameters.cfg": "raw", ".mat": "raw"},
+    "methods": {"incoherent": "deconvolution", "deconvolved": "deconvolution"},
     "plugins": {"plenoptic_laser": "laser"},
 }
 

@@ -63,8 +63,8 @@ def test_an_init_holds_the_record_only(name):
 def test_all_that_records_name_is_there():
     for package, record in installed().items():
         for module, names in record.names.items():
-            assert all(hasattr(importlib.import_module(f"{package}.{module}"), name) for name in names)
-        for module in [*record.plugins, *record.methods, *record.lenses]:
+            assert all(hasattr(importlib.import_module(f"{package}.{module}"), name.split(".")[-1]) for name in names)
+        for module in [*record.plugins, *record.methods.values(), *record.lenses]:
             importlib.import_module(f"{package}.{module}")
         for kind in ("parameters", "responses", "presets", "captures", "cameras"):
             for text in getattr(record, kind).values():

@@ -16,7 +16,18 @@ from mitsuba_plenoptic.extension import Extension, installed
 
 PATH = Path(__file__).parents[1] / "mitsuba_plenoptic" / "shipped.py"
 
-KINDS = ("names", "modules", "commands", "parameters", "presets", "captures", "cameras", "formats", "plugins")
+KINDS = (
+    "names",
+    "modules",
+    "commands",
+    "parameters",
+    "presets",
+    "captures",
+    "cameras",
+    "formats",
+    "methods",
+    "plugins",
+)
 
 
 def _records() -> Iterator[tuple[str, Extension]]:
@@ -41,8 +52,9 @@ def text() -> str:
     for name, record in _records():
         for module, names in record.names.items():
             tables["names"] |= dict.fromkeys(names, name)
-            imports += [f"    from .extensions.{name}.{module} import {each} as {each}" for each in names]
-            public += names
+            direct = [each for each in names if "." not in each]
+            imports += [f"    from .extensions.{name}.{module} import {each} as {each}" for each in direct]
+            public += direct
         for served, module in record.modules.items():
             if served not in ("torch", "jax", "hcipy"):
                 imports.append(f"    from .extensions.{name} import {module} as {served}")

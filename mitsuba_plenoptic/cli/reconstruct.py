@@ -171,13 +171,13 @@ def reconstruct(
 
     # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
-    from ..refocus.methods import used_by
+    from ..refocus.methods import registered, used_by
     from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
     from ..runtime.files import require_apart, require_different, require_writable
     from ..runtime.limits import GIB
 
-    chosen = reconstruction.METHODS[method]
+    chosen = registered(method)
     if estimate:
         refused = {"overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
         for name in (name for name, value in refused.items() if value):

@@ -16,7 +16,6 @@ from ..camera.plenoptic_camera import require_ideal, require_no_shape
 from ..errors import (
     InputError,
     argument,
-    require_choice,
     require_count,
     suggest_keywords,
 )
@@ -37,6 +36,7 @@ from .methods import (
     Task,
     as_capture,
     portion,
+    registered,
     require_distances,
     require_image_memory,
     require_option,
@@ -113,7 +113,7 @@ def reconstruct(
         amplitude is the square root of the capture. ``partial`` propagates one such wave for each interleaved
         subset of lenses, and adds their intensities. Waves pass the lenses as thin parabolic phases.
         ``incoherent`` propagates each point of the object by itself through this camera, and weighs the capture with
-        its point spread (see `mitsuba_plenoptic.refocus.incoherent`).
+        its point spread (see `mitsuba_plenoptic.extensions.deconvolution.incoherent`).
         ``deconvolved`` finds the plane, or the planes, whose capture by this camera is the recorded one.
     camera : PlenopticCamera, optional
         The camera of a plain array, or one that replaces the capture's.
@@ -181,9 +181,9 @@ def reconstruct(
     capture = as_capture(capture, camera)
     camera = regular_array(capture.camera)
     capture = dataclasses.replace(capture, camera=camera)
-    chosen = METHODS[require_choice("method", method, METHODS)]
+    chosen = registered(method)
     if not camera.lens_data.converges and not chosen.as_it_is:
-        methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is)
+        methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is) or "of extension deconvolution"
         raise InputError(
             f"method = {method}: behind main_lens = {camera.lens_data.label} captures are reconstructed by the "
             f"camera's own point spreads; use {argument('method')} {methods}"

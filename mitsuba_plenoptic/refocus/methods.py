@@ -24,6 +24,7 @@ from ..errors import (
     short_repr,
     warn,
 )
+from ..extension import missing
 from ..io.captures import Capture, as_array, require_demosaiced
 from ..io.checkpoints import Checkpoint
 from ..light.optical_system import OpticalSystem
@@ -134,6 +135,13 @@ _OF_LONG = ("checkpoint", "batch_map", "resume", "workers", "scheduler")
 """Options of methods that may take long, those of the command, too."""
 
 METHODS: dict[str, RegisteredMethod] = {}
+
+
+def registered(name: Any) -> RegisteredMethod:
+    """Return the method of a name; refuse unknown names, and those of an extension that is not installed."""
+    absent = missing("methods", str(name))
+    refuse_if(absent, f"method = {absent}")
+    return METHODS[require_choice("method", name, METHODS)]
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:

@@ -1,9 +1,15 @@
-"""Extension `inverse`: fits of cameras and layers to captures, searches of designs, PyTorch and JAX."""
+"""Extension `inverse`: fits of cameras and layers to captures, derivatives of refocusing, searches, PyTorch and JAX.
+
+Derivatives of refocusing need the extension `deconvolution`.
+"""
 
 from ...extension import Extension
 
 EXTENSION = Extension(
-    names={"fitting": ("fit",)},
+    names={
+        "fitting": ("fit",),
+        "refocusing": ("refocus.CoherentRefocus", "refocus.DeconvolvedRefocus", "refocus.RayRefocus"),
+    },
     modules={name: name for name in ("fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax")},
     commands={"fit": "fit_command"},
 )

@@ -1,6 +1,6 @@
 """Extension `wavefront`: wavefronts from captures, and elements of HCIPy.
 
-Searches need the extension `inverse`.
+Searches need the extensions `inverse` and `deconvolution`.
 """
 
 from ...extension import Extension

@@ -26,7 +26,7 @@ from ...errors import InputError, refuse_if, require_accuracy, require_count, re
 from ...light.optical_system import OpticalSystem
 from ...points.stored import StoredOperator
 from ...points.units import brightness_at
-from ...refocus.deconvolution.solver import PlaneEstimates, State, Values, richardson_lucy
+from ..deconvolution.solver import PlaneEstimates, State, Values, richardson_lucy
 from ..inverse.fitting import PixelNoise
 from .zone_search import COUNTS, Search, Zone, known_zones, require_fitted, terms_of
 

@@ -33,13 +33,13 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Detector, PlenopticCamera, expose, load_scene, reconstruct
 from mitsuba_plenoptic.design import resolution_limit
+from mitsuba_plenoptic.extensions.deconvolution.cells import to_bins
+from mitsuba_plenoptic.extensions.deconvolution.deconvolved import MOST_ITERATIONS
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
+from mitsuba_plenoptic.extensions.deconvolution.solver import PlaneEstimates, richardson_lucy
+from mitsuba_plenoptic.extensions.deconvolution.variation import Noise
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
-from mitsuba_plenoptic.refocus.deconvolution.cells import to_bins
-from mitsuba_plenoptic.refocus.deconvolution.response import Response
-from mitsuba_plenoptic.refocus.deconvolution.solver import PlaneEstimates, richardson_lucy
-from mitsuba_plenoptic.refocus.deconvolution.variation import Noise
-from mitsuba_plenoptic.refocus.deconvolved import MOST_ITERATIONS
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
 

@@ -17,12 +17,12 @@ from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Objective, PlenopticCamera, decode, design, reconstruct
+from mitsuba_plenoptic.extensions.deconvolution.fourier import FourierResponse
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.points.units import radiance_weight
 from mitsuba_plenoptic.refocus import Reconstruction, Volume
-from mitsuba_plenoptic.refocus.deconvolution.fourier import FourierResponse
-from mitsuba_plenoptic.refocus.deconvolution.response import Response
 from mitsuba_plenoptic.report.images import write_png
 from mitsuba_plenoptic.report.volumes import write_volume_overview
 from mitsuba_plenoptic.views import view_mosaic

@@ -40,10 +40,10 @@ from mitsuba_plenoptic import (
     render_capture,
     write_capture,
 )
+from mitsuba_plenoptic.extensions.deconvolution import response
 from mitsuba_plenoptic.extensions.paper.paper_limits import plain_seconds, plain_sums, run_plain_sums
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.refocus import METHODS, planning
-from mitsuba_plenoptic.refocus.deconvolution import response
 from mitsuba_plenoptic.refocus.planning import plan
 from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
 from mitsuba_plenoptic.refocus.wave_methods import lit_window

@@ -19,11 +19,11 @@ from mitsuba_plenoptic import (
     render_capture,
 )
 from mitsuba_plenoptic.design import resolution_limit
+from mitsuba_plenoptic.extensions.deconvolution.cells import to_bins
+from mitsuba_plenoptic.extensions.deconvolution.response import Response, bin_weight
+from mitsuba_plenoptic.extensions.deconvolution.solver import richardson_lucy
+from mitsuba_plenoptic.extensions.deconvolution.variation import Noise
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.refocus.deconvolution.cells import to_bins
-from mitsuba_plenoptic.refocus.deconvolution.response import Response, bin_weight
-from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.refocus.deconvolution.variation import Noise
 from mitsuba_plenoptic.views import white_image
 
 WAVELENGTH = 633.0

@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.design import resolution_limit
-from mitsuba_plenoptic.refocus.deconvolution.response import Response
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
 
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
 CAMERAS = {"square": SMALL, "hexagonal": SMALL.replace(mla_lattice="hexagonal")}

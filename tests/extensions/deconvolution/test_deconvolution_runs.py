@@ -16,11 +16,11 @@ from mitsuba_plenoptic import (
     PlenopticCamera,
     reconstruct,
 )
+from mitsuba_plenoptic.extensions.deconvolution import response as response_module
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
+from mitsuba_plenoptic.extensions.deconvolution.solver import richardson_lucy
+from mitsuba_plenoptic.extensions.deconvolution.variation import Noise, TotalVariation
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.refocus.deconvolution import response as response_module
-from mitsuba_plenoptic.refocus.deconvolution.response import Response
-from mitsuba_plenoptic.refocus.deconvolution.solver import richardson_lucy
-from mitsuba_plenoptic.refocus.deconvolution.variation import Noise, TotalVariation
 from mitsuba_plenoptic.refocus_options import MOST_VARIATION
 from mitsuba_plenoptic.runtime.batches import Threads
 

@@ -20,11 +20,11 @@ from mitsuba_plenoptic import (
     reconstruct,
 )
 from mitsuba_plenoptic.design import lens_aperture, resolution_limit
+from mitsuba_plenoptic.extensions.deconvolution import fourier
+from mitsuba_plenoptic.extensions.deconvolution.fourier import FourierResponse
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
-from mitsuba_plenoptic.refocus.deconvolution import fourier
-from mitsuba_plenoptic.refocus.deconvolution.fourier import FourierResponse
 
 WAVELENGTH = 550.0
 LENS = Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)

@@ -12,7 +12,7 @@ bins. Neither two lenses nor two points of the object interfere, and the result 
 blurred by the autocorrelation of each point spread, which `deconvolved` removes.
 
 Point spreads that differ by a shift of whole lenses are computed once for a zone of lenses
-(`mitsuba_plenoptic.refocus.deconvolution.response`).
+(`mitsuba_plenoptic.extensions.deconvolution.response`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import dataclasses
 
 import numpy as np
 
-from ..runtime.batches import Job
-from .deconvolution.fourier import response_of
-from .methods import Task, method, portion, work_of
-from .radiance import captures, to_radiance, white_pixels, white_sums
+from ...refocus.methods import Task, method, portion, work_of
+from ...refocus.radiance import captures, to_radiance, white_pixels, white_sums
+from ...runtime.batches import Job
+from .fourier import response_of
 
 
 @method("incoherent", waves=True, as_it_is=True)

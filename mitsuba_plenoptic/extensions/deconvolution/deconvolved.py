@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..design import resolution_limit
-from ..errors import InputError, argument, refuse_if
-from ..io.checkpoints import digest
-from ..runtime.batches import Job
-from .deconvolution.fourier import response_of
-from .deconvolution.solver import Solved, State, Work, richardson_lucy
-from .deconvolution.variation import Noise
-from .methods import Found, Progress, Task, method, portion, work_of
+from ...design import resolution_limit
+from ...errors import InputError, argument, refuse_if
+from ...io.checkpoints import digest
+from ...refocus.methods import Found, Progress, Task, method, portion, work_of
+from ...runtime.batches import Job
+from .fourier import response_of
+from .solver import Solved, State, Work, richardson_lucy
+from .variation import Noise
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 """Steps where nothing is known of the noise, and at most where it is."""
@@ -29,7 +29,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
     Each plane alone explains the whole capture, or all planes together as a volume; light from other distances is
-    attributed to these planes. See `deconvolution.solver`.
+    attributed to these planes. See `solver`.
 
     Returns
     -------

@@ -22,28 +22,28 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal, require_no_shape
-from ..errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
-from ..io.captures import as_array, require_pixels
-from ..light.lens_kinds import regular_array
-from ..light.optical_system import OpticalSystem
-from ..optics import guards
-from ..prescription.lens_data import image_distance
-from ..refocus_options import FOOTPRINTS
-from ..runtime.backend import backend, drjit_array, one_at_a_time
-from ..runtime.fft import resting_drjit
-from ..runtime.limits import check_memory
-from .conjugates import ThinConjugates
-from .deconvolution.fourier import response_of
-from .deconvolution.solver import RichardsonLucyStep, Values
-from .deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
-from .lens_by_lens import fine_bins
-from .passages import BinSums
-from .planning import plan, require_feasible
-from .radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
-from .ray_sums import pupil_radius, ray_sums, ray_sums_vjp
-from .wave_methods import BackwardFields, signed_parts
+from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_ideal, require_no_shape
+from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
+from ...io.captures import as_array, require_pixels
+from ...light.lens_kinds import regular_array
+from ...light.optical_system import OpticalSystem
+from ...optics import guards
+from ...prescription.lens_data import image_distance
+from ...refocus.conjugates import ThinConjugates
+from ...refocus.lens_by_lens import fine_bins
+from ...refocus.passages import BinSums
+from ...refocus.planning import plan, require_feasible
+from ...refocus.radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
+from ...refocus.ray_sums import pupil_radius, ray_sums, ray_sums_vjp
+from ...refocus.wave_methods import BackwardFields, signed_parts
+from ...refocus_options import FOOTPRINTS
+from ...runtime.backend import backend, drjit_array, one_at_a_time
+from ...runtime.fft import resting_drjit
+from ...runtime.limits import check_memory
+from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
+from ..deconvolution.fourier import response_of
+from ..deconvolution.solver import RichardsonLucyStep, Values
 
 
 class RayRefocus:
