@@ -139,8 +139,9 @@ METHODS: dict[str, RegisteredMethod] = {}
 
 def registered(name: Any) -> RegisteredMethod:
     """Return the method of a name; refuse unknown names, and those of an extension that is not installed."""
-    absent = missing("methods", str(name))
-    refuse_if(absent, f"method = {absent}")
+    if isinstance(name, str) and name in METHODS:
+        return METHODS[name]
+    refuse_if(absent := missing("methods", str(name)), f"method = {absent}")
     return METHODS[require_choice("method", name, METHODS)]
 
 

@@ -8,7 +8,7 @@ from ...extension import Extension
 EXTENSION = Extension(
     names={
         "fitting": ("fit",),
-        "refocusing": ("refocus.CoherentRefocus", "refocus.DeconvolvedRefocus", "refocus.RayRefocus"),
+        "differentiable": ("refocus.CoherentRefocus", "refocus.DeconvolvedRefocus", "refocus.RayRefocus"),
     },
     modules={name: name for name in ("fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax")},
     commands={"fit": "fit_command"},

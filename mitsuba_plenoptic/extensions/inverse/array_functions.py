@@ -21,7 +21,7 @@ from ...errors import refuse_if, require_known
 from ...light.lens_kinds import regular_array
 from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH
 from ...points.operator import CaptureOperator
-from .refocusing import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 Array = NDArray[Any]
 Shape = tuple[int, ...]

@@ -16,7 +16,7 @@ from ...light.optical_system import OpticalSystem
 from ...light.sampling import check_positions
 from ...points.accuracy import chosen_accuracy
 from ...points.operator import CaptureOperator
-from ...refocus import RayRefocus
+from .differentiable import RayRefocus
 
 DESIGN_ACCURACY = 0.02
 """Default error allowed for the point spreads: designs differ by more."""

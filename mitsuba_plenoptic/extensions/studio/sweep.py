@@ -20,7 +20,6 @@ from ...errors import (
     InputError,
     argument,
     refuse_if,
-    require_choice,
     require_module,
     require_number,
     require_wavelength,
@@ -29,7 +28,7 @@ from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
 from ...light.render_capture import is_wave_capture, refuse_by_rays, render_capture
 from ...prescription.lens_data import image_distance
-from ...refocus import METHODS
+from ...refocus.methods import registered
 from ...report.experiment import load_with_sensor, refocused
 from ...report.stage_store import Progress, StageOptions, Stages, scene_fingerprint, software
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
@@ -160,7 +159,7 @@ class Points:
 
         `for_waves` are options that ray captures refuse; None means not given.
         """
-        require_choice("method", self.settings.method, METHODS)
+        registered(self.settings.method)
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_wavelength(wavelength)
         sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
