@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from .io.checkpoints import Checkpoint
     from .io.examples import example, example_truth
     from .io.truth_files import GroundTruth, read_ground_truth, write_ground_truth
-    from .lenses.focusing import focus_by_group
     from .lenses.lens_system import LensSystem
     from .light.detector import Detector, expose
     from .light.render_capture import estimate_capture, render_capture
@@ -48,16 +47,12 @@ if TYPE_CHECKING:
     from .optics.guards import PhysicsError, PhysicsWarning
     from .optics.spectrum import Spectrum
     from .plugins.other_camera import with_camera
-    from .points import far_sources as far_sources
     from .points.operator import CaptureOperator
     from .points.point_spread import point_spread_function
-    from .points.stored import StoredOperator
-    from .points.volume_points import volume_points
     from .prescription import Prescription
     from .prescription.lens_file import read_prescription
     from .prescription.objective import Objective
     from .refocus import Reconstruction, estimate_reconstruction, reconstruct
-    from .report.sharpness import EdgeSharpness, edge_sharpness
     from .runtime.batches import Cluster, Job
     from .runtime.progress import progress_bar
     from .scene_files import scene_path
@@ -70,7 +65,6 @@ if TYPE_CHECKING:
         "Checkpoint",
         "Cluster",
         "Detector",
-        "EdgeSharpness",
         "GroundTruth",
         "InputError",
         "Job",
@@ -83,15 +77,12 @@ if TYPE_CHECKING:
         "Prescription",
         "Reconstruction",
         "Spectrum",
-        "StoredOperator",
         "decode",
-        "edge_sharpness",
         "estimate_capture",
         "estimate_reconstruction",
         "example",
         "example_truth",
         "expose",
-        "focus_by_group",
         "frozen_flow",
         "ground_truth",
         "load_scene",
@@ -104,7 +95,6 @@ if TYPE_CHECKING:
         "reconstruct",
         "render_capture",
         "scene_path",
-        "volume_points",
         "with_camera",
         "write_capture",
         "write_ground_truth",

@@ -29,10 +29,10 @@ class FileFormat:
 
     Parameters
     ----------
-    holds : {"capture", "light field"}
+    holds : {"capture", "light field", "lens"}
         What a file contains.
     read : str
-        Place of the function of a path that returns a `Capture`, or a light field.
+        Place of the function of a path that returns a `Capture`, a light field, or a main lens.
     write : str
         Place of the function of a path and a light field that writes the file; an empty text means none.
     """

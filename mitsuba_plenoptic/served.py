@@ -22,7 +22,6 @@ _NAMES = {
     "scene_files": ("scene_path",),
     "light.detector": ("Detector", "expose"),
     "errors": ("InputError",),
-    "lenses.focusing": ("focus_by_group",),
     "io.captures": ("Capture", "read_capture", "read_raw", "write_capture", "write_raw"),
     "io.checkpoints": ("Checkpoint",),
     "io.examples": ("example", "example_truth"),
@@ -33,8 +32,6 @@ _NAMES = {
     "prescription.objective": ("Objective",),
     "points.operator": ("CaptureOperator",),
     "points.point_spread": ("point_spread_function",),
-    "points.stored": ("StoredOperator",),
-    "points.volume_points": ("volume_points",),
     "optics.guards": ("PhysicsError", "PhysicsWarning"),
     "optics.spectrum": ("Spectrum",),
     "camera.phase_screen": ("PhaseScreen", "frozen_flow"),
@@ -43,7 +40,6 @@ _NAMES = {
     "refocus": ("Reconstruction", "estimate_reconstruction", "reconstruct"),
     "runtime.batches": ("Cluster", "Job"),
     "runtime.progress": ("progress_bar",),
-    "report.sharpness": ("EdgeSharpness", "edge_sharpness"),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
@@ -69,8 +65,8 @@ MOVED = {
     "operator.full_field": "points.full_field",
     "operator.operator": "points.operator",
     "operator.point_spread": "points.point_spread",
-    "operator.stored": "points.stored",
-    "operator.volumes": "points.volume_points",
+    "operator.stored": "extensions.inverse.stored",
+    "operator.volumes": "extensions.inverse.volume_points",
     "microlens.base": "microlens.shape",
     "lightfield": "views",
     "lightfield.exchange": "extensions.raw.exchange",
@@ -80,12 +76,12 @@ MOVED = {
     "lattice.base": "lattice.arrangement",
     "phase_screen": "camera.phase_screen",
     "detector": "light.detector",
-    "sharpness": "report.sharpness",
+    "sharpness": "extensions.sharpness.sharpness",
     "collimator": "prescription.collimator",
-    "focusing": "lenses.focusing",
-    "io.zemax_file": "prescription.zemax_file",
+    "focusing": "extensions.lensdesign.focusing",
+    "io.zemax_file": "extensions.lensdesign.zemax_file",
     "io.lens_file": "prescription.lens_file",
-    "io.codev_file": "prescription.codev_file",
+    "io.codev_file": "extensions.lensdesign.codev_file",
     "io.ground_truth": "io.truth_files",
     "capture.render": "light.render_capture",
     "capture.scene": "light.scene",
@@ -93,7 +89,7 @@ MOVED = {
 """Modules that pages of version 1.0 named, and what they are called now."""
 
 # Public modules of the core that are not directly in the package.
-_MODULES = {"far_sources": "points.far_sources", "objective": "prescription.objective"}
+_MODULES = {"objective": "prescription.objective"}
 
 
 def public_names() -> list[str]:

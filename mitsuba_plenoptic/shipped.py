@@ -8,15 +8,20 @@ SHIPPED: dict[str, dict[str, str]] = {
     "names": {
         "calibrate": "calibrate",
         "fit": "inverse",
+        "StoredOperator": "inverse",
+        "volume_points": "inverse",
         "refocus.CoherentRefocus": "inverse",
         "refocus.DeconvolvedRefocus": "inverse",
         "refocus.RayRefocus": "inverse",
+        "focus_by_group": "lensdesign",
         "bank_disparity": "onchip",
         "dual_pixel": "onchip",
         "half_disparity": "onchip",
         "match_halves": "onchip",
         "psf_bank": "onchip",
         "demosaic": "raw",
+        "EdgeSharpness": "sharpness",
+        "edge_sharpness": "sharpness",
         "Viewer": "studio",
         "view": "studio",
     },
@@ -34,6 +39,7 @@ SHIPPED: dict[str, dict[str, str]] = {
         "onchip": "onchip",
         "exchange": "raw",
         "wavefront": "wavefront",
+        "far_sources": "wavefront",
         "hcipy": "wavefront",
     },
     "commands": {
@@ -44,6 +50,7 @@ SHIPPED: dict[str, dict[str, str]] = {
         "dual": "onchip",
         "reproduce": "paper",
         "demosaic": "raw",
+        "mtf": "sharpness",
         "preview": "studio",
         "view": "studio",
         "sweep": "studio",
@@ -53,7 +60,15 @@ SHIPPED: dict[str, dict[str, str]] = {
     "presets": {"full_frame_dual": "onchip", "phone_quad": "onchip", "phone_quad_bayer": "onchip"},
     "captures": {"small lenses": "onchip"},
     "cameras": {"libpleno": "calibrate"},
-    "formats": {".lfp": "raw", ".lfr": "raw", ".raw": "raw", "parameters.cfg": "raw", ".mat": "raw"},
+    "formats": {
+        ".zmx": "lensdesign",
+        ".seq": "lensdesign",
+        ".lfp": "raw",
+        ".lfr": "raw",
+        ".raw": "raw",
+        "parameters.cfg": "raw",
+        ".mat": "raw",
+    },
     "methods": {"incoherent": "deconvolution", "deconvolved": "deconvolution"},
     "plugins": {"plenoptic_laser": "laser"},
 }
@@ -69,7 +84,10 @@ if TYPE_CHECKING:
     from .extensions.inverse import optimisation as optimisation
     from .extensions.inverse import scene_functions as scene_functions
     from .extensions.inverse.fitting import fit as fit
+    from .extensions.inverse.stored import StoredOperator as StoredOperator
+    from .extensions.inverse.volume_points import volume_points as volume_points
     from .extensions.laser import laser as laser
+    from .extensions.lensdesign.focusing import focus_by_group as focus_by_group
     from .extensions.onchip import onchip as onchip
     from .extensions.onchip.onchip import bank_disparity as bank_disparity
     from .extensions.onchip.onchip import dual_pixel as dual_pixel
@@ -79,11 +97,16 @@ if TYPE_CHECKING:
     from .extensions.onchip.parameter import PhotodiodeParameter
     from .extensions.raw import exchange as exchange
     from .extensions.raw.demosaic import demosaic as demosaic
+    from .extensions.sharpness.sharpness import EdgeSharpness as EdgeSharpness
+    from .extensions.sharpness.sharpness import edge_sharpness as edge_sharpness
     from .extensions.studio.viewer import Viewer as Viewer
     from .extensions.studio.viewer import view as view
+    from .extensions.wavefront import far_sources as far_sources
     from .extensions.wavefront import wavefront as wavefront
 
     __all__ = [
+        "EdgeSharpness",
+        "StoredOperator",
         "Viewer",
         "array_functions",
         "bank_disparity",
@@ -93,9 +116,12 @@ if TYPE_CHECKING:
         "dataset",
         "demosaic",
         "dual_pixel",
+        "edge_sharpness",
         "exchange",
+        "far_sources",
         "fit",
         "fitting",
+        "focus_by_group",
         "half_disparity",
         "laser",
         "match_halves",
@@ -104,6 +130,7 @@ if TYPE_CHECKING:
         "psf_bank",
         "scene_functions",
         "view",
+        "volume_points",
         "wavefront",
     ]
 

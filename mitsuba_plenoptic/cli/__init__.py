@@ -38,7 +38,6 @@ COMMANDS = {
         "render": "render_command",
         **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
         **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
-        "mtf": "mtf",
         "expose": "render_command",
         "convert": "light_field",
         "compare": "compare",

@@ -11,16 +11,12 @@ from typing import Any
 import yaml
 
 from ..errors import NO_RECORD, InputError, refusing
+from ..extension import format_of, place
 from ..runtime.files import read_yaml, require_file, write_text
 from . import BUNDLED, Prescription, bundled_prescription
-from .codev_file import read_codev
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
 from .lens_data import LensData, known_kind
 from .objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
-from .zemax_file import read_zemax
-
-DESIGNS = {".zmx": read_zemax, ".seq": read_codev}
-"""Endings of other programs' files, and their readers."""
 
 
 def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:
@@ -48,8 +44,9 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
         there = path.exists()
     if text in BUNDLED or not there:
         return bundled_prescription(text)
-    if (read := DESIGNS.get(path.suffix.lower())) is not None:
-        return read(path)
+    if (found := format_of(path.suffix.lower(), "lens", str(path))) is not None:
+        lens: LensData = place(*found)(path)
+        return lens
     try:
         return lens_from_plain(read_yaml(require_file(path)))
     except InputError as error:

@@ -1,8 +1,8 @@
-"""Extension `wavefront`: wavefronts from captures, and elements of HCIPy.
+"""Extension `wavefront`: wavefronts from captures, far sources of light, and elements of HCIPy.
 
 Searches need the extensions `inverse` and `deconvolution`.
 """
 
 from ...extension import Extension
 
-EXTENSION = Extension(modules={"wavefront": "wavefront", "hcipy": "hcipy"})
+EXTENSION = Extension(modules={"wavefront": "wavefront", "far_sources": "far_sources", "hcipy": "hcipy"})

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera, require_camera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
 from ...light.optical_system import OpticalSystem
-from ...points.stored import StoredOperator
 from ...points.units import brightness_at
 from ..deconvolution.solver import PlaneEstimates, State, Values, richardson_lucy
 from ..inverse.fitting import PixelNoise
+from ..inverse.stored import StoredOperator
 from .zone_search import COUNTS, Search, Zone, known_zones, require_fitted, terms_of
 
 Array = NDArray[np.float64]

@@ -19,10 +19,10 @@ from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...optics.waves import band_edge_fraction
 from ...points.arrival import SampledField
-from ...points.far_sources import INFINITY
 from ...points.full_field import full_field
 from ...prescription.collimator import Collimator
 from ...runtime.backend import one_at_a_time
+from .far_sources import INFINITY
 
 try:
     import hcipy

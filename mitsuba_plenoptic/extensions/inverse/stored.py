@@ -10,14 +10,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..errors import refuse_if, require_number
-from ..optics import guards
-from ..runtime.backend import one_at_a_time
-from ..runtime.batches import Job
-from ..runtime.limits import check_memory
-from .mixing import SpectralSum, mix
-from .operator import CaptureOperator
+from ...camera import PlenopticCamera
+from ...errors import refuse_if, require_number
+from ...optics import guards
+from ...points.mixing import SpectralSum, mix
+from ...points.operator import CaptureOperator
+from ...runtime.backend import one_at_a_time
+from ...runtime.batches import Job
+from ...runtime.limits import check_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 
 _SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSpreads}

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
+from ...errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
 
 
 @suggest_keywords

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import naming, refuse_if
-from ..refocus_options import METHODS
-from .inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
-from .judging import RECORDING, one_of
+from ...cli.inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
+from ...cli.judging import RECORDING, one_of
+from ...errors import naming, refuse_if
+from ...refocus_options import METHODS
 
 if TYPE_CHECKING:
-    from ..refocus import Reconstruction
+    from ...refocus import Reconstruction
 
 
 def mtf(
@@ -57,9 +57,9 @@ def mtf(
         require_in_sight(source, known, distance)
 
     # Brings libraries that take a while to load.
-    from ..refocus import read_reconstruction
-    from ..refocus import reconstruct as refocus
-    from ..report.sharpness import edge_sharpness
+    from ...refocus import read_reconstruction
+    from ...refocus import reconstruct as refocus
+    from .sharpness import edge_sharpness
 
     given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:

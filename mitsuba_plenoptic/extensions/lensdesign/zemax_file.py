@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import InputError, refuse_if
-from . import Glass, Prescription
-from .glass import catalogue_glass
+from ...errors import InputError, refuse_if
+from ...prescription import Glass, Prescription
+from ...prescription.glass import catalogue_glass
 from .lens_designs import UNITS, DesignSurface, Line, read_text, to_prescription
 
 _OF_THE_FILE = """

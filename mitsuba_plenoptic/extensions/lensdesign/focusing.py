@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, require_count, require_number, short_repr, suggest_keywords
-from ..prescription import Prescription, paraxial
-from ..prescription.lens_data import vergence
+from ...camera import PlenopticCamera
+from ...errors import InputError, refuse_if, require_count, require_number, short_repr, suggest_keywords
+from ...prescription import Prescription, paraxial
+from ...prescription.lens_data import vergence
 
 _STEPS = 256
 """Positions of the group at which a change of sign is looked for."""

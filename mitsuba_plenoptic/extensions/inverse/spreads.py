@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..optics import guards
-from ..runtime.backend import backend
-from ..runtime.batches import Job, Part, add
-from .full_field import FullFieldPlan
-from .patch_plan import PatchPlan
-from .recorder import Recorder
-from .tile import Copies, Scatter
+from ...optics import guards
+from ...points.full_field import FullFieldPlan
+from ...points.patch_plan import PatchPlan
+from ...points.recorder import Recorder
+from ...points.tile import Copies, Scatter
+from ...runtime.backend import backend
+from ...runtime.batches import Job, Part, add
 
 _TOGETHER_BYTES = 2**26
 """Memory of the patches that are computed together."""

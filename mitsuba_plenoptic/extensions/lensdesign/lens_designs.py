@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, naming, refuse_if, short_repr
-from ..runtime.files import require_size
-from . import Glass, Prescription
+from ...errors import InputError, naming, refuse_if, short_repr
+from ...prescription import Glass, Prescription
+from ...runtime.files import require_size
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""
