@@ -110,7 +110,7 @@ def test_public_names_are_found_when_they_are_asked_for(name):
 def test_names_of_the_package_are_public_ones_and_modules():
     shown = set(dir(mitsuba_plenoptic))
     modules = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
-    modules |= {"far_sources", "objective", *(name for _, name, _ in entries("modules"))}
+    modules |= {"objective", *(name for _, name, _ in entries("modules"))}
     assert {name for name in shown if not name.startswith("__")} == {*mitsuba_plenoptic.__all__, *modules} - {
         "__init__", "__main__"
     }  # fmt: skip

@@ -18,6 +18,7 @@ from mitsuba_plenoptic.views.light_field_files import save_light_field
 from mitsuba_plenoptic.views.mosaics import write_mosaic
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
+DECONVOLUTION = pytest.mark.needs_extension("deconvolution")
 IMAGE = np.ones((64, 64), np.float32)
 
 
@@ -33,8 +34,12 @@ def scene():
         ({"distance": np.array([[210.0, 220.0]])}, "it must be a number"),
         ({"distance": {210, 220}}, "it must be a number"),
         ({"relay": "no"}, "relay = 'no': it must be True or False"),
-        ({"method": "deconvolved", "accelerate": 0}, "accelerate = 0: it must be True or False"),
-        ({"method": "deconvolved", "volume": "no"}, "volume = 'no': it must be True or False"),
+        pytest.param(
+            {"method": "deconvolved", "accelerate": 0}, "accelerate = 0: it must be True or False", marks=DECONVOLUTION
+        ),
+        pytest.param(
+            {"method": "deconvolved", "volume": "no"}, "volume = 'no': it must be True or False", marks=DECONVOLUTION
+        ),
     ],
 )
 def test_reconstruct(options, message):
@@ -147,7 +152,11 @@ POINTS = [(0, 0, 240)]
     ("call", "words"),
     [
         (lambda: mp.CaptureOperator(CAMERA, POINTS, wavelength=633, method="bank"), "method = bank"),
-        (lambda: mp.StoredOperator(CAMERA, POINTS, wavelength=633, method="bank"), "method = bank"),
+        pytest.param(
+            lambda: mp.StoredOperator(CAMERA, POINTS, wavelength=633, method="bank"),
+            "method = bank",
+            marks=pytest.mark.needs_extension("inverse"),
+        ),
         (lambda: mp.point_spread_function(CAMERA, POINTS[0], wavelength=633, method="bank"), "method = bank"),
         (lambda: mp.reconstruct(IMAGE, 240, camera=CAMERA, method="partial", partition=[[0]]), "partition"),
     ],
@@ -181,7 +190,9 @@ TAKEN = {
 
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
-@pytest.mark.parametrize("method", TAKEN)
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=DECONVOLUTION) if name == "deconvolved" else name for name in TAKEN]
+)
 def test_options_that_a_method_ignores_are_one_warning_even_at_their_defaults(method):
     unused = {name: value for name, value in OPTIONS.items() if name not in TAKEN[method]}
     taken = {"wavelength": 633} if method != "ray" else {}
@@ -197,6 +208,7 @@ def test_options_that_a_method_ignores_are_one_warning_even_at_their_defaults(me
     np.testing.assert_array_equal(found.image, plain.image)
 
 
+@DECONVOLUTION
 def test_a_response_by_rays_has_no_wavelength():
     with pytest.raises(InputError, match=r"^wavelength: a response by rays has none"):
         mp.reconstruct(IMAGE, 240, camera=CAMERA, method="deconvolved", response="ray", wavelength=633)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import refocus
 from mitsuba_plenoptic.presets import PRESETS
-from mitsuba_plenoptic.refocus import CoherentRefocus, RayRefocus
 
 MICROSCOPES = {"lfm", "lfm_water"}
 REAL = {"paper_double_gauss", "raytrix_double_gauss"}
@@ -54,10 +54,16 @@ METHODS = {
     "partial, auto": lambda c, g: refocused(c, g, "partial", interleave="auto"),
     "incoherent": lambda c, g: refocused(c, g, "incoherent"),
     "deconvolved": lambda c, g: refocused(c, g, "deconvolved", iterations=2),
-    "RayRefocus": lambda c, g: RayRefocus(c, g).forward(np.ones(c.shape, np.float32)),
-    "CoherentRefocus": lambda c, g: CoherentRefocus(c, g, WAVELENGTH).forward(np.ones(c.shape, np.float32)),
+    "RayRefocus": lambda c, g: refocus.RayRefocus(c, g).forward(np.ones(c.shape, np.float32)),
+    "CoherentRefocus": lambda c, g: refocus.CoherentRefocus(c, g, WAVELENGTH).forward(np.ones(c.shape, np.float32)),
 }
 
+NEEDS = {
+    "incoherent": "deconvolution",
+    "deconvolved": "deconvolution",
+    "RayRefocus": "inverse",
+    "CoherentRefocus": "inverse",
+}
 QUICK = ("forward", "adjoint", "ray")
 
 LENS, MEMORY = "main_lens = ", "GiB of memory"
@@ -78,7 +84,17 @@ REFUSED = {
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "shack_hartmann"])
 @pytest.mark.parametrize(
-    "method", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in METHODS]
+    "method",
+    [
+        pytest.param(
+            name,
+            marks=[
+                *(() if name in QUICK else [pytest.mark.slow]),
+                *([pytest.mark.needs_extension(NEEDS[name])] if name in NEEDS else []),
+            ],
+        )
+        for name in METHODS
+    ],
 )
 def test_a_preset_is_refused_by_name_or_gives_light(name, method):
     mi.set_variant("llvm_ad_mono")
@@ -93,9 +109,10 @@ def test_a_preset_is_refused_by_name_or_gives_light(name, method):
     assert np.abs(result).sum() > 0
 
 
+@pytest.mark.needs_extension("inverse")
 def test_refocusing_by_rays_names_the_collimator():
     camera = mp.PlenopticCamera.preset("shack_hartmann")
     with pytest.raises(mp.InputError, match="main_lens = collimator: captures are refocused by rays"):
-        RayRefocus(camera, 1e6)
+        refocus.RayRefocus(camera, 1e6)
     with pytest.raises(mp.InputError, match="main_lens = collimator"):
         mp.decode(np.ones(camera.shape, np.float32), camera=camera)

@@ -29,6 +29,7 @@ from ..io.captures import Capture, as_array, require_demosaiced
 from ..io.checkpoints import Checkpoint
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
+from ..refocus_options import METHODS as NAMES
 from ..refocus_options import OPTIONS
 from ..runtime.batches import BatchMap
 from ..runtime.limits import require_memory_for
@@ -142,7 +143,7 @@ def registered(name: Any) -> RegisteredMethod:
     if isinstance(name, str) and name in METHODS:
         return METHODS[name]
     refuse_if(absent := missing("methods", str(name)), f"method = {absent}")
-    return METHODS[require_choice("method", name, METHODS)]
+    return METHODS[require_choice("method", name, tuple(dict.fromkeys((*NAMES, *METHODS))))]
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:

@@ -98,6 +98,7 @@ def test_quantities_are_those_of_ground_truth(complaint):
     assert stated.split(", ") == list(mp.ground_truth(mp.with_camera(scene(), CAMERA)).pixels)
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_methods_are_those_that_are_registered():
     assert tuple(methods.METHODS) == METHODS
 

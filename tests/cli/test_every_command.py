@@ -20,7 +20,7 @@ from test_imports import loaded
 from mitsuba_plenoptic.cli import COMMANDS, app, commands_of, main, render_command
 from mitsuba_plenoptic.runtime import progress
 
-STUDIO = pytest.mark.needs_extension("studio")
+STUDIO, SHARPNESS = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness"))
 
 
 @pytest.mark.parametrize("name", [name for name, _ in commands_of(typer.main.get_command(app))])
@@ -244,7 +244,7 @@ BEFORE_A_REFUSAL |= {
         ("views missing.exr -o views.png", "missing.exr: there is no such file"),
         ("info lytr", "did you mean lytro?"),
         pytest.param("preview letterz", "did you mean letters?", marks=STUDIO),
-        ("mtf missing.exr", "missing.exr: there is no such file"),
+        pytest.param("mtf missing.exr", "missing.exr: there is no such file", marks=SHARPNESS),
     ],
 )
 def test_values_are_refused_before_the_library_is_imported(words, rule, raw, tmp_path, capfd, complaint):
@@ -273,7 +273,7 @@ def test_values_are_refused_before_the_library_is_imported(words, rule, raw, tmp
     [
         "reconstruct {there} -o out.exr --distance -240",
         "stack {there} -o out.exr --distance 3",
-        "mtf {there} --distance 3",
+        pytest.param("mtf {there} --distance 3", marks=SHARPNESS),
     ],
 )
 def test_distances_that_the_camera_cannot_see_are_refused_before_methods_are_imported(words, raw, complaint):

@@ -180,6 +180,7 @@ def test_mistakes(line, words, mistake):
     mistake(line, words)
 
 
+@pytest.mark.needs_extension("deconvolution")
 @pytest.mark.filterwarnings("default::mitsuba_plenoptic.PhysicsWarning")
 def test_an_option_of_another_method_is_one_note_and_an_option_of_none_is_refused(raw, tmp_path, capfd, complaint):
     options = ["--interleave", 2, "--relay", "--wavelength", 633, "--iterations", 1, "--footprint", "lens"]

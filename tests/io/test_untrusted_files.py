@@ -51,7 +51,7 @@ def capture(tmp_path):
     [
         ("responses.csv", Spectrum.sensor),
         ("lens.yaml", read_prescription),
-        ("lens.zmx", read_prescription),
+        pytest.param("lens.zmx", read_prescription, marks=pytest.mark.needs_extension("lensdesign")),
         ("scene.xml", load_scene),
     ],
 )

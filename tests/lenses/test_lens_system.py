@@ -171,6 +171,7 @@ def test_rays_and_paths_are_optilands(name):
         assert row["ours"] == pytest.approx(row["optiland"], rel=1e-7)
 
 
+@pytest.mark.needs_extension("lensdesign")
 @pytest.mark.parametrize("name", ["cooke_triplet.zmx", "double_gauss.seq", "asphere.zmx"])
 def test_lens_files_are_read_as_optiland_reads_them(name):
     """Surfaces, glasses and units; the last file is in inches."""

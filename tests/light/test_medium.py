@@ -78,6 +78,7 @@ def test_an_ideal_microlens_in_a_medium_is_stigmatic():
     assert np.ptp(at, axis=1).max() < 1e-3
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
     """Decoding, refocusing, design and ray reconstruction see no difference."""
     cameras = [small_camera(**changes) for changes in (GLASS, AIR)]

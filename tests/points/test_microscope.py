@@ -238,6 +238,7 @@ def test_rays_carry_their_gradients():
     assert dr.grad(slope[0])[0] == 0
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_a_bead_comes_back_to_its_place():
     """From other light than the response's: an exact spread of one point between bins."""
     camera = camera_with(AIR, detector_width=1.05, resolution=(105, 105))

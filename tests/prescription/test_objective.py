@@ -204,6 +204,7 @@ def test_light_fields_of_the_native_image_plane_are_refused_with_what_to_do():
         decode(Capture(np.ones((60, 60), np.float32), camera, None, "ray", {}))
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_reconstructions_that_do_not_know_objectives_say_so():
     camera = PlenopticCamera(main_lens=AIR, mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60))
     capture = Capture(np.ones((60, 60), np.float32), camera, 550.0, "wave", {})

@@ -127,6 +127,7 @@ def test_zones_follow_the_aberrations_over_the_field():
     assert width["zones"] > 1.1 * width["one"]
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_what_is_not_supported_is_told():
     camera = real_camera()
     dark = np.ones(camera.shape, np.float32)

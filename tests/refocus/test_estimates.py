@@ -10,7 +10,11 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.refocus import api
 from mitsuba_plenoptic.runtime import progress
 
-METHODS = [("ray", {}), ("coherent", {}), ("partial", {}), ("incoherent", {}), ("deconvolved", {"iterations": 3})]
+METHODS = [("ray", {}), ("coherent", {}), ("partial", {})]
+LONG = [
+    pytest.param(method, options, marks=pytest.mark.needs_extension("deconvolution"))
+    for method, options in (("incoherent", {}), ("deconvolved", {"iterations": 3}))
+]
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +22,7 @@ def capture():
     return mp.example("letters-wave")
 
 
-@pytest.mark.parametrize(("method", "options"), METHODS[1:])
+@pytest.mark.parametrize(("method", "options"), [*METHODS[1:], *LONG])
 def test_an_estimate_ends_before_the_reconstruction_does(capture, method, options, monkeypatch):
     """With a speed known from the first results on, no method by waves may reach its end."""
     monkeypatch.setattr(progress, "SETTLED", 0.0)
@@ -35,7 +39,7 @@ def test_short_work_is_done_for_its_estimate(capture, monkeypatch):
     assert 0 < estimate_reconstruction(capture, [210.0, 240.0]).seconds < 1e3
 
 
-SLOW = [pytest.param(*each, marks=pytest.mark.slow) for each in METHODS[3:]]
+SLOW = [pytest.param(*each.values, marks=[*each.marks, pytest.mark.slow]) for each in LONG]
 
 
 @pytest.mark.parametrize(("method", "options"), [METHODS[0], *SLOW])
@@ -50,7 +54,7 @@ def test_the_memory_of_an_estimate_is_what_is_refused(capture, method, options, 
         reconstruct(capture, 210.0, method=method, **options)
 
 
-@pytest.mark.parametrize(("method", "options"), METHODS[1:3])
+@pytest.mark.parametrize(("method", "options"), METHODS[1:])
 def test_fields_take_strips_where_memory_is_short(capture, method, options, monkeypatch):
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     needed = estimate_reconstruction(capture, 210.0, method=method, **options).memory

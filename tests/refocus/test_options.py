@@ -2,6 +2,8 @@
 
 from typing import get_type_hints
 
+import pytest
+
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.refocus_options import OPTIONS, MethodOptions
 
@@ -55,6 +57,7 @@ def test_an_option_that_is_added_in_one_place_is_found_in_all(python):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.needs_extension("deconvolution")
 def test_every_record_has_a_method_that_takes_it_and_a_type():
     for name, option in OPTIONS.items():
         assert option.methods and all(mp.refocus.METHODS[method].takes(name) for method in option.methods)

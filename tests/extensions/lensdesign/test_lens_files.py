@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
-from mitsuba_plenoptic.prescription import Glass, paraxial
+from mitsuba_plenoptic.prescription import Glass, bundled_prescription, paraxial
 
 ZEMAX = """VERS 140124 258 36214
 MODE SEQ
@@ -306,3 +306,61 @@ def test_surfaces_may_touch_and_stops_may_stand_within_a_hollow(tmp_path):
     assert len(camera.main_lens.surfaces) == 3
     hollow = {"radius": -50, "thickness": 3, "glass": 1.5, "semi_aperture": 10}
     PlenopticCamera(main_lens={"surfaces": [stop, hollow, {"radius": -20, "semi_aperture": 10}]})
+
+
+DOUBLE_GAUSS = """VERS 90504
+MODE SEQ
+NAME Double Gauss
+UNIT MM X W X CM MR CPMM
+GCAT SCHOTT
+ENPD 33.33
+FTYP 0 0 1 3 0 0 0
+YFLN 0
+WAVM 1 0.4861 1
+WAVM 2 0.5876 1
+PWAV 2
+SURF 0
+  TYPE STANDARD
+  CURV 0.0
+  DISZ INFINITY
+"""
+
+
+def zemax_text(lens, names):
+    """Write a lens as Zemax does, with the glasses' names."""
+    parts = [DOUBLE_GAUSS]
+    for number, (surface, name) in enumerate(zip(lens.surfaces, names, strict=True), start=1):
+        gap = surface.thickness or 61.487536
+        parts += [f"SURF {number}", "  TYPE STANDARD", f"  CURV {surface.curvature!r} 0 0 0 0", f"  DISZ {gap!r}"]
+        parts += [f"  GLAS {name} 0 0 1.6 50 0 0 0 0 0 0"] if name else []
+        parts += ["  STOP"] if number == lens.stop + 1 else []
+        parts += [f"  DIAM {surface.semi_aperture!r} 1 0 0 1"]
+    return "\n".join([*parts, f"SURF {len(lens.surfaces) + 1}", "  TYPE STANDARD", "  CURV 0.0", "  DISZ 0", ""])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_zemax_file_is_the_bundled_lens(tmp_path, encoding):
+    pytest.importorskip("optiland")
+    lens = bundled_prescription("double_gauss")
+    names = [surface.glass and surface.glass.name for surface in lens.surfaces]
+    (tmp_path / "lens.zmx").write_text(zemax_text(lens, names), encoding=encoding)
+    found = read_prescription(tmp_path / "lens.zmx")
+    assert (found.stop, found.wavelength) == (lens.stop, pytest.approx(lens.wavelength))
+    for mine, theirs in zip(lens.surfaces, found.surfaces, strict=True):
+        assert theirs.semi_aperture == mine.semi_aperture
+        assert (theirs.curvature, theirs.thickness) == pytest.approx((mine.curvature, mine.thickness), abs=1e-11)
+    for wavelength in (486.1, 587.6, 633.0):
+        assert found.indices(wavelength) == pytest.approx(lens.indices(wavelength), abs=1e-7)
+        assert paraxial(found, wavelength).focal_length == pytest.approx(
+            paraxial(lens, wavelength).focal_length, rel=1e-6
+        )
+
+
+def test_a_zemax_file_without_semi_diameters_or_reader_is_refused(tmp_path):
+    lens = bundled_prescription("double_gauss")
+    text = zemax_text(lens, [surface.glass and surface.glass.name for surface in lens.surfaces])
+    (tmp_path / "lens.zmx").write_text("\n".join(line for line in text.splitlines() if "DIAM" not in line))
+    with pytest.raises(
+        InputError, match=r"lens\.zmx(, line \d+: glass = .*: glasses by name need|: surface 1 has no semi-aperture)"
+    ):
+        read_prescription(tmp_path / "lens.zmx")
