@@ -18,9 +18,8 @@ from ..io.captures import MODELS, Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap, Job
+from ..runtime.batches import BatchMap, Cost, Job
 from ..runtime.limits import require_memory_for
-from .cost import Cost
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 from .scene_light import warn_of_metres

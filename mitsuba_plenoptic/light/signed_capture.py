@@ -27,8 +27,7 @@ from ..camera import PlenopticCamera
 from ..camera.vector import Values
 from ..errors import warn
 from ..io.checkpoints import digest
-from ..runtime.batches import Job, SumTask
-from .cost import Cost
+from ..runtime.batches import Cost, Job, SumTask
 from .noise import PARTS, Mended, halves, keep_spread, with_spread
 from .phase_space import FINE, parts_of
 from .scene_light import LightDerivatives, SceneLight

@@ -16,8 +16,7 @@ from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import entry_of
 from ..light import colour
-from ..light.cost import Cost
-from ..light.crosstalk import mix_deviations, mix_pixels
+from ..light.detector import mix_deviations, mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.render_capture import require_wave_film
 from ..light.scene import GONE_PARAMETERS
@@ -29,7 +28,7 @@ from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
 from ..points.scene_points import PointsCapture, require_matte
-from ..runtime.batches import Job
+from ..runtime.batches import Cost, Job
 from .properties import (
     NAME,
     SHARED,

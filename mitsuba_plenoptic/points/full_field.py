@@ -30,13 +30,12 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.collimated import CollimatedLens
 from ..lenses.telecentric import TelecentricLens
-from ..light.cost import Cost
 from ..light.microlenses import transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Cost, Job, Part, PartialSum
 from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
 from ..runtime.limits import check_memory
 from .arrival import (

@@ -14,14 +14,13 @@ from ..camera import PlenopticCamera
 from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io.checkpoints import digest
-from ..light.cost import Cost
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
 from ..optics import guards
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import one_at_a_time
-from ..runtime.batches import Job, LongSum, SumTask
+from ..runtime.batches import Cost, Job, LongSum, SumTask
 from .accuracy import chosen_accuracy
 from .coherent import CoherentFields
 from .coherent_points import CoherentPoints

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..light.cost import Cost
 from ..light.optical_system import OpticalSystem
 from ..optics import guards
 from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Job, Part, PartialSum
+from ..runtime.batches import BatchMap, Box, Cost, Job, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.limits import check_memory
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step

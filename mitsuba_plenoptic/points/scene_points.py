@@ -26,13 +26,12 @@ from ..camera import PlenopticCamera
 from ..camera.plenoptic_camera import require_ideal
 from ..errors import InputError, refuse_if, warn
 from ..io.checkpoints import digest
-from ..light.cost import Cost
 from ..light.entrance import Entrances, LensWindow
 from ..light.optical_system import OpticalSystem
 from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
 from ..runtime.backend import drjit_array
-from ..runtime.batches import Job
+from ..runtime.batches import Cost, Job
 from ..runtime.limits import require_memory_for
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants

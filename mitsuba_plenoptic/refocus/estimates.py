@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError, argument
 from ..io.captures import Capture
-from ..light.cost import Cost
+from ..runtime.batches import Cost
 from ..runtime.limits import memory_asked
 from ..runtime.progress import Forecast
 from .api import ReconstructOptions, reconstruct

@@ -138,7 +138,7 @@ _OF_LONG = ("checkpoint", "batch_map", "resume", "workers", "scheduler")
 METHODS: dict[str, RegisteredMethod] = {}
 
 
-def registered(name: Any) -> RegisteredMethod:
+def registered(name: object) -> RegisteredMethod:
     """Return the method of a name; refuse unknown names, and those of an extension that is not installed."""
     if isinstance(name, str) and name in METHODS:
         return METHODS[name]

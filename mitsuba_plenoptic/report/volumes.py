@@ -88,7 +88,9 @@ def _orthogonal(
     volume: Volume, front: NDArray[np.float32], above: NDArray[np.float32], side: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Return a picture of the view along z, with the view along x to its right and the view along y below."""
-    front, above, side = (_coloured(part, volume.values.ndim == 4) for part in (front, above, side))
+    front, above, side = (np.nan_to_num(part) for part in (front, above, side))
+    if volume.values.ndim < 4:
+        front, above, side = (np.repeat(part[..., None], 3, axis=-1) for part in (front, above, side))
     repeats = _plane_pixels(volume)
     above, side = above.repeat(repeats, axis=0), side.repeat(repeats, axis=0).swapaxes(0, 1)
     rows, columns = front.shape[:2]
@@ -110,8 +112,3 @@ def _plane_pixels(volume: Volume) -> NDArray[np.int64]:
     # At their true widths where these fill half the picture at most.
     scale = min(1 / volume.voxel_size, 0.5 * volume.values.shape[2] / widths.sum())
     return np.maximum(_LEAST_PLANE, np.rint(widths * scale)).astype(np.int64)
-
-
-def _coloured(image: NDArray[np.float32], colours: bool) -> NDArray[np.float32]:
-    image = np.nan_to_num(image, nan=0.0)
-    return image if colours else np.repeat(image[..., None], 3, axis=-1)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_ideal
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
-from ...light.cost import Cost
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
@@ -20,7 +19,7 @@ from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
-from ...runtime.batches import Job
+from ...runtime.batches import Cost, Job
 from .lit_points import LaserScene, LitPoints, named_lasers, without
 from .modes import mode_count
 from .realisations import coherent_capture

@@ -23,7 +23,7 @@ from ...errors import (
 )
 from ...io.captures import MODELS
 from ...lenses.common import main_lens
-from ...light.crosstalk import mix_pixels
+from ...light.detector import mix_pixels
 from ...light.lens_kinds import chief_ray_shift
 from ...light.optical_system import OpticalSystem
 from ...light.sampling import footprint

@@ -10,7 +10,7 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
-from mitsuba_plenoptic.light.crosstalk import mix_deviations, mix_pixels
+from mitsuba_plenoptic.light.detector import mix_deviations, mix_pixels
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,
