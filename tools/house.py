@@ -46,12 +46,12 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 47_400, 43_659, "0.72: tables, checks, docstrings"),
+    Limit("lines of the core", 66_151, 43_659, 43_659),
     Limit("lines of the package", 66_151, 65_500, 61_520, "0.99; records of extensions, aliases of 1.0, docstrings"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),
-    Limit("private helpers of the core, % of its functions", 31.8, 24.0, 14.9, "named steps"),
+    Limit("private helpers of the core, % of its functions", 31.8, 23.5, 14.9, "named steps"),
     Limit("lines of the median function of the core", 7, 6, 9, "longer ones went to extensions"),
     Limit("functions used once", 773, None),
     Limit("private functions used once, of at most 3 statements", 174, 96),
