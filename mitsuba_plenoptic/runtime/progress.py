@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TextIO
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 1.0, 10.0, 60.0
+FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 5.0, 10.0, 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
 INTERRUPTED = threading.Event()
