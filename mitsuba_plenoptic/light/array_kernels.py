@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import Lattice
 from ..optics.waves import in_millimetres
+from ..runtime.batches import on_all_cores
+from ..runtime.fft import worker_count
 from ..runtime.limits import require_memory, single_threaded_blas
 from .lens_functions import LensFunctions
 from .lens_kinds import Kind, LensKinds
@@ -479,16 +481,20 @@ class ArrayKernels(LensWaves):
         weight = weight[top:bottom, left : left + width].reshape(-1, coefficients.shape[1])
         count, most = 2 * farthest + 1, farthest * every
         result = np.empty((coefficients.shape[1], count, count), np.complex64)
-        product = np.empty((count, bottom - top, width), np.complex64)
         # Views (column, row, place) of T, from each column on.
         lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
         after, before = lines[left - most : left + most + 1 : every], lines[left + most : left - most - 1 : -every]
-        for lag in range(farthest + 1):
-            b = lag * every
-            np.conjugate(before[:, top - b : bottom - b], out=product)
-            product *= after[:, top + b : bottom + b]
-            flat = product.reshape(count, -1)
-            result[:, farthest + lag] = (flat.real @ weight + 1j * (flat.imag @ weight)).T
+
+        def integrate(lags: NDArray[np.int64]) -> None:
+            product = np.empty((count, bottom - top, width), np.complex64)
+            for lag in lags.tolist():
+                b = lag * every
+                np.conjugate(before[:, top - b : bottom - b], out=product)
+                product *= after[:, top + b : bottom + b]
+                flat = product.reshape(count, -1)
+                result[:, farthest + lag] = (flat.real @ weight + 1j * (flat.imag @ weight)).T
+
+        on_all_cores(integrate, np.array_split(np.arange(farthest + 1), worker_count()))
         # The weights are real.
         result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.

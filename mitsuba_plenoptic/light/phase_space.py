@@ -35,6 +35,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, empty_packets
+from ..runtime.batches import on_all_cores
 from ..runtime.limits import single_threaded_blas
 from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem
@@ -221,7 +222,9 @@ class PhaseSpace(ArrayKernels):
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
         shapes = [(node.angular + 1, *reversed(node.counts), functions.count) for node in self.nodes]
         table = Table(shapes)
-        for radial, (node, part) in enumerate(zip(self.nodes, table, strict=True)):
+
+        def fill(radial: int) -> None:
+            node, part = self.nodes[radial], table[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
             to_space, orders, lags = [], [], []
             for side, count, along in zip(node.sides, node.counts, (u[0], v[:, 0]), strict=True):
@@ -243,6 +246,8 @@ class PhaseSpace(ArrayKernels):
                     radius,
                 )
                 part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+
+        on_all_cores(fill, range(len(self.nodes)))
         return table
 
     def _overlap(

@@ -431,5 +431,8 @@ def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     low = np.minimum(edges.astype(int), rows - 1)
     strips = np.diff(upto[low] + (edges - low)[:, None] * density[low], axis=0)
     sums = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(strips, axis=1)], axis=1)
-    cells = [np.interp(parts * each[-1], each, np.arange(columns + 1)) for each in sums]
-    return edges / rows, np.stack(cells) / columns
+    # The strips one behind the other, as an interpolation of each takes longer.
+    behind = 2.0 * np.arange(_CELLS)[:, None]
+    places = np.broadcast_to(np.arange(columns + 1.0), sums.shape)
+    cells = np.interp((parts + behind).ravel(), (sums / sums[:, -1:] + behind).ravel(), places.ravel())
+    return edges / rows, cells.reshape(_CELLS, -1) / columns

@@ -238,13 +238,15 @@ class SignedRaySum:
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield, in lots, the pixels of a box with each lens that lights them."""
         size = max(1, _LANES // self._together)
-        # Near pixels, and one of each square of the others, have rays.
-        shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
-        drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
-        squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
-        one_of_each = np.kron(drawn, np.ones_like(squares)) == np.tile(squares, shape)
-        held = ~self._far(box) | one_of_each[: box.rows, : box.columns]
-        kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, held), pixels) != 0
+        kept: Any = True
+        if (far := self._far(box)).any():
+            # Near pixels, and one of each square of the others, have rays.
+            shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
+            drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
+            squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
+            one_of_each = np.kron(drawn, np.ones_like(squares)) == np.tile(squares, shape)
+            held = ~far | one_of_each[: box.rows, : box.columns]
+            kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, held), pixels) != 0
         found: list[list[Any]] = [[] for _ in self._draws.kinds.every]
         for number in range(len(self._draws.candidates)):
             lens = dr.opaque(mi.UInt32, number)

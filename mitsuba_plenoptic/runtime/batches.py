@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, refuse_if, require_count, require_module
 from .backend import backend, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
-from .limits import software
+from .limits import single_threaded_blas, software
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,12 @@ class Threads:
                 yield pending.popleft().result()
 
 
+def on_all_cores(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return a function's results for items, from a thread for each core; linear algebra stays on these threads."""
+    with single_threaded_blas(), ThreadPoolExecutor(worker_count()) as pool:
+        return list(pool.map(function, items))
+
+
 def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:
     """Add a part to a sum (channels, rows, columns) that covers a box of the grid."""
     left, top = max(box.left, part.box.left), max(box.top, part.box.top)
@@ -136,6 +142,7 @@ Progress = Callable[[int, int], None]
 """Called with the items done and how many there are."""
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def counted(items: Collection[Item], progress: Progress | None) -> Iterator[Item]:
