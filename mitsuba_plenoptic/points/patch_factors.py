@@ -63,6 +63,19 @@ class Fields:
         return int((self.placement.samples**2).sum())
 
 
+FIELD_BYTES = 2**26
+"""Approximate bytes of the factors of the fields that are computed together."""
+
+
+def together(grid: Grid, placement: Placement, patch: int) -> int:
+    """Return the number of fields with patches of one size whose factors have at most `FIELD_BYTES`."""
+    across = float((placement.last[patch] - placement.first[patch]).max()) + 2
+    if (0, 1) in grid.microlenses.axes:
+        # On the array, as the microlenses' factor depends on both axes.
+        across = 1.5 * float(placement.samples[patch])
+    return max(1, int(FIELD_BYTES / (8 * across**2)))
+
+
 class PatchFactors:
     """The factors of fields on patches of one size, in the order in which the fields pass them.
 

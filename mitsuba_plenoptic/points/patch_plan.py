@@ -21,7 +21,7 @@ from ..runtime.fft import resting_drjit
 from ..runtime.limits import check_memory
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
-from .patch_factors import Fields
+from .patch_factors import FIELD_BYTES, Fields, together
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .tile import Copies, Gather, Scatter, aperture_power, reached
@@ -35,8 +35,6 @@ that all threads have work."""
 
 _PATCH_LIMIT = 2**26
 """Bytes of one point's field above which many are refused: if each covers thousands of pixels, they take days."""
-
-_CHUNK_BYTES = 2**26
 
 _TILE = 1024
 """Approximate number of samples across the region in which the corners of a chunk's patches lie."""
@@ -103,11 +101,7 @@ class PatchPlan:
         changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
         most, chunks = min(_CHUNK, max(_FEW, len(samples) // _CHUNKS)), []
         for group in np.split(order, np.flatnonzero(changes) + 1):
-            first = group[0]
-            across = (self._placement.last[first] - self._placement.first[first]).max() + 2
-            if (0, 1) in self._grid.microlenses.axes:
-                across = 1.5 * samples[first]  # on the MLA, of which the microlenses take an array
-            size = int(min(most, max(1, _CHUNK_BYTES // (8 * across**2))))
+            size = min(most, together(self._grid, self._placement, group[0]))
             chunks += [group[start : start + size] for start in range(0, len(group), size)]
         return chunks
 
@@ -269,7 +263,7 @@ class PatchPlan:
         tile = 4 * channels * across**2
         # No more batches are under way than there are.
         workers, threads = (min(count, len(self._chunks)) for count in (batch_map.workers, batch_map.threads))
-        fields = (threads + 1) * (10 * samples**2 + 2 * _CHUNK_BYTES)
+        fields = (threads + 1) * (10 * samples**2 + 2 * FIELD_BYTES)
         tiles = workers + 1
         if (self._last - self._first > 1).any():
             tiles += 2 * threads  # with cells: buffers of patterns and of their sum

@@ -24,7 +24,7 @@ from ...light.walk import Passage, Walk
 from ...optics.rays import cosines_to_slopes
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
-from ...points.patch_factors import Fields
+from ...points.patch_factors import Fields, together
 from ...points.recorder import Recorder
 from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
@@ -83,7 +83,11 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     for points in places:
         positions = lens.points(points, np.full(len(points), inverse_distance))
         placement = place(grid, positions)
-        groups = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
+        alike = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
+        groups = []
+        for same in alike:
+            count = together(grid, placement, same[0])
+            groups += [same[start : start + count] for start in range(0, len(same), count)]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
         batches.append(
             [
@@ -202,6 +206,9 @@ _LIT = 0.6
 
 _EVERYWHERE = 2**40
 
+_PROGRESS = 1000
+"""Parts of a bin's light in which progress is counted."""
+
 _SPREAD_TIME, _PRODUCT_TIME, _KERNEL_TIME = 16.0, 0.05, 0.6
 """Relative times of a sample of a point spread, and, in a step of an inversion, of a product and of a kernel's sample.
 
@@ -245,10 +252,10 @@ class Response(StoredResponse):
         super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
         self._require_memory(len(asked))
         bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(asked, steps)
-        total = math.ceil(len(distances) * len(asked) * bins / self.prepared)
+        total = math.ceil(_PROGRESS * len(distances) * len(asked) * bins / self.prepared)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
-            kernels = self._kernels(distance, asked, job, len(self.planes) * len(asked) * bins, total)
+            kernels = self._kernels(distance, asked, job, _PROGRESS * len(self.planes) * len(asked) * bins, total)
             matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
             stored = iter(self._stored(matrices, f"{len(self.planes)}"))
             kernels = [
@@ -267,7 +274,12 @@ class Response(StoredResponse):
         cells = [self._middle(members) for members in groups]
         batches = [self._batches(self.cells, distance, cell) for cell in cells]
         flat = [batch for bins in batches for some in bins for batch in some]
-        share = [int(number == len(some) - 1) for bins in batches for some in bins for number in range(len(some))]
+        share = [
+            _PROGRESS * (number + 1) // len(some) - _PROGRESS * number // len(some)
+            for bins in batches
+            for some in bins
+            for number in range(len(some))
+        ]
         with contextlib.closing(job.each(flat, share, done, total)) as parts:
             return [
                 make_kernel(self.cells, cell, ([next(parts) for _ in some] for some in bins), self._together)

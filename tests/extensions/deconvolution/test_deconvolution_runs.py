@@ -227,3 +227,25 @@ def test_variation_beyond_what_keeps_light_positive_is_refused():
     for value in (-0.1, 0.3, np.nan):
         with pytest.raises(InputError, match="variation = "):
             reconstruct(capture, 253.0, method="deconvolved", variation=value)
+
+
+def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
+    """Many points stand for a bin that is far out of focus, and each field covers many lenses."""
+    camera = PlenopticCamera.matched(
+        f_number=2.8, lenses=20, pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320,
+        mla_lattice="hexagonal",
+    )  # fmt: skip
+    samples = []
+
+    class Watched(Threads):
+        def __call__(self, batches):
+            for batch in batches:
+                samples.append(batch.samples)
+                if len(samples) == 3:
+                    raise StoppedError
+
+    image = np.ones(camera.shape, np.float32)
+    with pytest.raises(StoppedError):
+        reconstruct(image, 500, camera=camera, method="deconvolved", wavelength=550, batch_map=Watched(1))
+    # On the array, fields have more samples than at the detector.
+    assert max(samples) * 8 * 1.5**2 <= 2**27
