@@ -122,6 +122,7 @@ class Checkpoint:
         self.path = Path(path)
         self.run: dict[str, Any] = {}
         self.existing = existing
+        self._facts: dict[str, Any] = {}
         self._due = math.inf
         self._complained = False
         self._stopping = False
@@ -151,7 +152,8 @@ class Checkpoint:
         shape : (rows, columns, channels)
             Shape of the capture.
         **facts
-            Plain JSON values that the bits of the result depend on, besides those in `run` and the software.
+            Plain JSON values that the bits of the result depend on, besides those in `run` and the software; or
+            functions that return them, which are called when the file is read or first written.
 
         Raises
         ------
@@ -176,12 +178,12 @@ class Checkpoint:
             if error.__cause__ is None:
                 raise
         self._due = time.monotonic() + INTERVAL
-        self.run = json.loads(json.dumps({**self.run, **facts, "software": software()}))
+        self._facts = {**self.run, **facts, "software": software()}
         remove_leftovers(self.path)
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self.run, take, shapes)
+            found = _read(self.path, self._known_facts(), take, shapes)
         except InputError as error:
             if self.existing == "resume":
                 raise
@@ -216,11 +218,17 @@ class Checkpoint:
         KeyboardInterrupt
             After `stop`.
         """
-        self._save(lambda path: _write(path, self.run, snapshot))
+        self._save(lambda path: _write(path, self._known_facts(), snapshot))
 
     def save_arrays(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
         """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
-        self._save(lambda path: _write_archive(path, self.run, {}, dict(arrays())))
+        self._save(lambda path: _write_archive(path, self._known_facts(), {}, dict(arrays())))
+
+    def _known_facts(self) -> dict[str, Any]:
+        """Return the facts of the run as plain JSON values; functions are called once."""
+        known = {name: value() if callable(value) else value for name, value in self._facts.items()}
+        self._facts = json.loads(json.dumps(known))
+        return self._facts
 
     def _save(self, write: Callable[[Path], None]) -> None:
         start = time.monotonic()

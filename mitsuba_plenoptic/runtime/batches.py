@@ -246,8 +246,8 @@ class Job:
         items : int
             Items of all sums.
         facts : callable
-            Returns what the job is computed from, in plain JSON values, by which a stored one is recognised as the
-            same.
+            Returns what the job is computed from, by which a stored one is recognised as the same: plain JSON values,
+            or functions that return them when they are needed.
 
         Returns
         -------
