@@ -6,7 +6,7 @@ scene. Waves are followed in the opposite direction: the field of a scene point 
 from the point in waves and by its amplitude, propagates from there to the MLA.
 
 A new kind of main lens is a module with a class that has the methods of `MainLens` and a function, marked by
-`factory.builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
+`common.builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
 gradients that these carry.
 """
 

@@ -133,7 +133,7 @@ def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:
 
 
 Progress = Callable[[int, int], None]
-"""Called with the items done and how many there are."""
+"""Called with the numbers of items done and of all items."""
 
 Item = TypeVar("Item")
 
@@ -203,7 +203,7 @@ class Job:
     Attributes
     ----------
     progress : callable, optional
-        Called with the items done and how many there are.
+        Called with the numbers of items done and of all items.
     batch_map : BatchMap, optional
         Computes the batches. Default: threads of this process.
     keeper : CheckpointStore, optional
@@ -239,8 +239,7 @@ class Job:
         items : int
             Items of all sums.
         facts : callable
-            Returns what the job is computed from, in plain JSON values, by which a stored one is recognised as the
-            same.
+            Returns the data that determine the job, in plain JSON values, by which a stored job is recognised.
 
         Returns
         -------
@@ -290,7 +289,7 @@ class Job:
         items : sequence of int
             Number of items in each batch.
         done, total : int
-            The items that are done before, and those of the whole job.
+            Items done before, and items of the whole job.
         """
         self._report(done, total)
         with contextlib.closing(self.workers(batches)) as results:
@@ -333,7 +332,8 @@ class Cluster:
     Raises
     ------
     InputError
-        If not exactly one of the two is given or, on entering, the workers cannot be had or have other software.
+        If not exactly one of the two is given or, on entering, the workers cannot be started or reached, or have other
+        software.
     """
 
     threads = 0

@@ -63,11 +63,11 @@ class Fit:
         be separated.
     at_bounds : dict
         Parameters that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
-        deviations are one-sided: how far inside the bound the sum of the weighted squares is larger by 1, with the
-        others fitted anew. Those of the others hold them at the bound.
+        deviations are one-sided: the distance from the bound at which the weighted squares sum to 1 more, with the
+        other parameters fitted anew. Other deviations hold for parameters fixed at the bound.
     chi_square, chi_square_deviation : float
-        Sum of the weighted squared residuals over what is expected of it, and its standard deviation: 1 where the
-        model and the noise are right.
+        Sum of the weighted squared residuals over its expectation, and its standard deviation: 1 where the model and
+        the noise are right.
     pixels : int
         Number of pixels that are neither masked nor saturated.
     steps : int
