@@ -13,9 +13,9 @@ microscope", Optics Express 21, 25418), the second :math:`1 / (2 (b p / z) d / g
 Near focus all lenses see the same, and the lens pitch decides; Broxton's formula holds from
 :math:`d = w^2 / 2 M^2 \lambda` on.
 
-This is the limit of single lenses, and of captures with noise. The response does not end there: light from the borders
-of neighbouring lenses meets on the detector and interferes. Of lines up to 1.5 times as fine, 1 to 3 % of the contrast
-arrives, which suffices in captures without noise (`tools/bench/cases/deconvolution.py`).
+This is the limit of single lenses, and of captures with noise. Light from the borders of neighbouring lenses meets on
+the detector and interferes: of lines up to 1.5 times as fine, 1 to 3 % of the contrast arrives, enough without noise
+(`tools/bench/cases/deconvolution.py`).
 
 In the Fourier arrangement each lens sees the whole object, through its own part of the stop of the width
 :math:`M w / f_F`, which is twice its numerical aperture. The lens transmits lines up to

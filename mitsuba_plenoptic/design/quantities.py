@@ -116,8 +116,8 @@ def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
 def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
     """Distance before the MLA of the main lens's image of an object, in units of z/n: :math:`v = n a / z`.
 
-    A point is then seen by about v microlenses along an axis, each of which shrinks the image by the factor v (Perwass
-    and Wietzke 2012, section 2). Negative for an image behind the MLA.
+    About v microlenses along an axis see a point, and each shrinks the image by the factor v (Perwass and Wietzke 2012,
+    section 2). The depth is negative for an image behind the MLA.
 
     Parameters
     ----------
@@ -427,7 +427,7 @@ def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
 def white_mean(camera: PlenopticCamera) -> float:
     r"""Return the mean of an unbounded capture of a scene of uniform radiance 1.
 
-    The closed form takes no capture, so that sheets of a design have it at once.
+    The closed form needs no capture.
 
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the mean
     radiance over the aperture; each :math:`A ((b + z)/b)^2` of the detector holds one, A being the area of a cell of
@@ -496,8 +496,7 @@ def turns_cosines(camera: PlenopticCamera) -> bool:
 
 
 def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
-    """Return how far from the chief ray's point lenses that turn direction cosines can light a pixel, by sectors, in
-    mm.
+    """Return how far from the chief ray's point cosine-turning lenses can light a pixel, in mm, by sectors.
 
     `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
     rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens

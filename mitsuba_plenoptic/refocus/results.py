@@ -37,9 +37,8 @@ class Reconstruction(Displayed):
     Attributes
     ----------
     image : (rows, columns[, channels]) float32 array
-        Upright, in units of the capture; one bin per microlens of the full detector, or `oversample` times as many
-        along each axis. It lines up with the image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light
-        can come from.
+        Upright, in units of the capture; by default one bin per microlens of the full detector. It lines up with the
+        image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light can come from.
     distance : float
         Object distance in scene units; may be infinite.
     bin_size : float

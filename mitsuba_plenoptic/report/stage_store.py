@@ -53,8 +53,7 @@ class StageOptions:
     Parameters
     ----------
     notify : callable
-        Called while a stage is computed, with its name and the finished and total amounts of work (0 of 0 at the
-        start).
+        Called during a stage with its name and the finished and total amounts of work (0 of 0 at the start).
     finished : callable
         Called when a stage is finished, with its name, its seconds and whether it was stored already.
     resume : bool

@@ -49,8 +49,8 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     Returns
     -------
     LensGrid
-        All lenses whose micro-image is centred in the image, in whole rows and columns, so that some lenses of a
-        rotated lattice lie beyond the image.
+        All lenses with a micro-image centred in the image, in whole rows and columns; a rotated lattice has some lenses
+        beyond the image.
 
     Raises
     ------

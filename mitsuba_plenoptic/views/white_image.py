@@ -1,8 +1,8 @@
 """White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled.
 
 `white_image` computes the white capture of a camera by rays; `recorded_white` prepares a recorded one to replace it.
-`mitsuba_plenoptic.refocus.radiance.white_sums` makes the divisor of a reconstruction method from it.
-`mitsuba_plenoptic.design.white_mean` is a closed form, for sheets that take no capture.
+`mitsuba_plenoptic.refocus.radiance.white_sums` makes the divisor of a reconstruction method from it, and
+`mitsuba_plenoptic.design.white_mean` is a closed form for design sheets.
 """
 
 from __future__ import annotations
