@@ -368,7 +368,7 @@ def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength:
 
 
 def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
-    """Return the largest deviation of 1/a from a microlens's focus that blurs by no more than a pixel or the spot."""
+    """Return how far 1/a may lie from a microlens's focus, in 1/mm, for a blur of at most a pixel or the spot."""
     return finest_detail(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 

@@ -34,7 +34,7 @@ _TOGETHER = 2**17
 
 
 class PixelKernels:
-    """Kernels of the images of pixels, and these images from coefficients, for one kind of lenses."""
+    """Kernels of pixel images, and the computation of pixel images from coefficients, for one kind of lenses."""
 
     @single_threaded_blas()
     def __init__(

@@ -312,7 +312,7 @@ class PatchPlan:
 
 
 def _areas(samples: Any) -> Any:
-    """Return, by patch size, the width in samples of the region whose patch corners are added into one tile."""
+    """Return the width of tiles in samples, for each patch size: patches with their first corner in a tile are added to it."""
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 

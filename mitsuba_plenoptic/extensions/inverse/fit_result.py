@@ -150,7 +150,7 @@ def summary(
 
 
 def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
-    """Return the distance of parameters from their bound at which the sum of squares is larger by 1."""
+    """Return the distances of parameters from their bounds at which the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(which)])
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))
