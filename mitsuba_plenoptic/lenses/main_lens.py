@@ -218,7 +218,7 @@ class MainLens(Protocol):
         """
 
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
-        """Return the lens with plain parameters made opaque by a function, so that kernels are not compiled for their values."""
+        """Return the lens with its plain parameters made opaque, by a function, to the compiler of kernels."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return where chief rays from the object points that bins assign to x, y meet the MLA.

@@ -312,7 +312,7 @@ class PatchPlan:
 
 
 def _areas(samples: Any) -> Any:
-    """Return the width of tiles in samples, for each patch size: patches with their first corner in a tile are added to it."""
+    """Return the width in samples, for each patch size, of the region whose patches are added in one tile."""
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 

@@ -222,7 +222,7 @@ def _refined(
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return a function for `find_saddles`: displacements from pixels near corners to the positions they show."""
+    """Return a function for `find_saddles`: displacements from pixels to the positions that these pixels show."""
     defocus = cut.defocus(kind, disparity)
     return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 
