@@ -126,7 +126,7 @@ def entries(kind: str) -> Iterator[tuple[str, str, Any]]:
 
 
 def entry_of(kind: str, key: str, what: str) -> Any:
-    """Return the object at the place that a mapping of the records has for a key.
+    """Return the object that a mapping of the records, such as ``commands``, names for a key.
 
     Raises
     ------
@@ -175,6 +175,6 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 
 
 def missing(kind: str, name: str) -> str:
-    """Return the line that the shipped extension which adds `name` is missing; empty for other names."""
+    """Return the line on a shipped extension that has `name` and is not installed; empty for other names."""
     owner = SHIPPED[kind].get(name)
     return f"{name}: extension {owner} is not installed" if owner and f"{GROUP}.{owner}" not in installed() else ""

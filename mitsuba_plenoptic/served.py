@@ -116,7 +116,7 @@ def attribute(name: str) -> Any:
 
 
 def _moved(name: str) -> str:
-    """Return the new name of a module of version 1.0, now with the former content; empty for other modules."""
+    """Return the present name of a module of version 1.0; empty for other modules."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         if now := MOVED.get(".".join(parts[:count])):

@@ -1,6 +1,6 @@
 """The camera: its constructor, the checks of parameters in combination, and its forms as dictionary, JSON and sensor.
 
-The table of parameters has the check of each one by itself.
+The table of parameters has the check of each single parameter.
 """
 
 from __future__ import annotations
@@ -177,9 +177,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
     InputError
         If a length is not a number from 1e-9 to 1e9 (`focus_distance` may be infinite), a side of the detector is not
         from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
-        tilted array touches detector or main lens, the distortion folds the image, a `main_lens` is not one, cannot
-        open so far, is given with aberrations, distortion or a glass, or reaches to the array, an objective has another
-        focal length, aperture or distance to the array, or a glass is not one or has no index at the line d.
+        tilted array touches detector or main lens, or the distortion folds the image; if a `main_lens` is unknown,
+        cannot open so far, comes with aberrations, distortion or a glass, or reaches the array; if an objective
+        contradicts focal length, aperture or distance; or if a glass is unknown or has no index at the line d.
 
     Examples
     --------
@@ -241,9 +241,10 @@ class PlenopticCamera(CameraGeometry, Displayed):
         f_number : float
             Focal length of the main lens over the diameter of its aperture.
         lenses : int or (int, int)
-            Lenses of a row across the detector, and rows down it; one number is both. The detector has as many pixels
-            as they cover, rounded to whole ones; rows of a hexagonal lattice are closer than the lenses in a row.
-            As the corner of four lenses of a square lattice is on the axis, odd counts leave half a lens at each edge.
+            Lenses in a row across the detector, and rows down the detector; one number stands for both. The detector
+            has the pixels that the lenses cover, rounded; rows of a hexagonal lattice are closer than the lenses in a
+            row. As the corner of four lenses of a square lattice is on the axis, odd counts leave half a lens at each
+            edge.
         pixels_per_lens : float
             Pixels, 1 at least, from one micro-image to the next of its row.
         pixel_size : float
@@ -350,7 +351,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Raises
         ------
         InputError
-            If the text is no such object, a name is unknown, or a value is out of range.
+            If the text is no JSON object, a name is unknown, or a value is out of range.
         """
         with refusing("camera: it must be a JSON object of camera parameters:", *NO_RECORD):
             values = json.loads(text)

@@ -390,7 +390,7 @@ def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
 def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     """Return the colour channels that a scene's film records, None if it records none.
 
-    Mitsuba's films record rgb by default, and so does the one of a sensor that names none.
+    Films of Mitsuba record rgb by default, as does a sensor without a film.
     """
     from xml.etree.ElementTree import Element
 

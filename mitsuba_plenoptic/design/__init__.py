@@ -1,9 +1,8 @@
 """Quantities that follow from a camera's parameters: functions of a `PlenopticCamera`.
 
 `quantities` has the planes in focus, the resolution at each distance, the size of micro-images and the lenses that
-light a pixel; `aberration` that of thin main lenses that are parabolic phases;
-`deconvolution` the resolution that can be reached by inverting the camera's response; `microscope` quantities of
-cameras with objectives.
+light a pixel; `aberration` has the aberration of parabolic main lenses; `deconvolved_contrast` the resolution that can
+be reached by inverting the camera's response; `microscope` quantities of cameras with objectives.
 
 Wavelengths are in nanometres. Where a wavelength is optional, diffraction is neglected without it.
 """

@@ -13,15 +13,16 @@ microscope", Optics Express 21, 25418), the second :math:`1 / (2 (b p / z) d / g
 Near focus all lenses see the same, and the lens pitch decides; Broxton's formula holds from
 :math:`d = w^2 / 2 M^2 \lambda` on.
 
-This is the limit of single lenses, and of captures with noise. The response does not end there: light from the borders
-of neighbouring lenses meets on the detector and interferes, so that of lines of up to 1.5 times the limit 1 to 3 % of
-the contrast arrives, out of which captures without noise bring it back (`tools/bench/cases/deconvolution.py`).
+This is the limit of single lenses, and of captures with noise. Light from the borders of neighbouring lenses meets on
+the detector and interferes: of lines up to 1.5 times as fine, 1 to 3 % of the contrast arrives, enough without noise
+(`tools/bench/cases/deconvolution.py`).
 
-In the Fourier arrangement each lens sees the whole object, through its own part of the stop of the width :math:`M w /
-f_F`, which is twice its numerical aperture. It lets lines up to :math:`\nu_c = M w / f_F \lambda` through, and at the
-depth d those up to the first that its own defocus, a blur of the width :math:`\beta = M w |d| / n f_F`, puts out: of an
-aperture with straight edges :math:`\beta \nu (1 - \nu / \nu_c) = 1` there (Goodman, "Introduction to Fourier Optics",
-section 6.4.4). A pixel is as wide in the object at all depths.
+In the Fourier arrangement each lens sees the whole object, through its own part of the stop of the width
+:math:`M w / f_F`, which is twice its numerical aperture. The lens transmits lines up to
+:math:`\nu_c = M w / f_F \lambda`. At the depth d its defocus, a blur of the width :math:`\beta = M w |d| / n f_F`,
+extinguishes lines from the first zero of its transfer function on: for straight edges
+:math:`\beta \nu (1 - \nu / \nu_c) = 1` there (Goodman, "Introduction to Fourier Optics", section 6.4.4). Pixels are
+equally wide in the object at all depths.
 """
 
 from __future__ import annotations

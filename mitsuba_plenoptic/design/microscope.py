@@ -47,12 +47,13 @@ def native_field(camera: PlenopticCamera) -> float:
 def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
     r"""Return the least and greatest depth beyond the native object plane, in mm, at which some microlenses are sharp.
 
-    Unfocused microlenses in the native image plane: the depths that refocusing brings back to one sample per lens. The
-    blur :math:`2 M |d| \tan\alpha` on the array may span as many lenses as directions are resolved under each; for
-    micro-images that touch and a small NA this is Levoy et al.'s :math:`N_u^2 \lambda n / 2 NA^2` from end to end
-    (2006, "Light field microscopy", section 3). Focused ones, for which the image of a depth d lies :math:`M^2 d / n`
-    before the array: as `depth_ranges` for other cameras. Fourier arrangement: the blur of a point in the picture of
-    one lens, :math:`|d| w z M^2 / n f_F^2`, is at most a pixel, or the spot of diffraction if that is wider.
+    For unfocused microlenses in the native image plane, these are the depths that refocusing restores to one sample per
+    lens. The blur :math:`2 M |d| \tan\alpha` on the array may span as many lenses as directions are resolved under each
+    lens; for micro-images that touch and a small NA this is Levoy et al.'s :math:`N_u^2 \lambda n / 2 NA^2` from end to
+    end (2006, "Light field microscopy", section 3). For focused microlenses, the image of a depth d lies
+    :math:`M^2 d / n` before the array, and the range follows as in `depth_ranges`. In the Fourier arrangement, the blur
+    of a point in the picture of one lens, :math:`|d| w z M^2 / n f_F^2`, is at most a pixel, or the spot of diffraction
+    if that is wider.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def objective_limit(camera: PlenopticCamera, wavelength: float) -> float:
 def lens_aperture(camera: PlenopticCamera) -> float:
     r"""Return the numerical aperture with which one lens of the Fourier arrangement sees the object.
 
-    :math:`M w / 2 f_F`, w being its width.
+    :math:`M w / 2 f_F` for a lens of the width w.
 
     Parameters
     ----------

@@ -15,8 +15,8 @@ depth-of-field", section 2) and of Georgiev and Lumsdaine (2010, "Reducing pleno
 diffraction wider than a pixel replaces the pixel.
 
 Widths are projected through the main lens's centre onto the MLA, as the bins of a reconstruction are. There, with the
-defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, how fast the position on the pupil moves with that on the
-lens, they read :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
+defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, the motion of the pupil point per motion of the lens
+point, they are :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ def best_images(camera: PlenopticCamera) -> tuple[float, ...]:
 def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
     """Distance before the MLA of the main lens's image of an object, in units of z/n: :math:`v = n a / z`.
 
-    A point is then seen by about v microlenses along an axis, each of which shrinks the image by the factor v (Perwass
-    and Wietzke 2012, section 2). Negative for an image behind the MLA.
+    About v microlenses along an axis see a point, and each shrinks the image by the factor v (Perwass and Wietzke 2012,
+    section 2). The depth is negative for an image behind the MLA.
 
     Parameters
     ----------
@@ -154,7 +154,8 @@ class EffectiveResolution:
     line_width : float
         Width of the finest detail in the object plane.
     columns, rows : float
-        Such details across the field and down it. `rows` is the resolution in line widths per picture height.
+        Number of such details across the field, and down it. `rows` is the resolution in line widths per picture
+        height.
     samples_per_lens : float
         Such details per microlens pitch, along an axis.
     ratio : float
@@ -253,7 +254,7 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
     r"""Radius of a microlens's focal spot in mm, from the centre to the first zero.
 
     :math:`\lambda z / n w` for a rectangular aperture, w its narrower side; :math:`1.22\, \lambda z / n d` for a disc
-    of diameter d; for a hexagon that of the disc of its area.
+    of diameter d; for a hexagon the radius of a disc of equal area.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ def finest_detail(camera: PlenopticCamera, wavelength: float | None) -> float:
 def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
     """Nearest and farthest distance, in mm, at which refocusing gives one sample per lens.
 
-    The blur on the MLA may then span as many lenses as directions are resolved under each (Ng 2006, "Digital Light
+    The blur on the MLA may then span as many lenses as directions are resolved under each lens (Ng 2006, "Digital Light
     Field Photography", section 3.4). A microlens in focus at the distance a, not on the main lens, must also blur the
     main lens's image by less than the lens's width; this holds up to 2a. The far end may be infinite.
 
@@ -318,7 +319,7 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
 def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> list[tuple[float, float] | None]:
     r"""Nearest and farthest distance, in mm, at which each type of microlens is sharp.
 
-    For an unfocused type that is `refocus_range`. For another, its blur on the detector,
+    For an unfocused type this is `refocus_range`. For a focused type, the blur on the detector,
     :math:`w |1/v - 1/v_0|`, is at most a pixel, or the spot of diffraction if that is wider, and every point is seen by
     two lenses at least (`lenses_across` of 1).
 
@@ -357,9 +358,9 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength: float | None) -> tuple[float, float]:
-    """Return the nearest and farthest distance from the MLA of images that are sharp for a lens focused at a.
+    """Return the nearest and farthest distance from the MLA of images that are sharp for a lens focused at `a`.
 
-    Images lie on the same side of the array as a. From the distance `covering` on, a point's light spans a pitch.
+    Images lie on the same side of the array as `a`. From the distance `covering` on, a point's light spans a pitch.
     """
     slack = vergence_slack(camera, wavelength)
     far = math.inf if abs(1 / a) <= slack else 1 / (abs(1 / a) - slack)
@@ -367,7 +368,7 @@ def sharp_images(camera: PlenopticCamera, a: float, covering: float, wavelength:
 
 
 def vergence_slack(camera: PlenopticCamera, wavelength: float | None) -> float:
-    """Return the largest deviation of 1/a from a microlens's focus that blurs by no more than a pixel or the spot."""
+    """Return how far 1/a may lie from a microlens's focus, in 1/mm, for a blur of at most a pixel or the spot."""
     return finest_detail(camera, wavelength) / camera.lattice.aperture_width / camera.reduced_distance
 
 
@@ -426,11 +427,11 @@ def main_fresnel_number(camera: PlenopticCamera, wavelength: float) -> float:
 def white_mean(camera: PlenopticCamera) -> float:
     r"""Return the mean of an unbounded capture of a scene of uniform radiance 1.
 
-    The closed form takes no capture, so that sheets of a design have it at once.
+    The closed form needs no capture.
 
-    A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the
-    mean radiance over the aperture; there is one on each :math:`A ((b + z)/b)^2` of the detector, A the area of
-    the lattice's cell.
+    A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the mean
+    radiance over the aperture; each :math:`A ((b + z)/b)^2` of the detector holds one, A being the area of a cell of
+    the lattice.
 
     Parameters
     ----------
@@ -445,8 +446,8 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
     """Return the lenses that can light a pixel, relative to the lens of its chief ray, with an optional margin.
 
     The ray from a detector point p through the point c + d of a lens meets the pupil plane in
-    :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, m the point of the chief ray, which is in its lens's cell. For
-    that to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
+    :math:`(1 + b/z)(c - m) + (1 + b/z - b/f_2) d`, where m is the point of the chief ray, in the cell of its lens. For
+    this to be in the pupil, c must be within :math:`(D_1/2) / (1 + b/z)` of some
     :math:`m - d (1 + b/z - b/f_2) / (1 + b/z)`: a cell enlarged by apertures.
 
     Parameters
@@ -495,7 +496,7 @@ def turns_cosines(camera: PlenopticCamera) -> bool:
 
 
 def cosine_limits(camera: PlenopticCamera, radii: np.ndarray) -> np.ndarray:
-    """Return the greatest distance, by sectors, from the chief ray's point to cosine-turning lenses that light a pixel.
+    """Return how far from the chief ray's point cosine-turning lenses can light a pixel, in mm, by sectors.
 
     `crosstalk_neighbours` follows rays by their slopes. Parabolic and shaped lenses turn direction cosines, so that
     rays through the edge of a fast lens meet the detector farther outside. This is the greatest distance of the lens
@@ -550,7 +551,7 @@ def crosstalk_lenses(camera: PlenopticCamera) -> int:
 
 
 def _crosstalk(camera: PlenopticCamera) -> tuple[float, float, float]:
-    """Return roughly how many lenses light a pixel, within which distance, and the share of the apertures in it."""
+    """Return roughly how many lenses light a pixel, and the `reach` and `smear` of `Lattice.neighbours` for them."""
     b, z, lattice = camera.pupil_distance, camera.reduced_distance, camera.lattice
     # Behind an objective all lenses see the stop in the same directions.
     growth = camera.lens_data.converges + b / z

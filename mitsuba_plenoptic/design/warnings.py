@@ -166,7 +166,7 @@ def _sizes(camera: PlenopticCamera) -> Iterator[Finding]:
 
 
 def _rims_overlap(camera: PlenopticCamera) -> bool:
-    """Return whether pixels are lit through several lenses, even if rims were narrower by a part of a pixel."""
+    """Return whether pixels would be lit through several lenses even with a pupil narrower by a part of a pixel."""
     narrower = camera.aperture_radius - _HARDLY * camera.pupil_step
     return narrower > 0 and crosstalk_lenses(camera.replace(aperture_radius=narrower)) > 1
 

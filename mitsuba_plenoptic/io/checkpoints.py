@@ -158,8 +158,8 @@ class Checkpoint:
         Raises
         ------
         InputError
-            If there is the checkpoint of another run, with the differences, or a damaged one, or if another process
-            is at it.
+            If the file is damaged, is the checkpoint of another run (the message states the differences), or is used by
+            another process.
         """
         return self._begin(facts, _snapshot, {"image": shape})
 

@@ -36,7 +36,7 @@ def camera_of_waves(
 ) -> PlenopticCamera:
     """Return the camera of a wave capture of version 1.0 with the `lens_model` that its waves had.
 
-    The capture's longest wavelength decides whether its lenses are small, or the d line if it states none.
+    Whether lenses are small is decided at the longest wavelength of the capture, or at the d line if none is stated.
     """
     if camera.main_lens is not None or camera.lens_model == "parabolic":
         return camera

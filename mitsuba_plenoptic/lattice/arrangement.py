@@ -2,7 +2,7 @@ r"""Microlens lattices: the lens that a point belongs to, the lens's centre, and
 
 All code asks a `Lattice`, made by `PlenopticCamera.lattice`, about the arrangement of microlenses. A lattice covers the
 whole plane and does not end with the detector. Points are given in the camera frame, in the plane of the microlens
-array (MLA), as floats, NumPy arrays or Dr.Jit arrays; so may the lattice's parameters be.
+array (MLA), as floats, NumPy arrays or Dr.Jit arrays, like the lattice's parameters.
 
 A lens is named by two integers (i, j), its steps along the two lattice vectors. It is found in three frames:
 
@@ -47,12 +47,11 @@ class Lattice(abc.ABC):
         Pitch along the rows, the distance of neighbouring centres; and across them, the same except for a stretched
         lattice.
     rotation : float
-        Degrees, counter-clockwise in the camera frame. As that frame's y falls on rows, this is clockwise in a capture
-        as it is looked at.
+        Degrees, counter-clockwise in the camera frame. In a displayed capture, whose rows run down, this is clockwise.
     offset : (float, float)
-        Where the point of the lattice lies that is on the axis by default.
+        Position of the lattice point that is on the axis by default.
     aperture : {"cell", "circle"}
-        What of a cell is lens: the cell itself, shrunk by `fill`, or a disc.
+        Part of a cell that is lens: the cell itself, shrunk by `fill`, or a disc.
     fill : float
         Width of the aperture (for a disc its diameter, else the distance of opposite sides) over the pitch, at most 1.
         The rest of the cell is opaque.

@@ -140,12 +140,12 @@ class FinitePupil(FiniteDistance, ABC):
         return pupil + self.pupil_distance * cosine / np.sqrt(1 - (cosine**2).sum(0))
 
     def cone(self, distances: Any) -> float:
-        """Return the largest cosine to the pupil's rim, for light focused on the MLA or on an image at a distance."""
+        """Return the largest direction cosine to the pupil's rim, for light focused on the MLA or on an image."""
         powers = np.abs(self.convergence(distances))
         return float(self.pupil_radius) * float(powers.max(initial=1 / self.pupil_distance))
 
     def from_array(self, cosine: Pair, image: Pair) -> tuple[Pair, Any, Any]:
-        r"""Return pupil points :math:`M - R s`, radii :math:`R = b / \sqrt{1 - s^2}`, and R less the chief ray's."""
+        r"""Return pupil points :math:`M - R s`, radii :math:`R = b / \sqrt{1 - s^2}`, and R minus the chief ray's R."""
         (sx, sy), (x, y), b = cosine, image, self.pupil_distance
         R = b / sqrt(1 - sx * sx - sy * sy)
         return (x - R * sx, y - R * sy), R, R - sqrt(x * x + y * y + b * b)

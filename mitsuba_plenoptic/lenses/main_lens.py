@@ -6,7 +6,7 @@ scene. Waves are followed in the opposite direction: the field of a scene point 
 from the point in waves and by its amplitude, propagates from there to the MLA.
 
 A new kind of main lens is a module with a class that has the methods of `MainLens` and a function, marked by
-`factory.builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
+`common.builds`, that makes it for a camera. All methods take floats, NumPy arrays or Dr.Jit arrays, and propagate the
 gradients that these carry.
 """
 
@@ -218,7 +218,7 @@ class MainLens(Protocol):
         """
 
     def opaque(self, number: Callable[[Any], Any]) -> MainLens:
-        """Return the lens with plain parameters made opaque by a function, if compiled kernels depend on them."""
+        """Return the lens with its plain parameters made opaque, by a function, to the compiler of kernels."""
 
     def stretch(self, x: Any, y: Any, camera: PlenopticCamera, distance: float) -> Pair:
         """Return where chief rays from the object points that bins assign to x, y meet the MLA.

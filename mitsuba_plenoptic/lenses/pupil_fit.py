@@ -70,7 +70,7 @@ def entrance_place(lens: LensSystem) -> float:
 
 
 def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray) -> PupilRays:
-    """Return rays traced as by `trace_all`, without rays that miss a surface or pass far beyond the edge of one."""
+    """Return the rays of `trace_all` that neither miss a surface nor pass far beyond its edge."""
     rays, valid = trace_all(lens, field, inverse_distance, entrance)
     return rays.take(valid)
 
@@ -78,7 +78,7 @@ def trace(lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance:
 def trace_all(
     lens: LensSystem, field: NDArray, inverse_distance: NDArray, entrance: NDArray
 ) -> tuple[PupilRays, NDArray[np.bool_]]:
-    r"""Return traced rays, and a mask of rays that neither miss a surface nor pass far beyond the edge of one.
+    r"""Return traced rays, and a mask of rays that neither miss a surface nor pass far beyond its edge.
 
     The amplitude is :math:`\frac{1}{|E v - u|^2 + 1} \sqrt{|dE / dP|}`, with u the field, v the inverse distance, E the
     position on the entrance pupil and P that on the exit pupil: the amplitude that a thin lens in the entrance pupil

@@ -252,7 +252,7 @@ class PlaneFactor(ArrayFactor):
         return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
 
     def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
-        """Return samples of one period, at the centres of equal rectangles, as an array on the host."""
+        """Return samples of one period of the transmission, at the centres of equal rectangles, on the host."""
         types = array_module()
         _, row, column = split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
         x, y = (

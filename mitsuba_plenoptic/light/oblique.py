@@ -149,7 +149,7 @@ def changes() -> NDArray[np.float64]:
 
 
 def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix that maps 1 and the terms to 1 and the terms of cosines that differ by a step (2,)."""
+    """Return the matrix from (1, terms) of direction cosines to (1, terms) of cosines a step (2,) further."""
     return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
 
 

@@ -34,7 +34,7 @@ _TOGETHER = 2**17
 
 
 class PixelKernels:
-    """Kernels of the images of pixels, and these images from coefficients, for one kind of lenses."""
+    """Kernels of pixel images, and the computation of pixel images from coefficients, for one kind of lenses."""
 
     @single_threaded_blas()
     def __init__(
@@ -101,13 +101,13 @@ class PixelKernels:
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the coefficients that the adjoint of `combined` makes of images."""
+        """Return the adjoint of `combined`, applied to images: coefficients (functions, places, pixels)."""
         both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
         return np.asarray((self._factors.T @ both).reshape(*self._shape, -1))
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the coefficients that the adjoint of `turned` makes of images."""
+        """Return the adjoint of `turned`, applied to images: coefficients (functions, places, pixels)."""
         sums = terms[self._term] * (self._of_sums.T @ images)
         return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
 

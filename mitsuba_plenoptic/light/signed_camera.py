@@ -227,7 +227,7 @@ class CameraAdjoint(_CameraSum):
         return {name: total[name] for name in self._names}
 
     def _by_direction(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
-        """Return the gradients, by the direction of light, of the functions' values; see `_felt`."""
+        """Return the derivatives with respect to the direction of light of the gradients that `_felt` returns."""
         kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
         own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
         slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))

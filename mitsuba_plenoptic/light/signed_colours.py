@@ -198,7 +198,7 @@ class SignedColours:
     def shared(
         self, camera: PlenopticCamera, accuracy: float
     ) -> list[tuple[float, tuple[int, ...], NDArray[np.float64]]]:
-        """Return each node's wavelength, its channels, and the weights of a ray's values in them: see `Node`."""
+        """Return each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
         places = self.places(camera, accuracy)
         found = []
         for number, place in enumerate(places):

@@ -103,11 +103,11 @@ class Pixels:
 
     @property
     def number(self) -> Any:
-        """Numbers of their own for the pairs of a pixel and a lens."""
+        """A distinct number for each pair of a pixel and a lens."""
         return self.lens * dr.opaque(mi.UInt32, self.box.rows * self.box.columns) + self.index
 
     def take(self, which: Any) -> Pixels:
-        """Return a selection of pixels with lenses of their own."""
+        """Return a selection of the pairs of a pixel and a lens."""
         index, lens = (dr.gather(mi.UInt32, each, which) for each in (self.index, self.lens))
         return replace(self, index=index, lens=lens)
 

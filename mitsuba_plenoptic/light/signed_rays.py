@@ -457,7 +457,7 @@ class SignedRaySum:
         return self._mean_of(bring, lit, number)
 
     def _first(self, pixels: Pixels) -> Pair:
-        """Return the number of the first ray of each cell: among the rays of all pixels, and of its own pixel."""
+        """Return the index of each cell's first ray, among the rays of all pixels and of the cell's pixel alone."""
         places = self._parts**2
         lane, spp = dr.arange(mi.UInt32, dr.width(pixels.index) * places), dr.opaque(mi.UInt32, self._spp)
         return lane * spp, (lane - quotient(lane, places) * dr.opaque(mi.UInt32, places)) * spp

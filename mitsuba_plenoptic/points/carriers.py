@@ -236,7 +236,7 @@ def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray
 
 
 def _finite_inverse(nearness: float) -> float:
-    """Return the reciprocal of a nearness, finite also where points on opposite sides make it zero."""
+    """Return the reciprocal of a mean inverse distance, finite also where points on opposite sides make it zero."""
     return 1 / math.copysign(max(abs(nearness), 1 / _FARTHEST), nearness)
 
 

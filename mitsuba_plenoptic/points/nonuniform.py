@@ -112,7 +112,7 @@ def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int
 
 
 def _embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
-    """Return values at an index, modulo `size`, along an axis of zeros."""
+    """Return values placed at an index, modulo `size`, along an axis of `size` samples that are otherwise 0."""
     shape = list(values.shape)
     shape[axis] = size
     padded = np.zeros(shape, np.complex64)

@@ -61,7 +61,7 @@ class CaptureOperator(CoherentPoints):
         computed for each wavelength, or for each of the spectrum's nodes.
     method : {"patch", "full_field"}
         Method of computing point spreads: each on the part of the array that its point lights, or each on the whole
-        field, without shortcuts.
+        array, without shortcuts.
     accuracy : float, optional
         Allowed relative error (L2, over the image) of the method "patch", below 1; 0.01 by default. Points of nearly
         the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its

@@ -306,7 +306,7 @@ class PatchPlan:
 
 
 def _areas(samples: Any) -> Any:
-    """Return, by patch size, the width in samples of the region whose patch corners are added into one tile."""
+    """Return the width in samples, for each patch size, of the region whose patches are added in one tile."""
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 

@@ -214,7 +214,7 @@ def _completed(
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """Return a basis extended by functions that factors (m, n) need, and the factors' coefficients.
 
-    Points far from most others need such functions.
+    Points far from most other points need such functions.
     """
     power = _squares(factors)
     while True:

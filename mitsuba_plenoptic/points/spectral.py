@@ -64,7 +64,7 @@ def with_enough_nodes(
 
 
 def _recording(camera: PlenopticCamera, images: list[NDArray[np.float32]]) -> tuple[PlenopticCamera, slice, slice]:
-    """Return the camera that records only the rows and columns that hold all light of images, and these."""
+    """Return a crop of the camera that records all light of the images, and the rows and columns of the crop."""
     lit = np.any([image.any(2) for image in images], axis=0)
     found = [np.flatnonzero(lit.any(axis)) for axis in (1, 0)]
     rows, columns = (
@@ -77,7 +77,7 @@ def _recording(camera: PlenopticCamera, images: list[NDArray[np.float32]]) -> tu
 
 
 def _differ(image: NDArray[np.float32], reference: NDArray[np.float32]) -> float:
-    """Return the relative difference (L2) between images, of the channel with the largest one."""
+    """Return the relative difference (L2) between images, in the channel where it is largest."""
     norms = np.sqrt(np.sum(np.square(reference, dtype=np.float64), axis=(0, 1)))
     change = np.sqrt(np.sum(np.square(image - reference, dtype=np.float64), axis=(0, 1)))
     return float(np.max(change[norms > 0] / norms[norms > 0], initial=0.0))

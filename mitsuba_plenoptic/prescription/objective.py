@@ -222,7 +222,7 @@ class Objective(LensData):
         Parameters
         ----------
         distance : float
-            How far d the point lies beyond the native object plane, in millimetres.
+            Distance d of the point beyond the native object plane, in millimetres.
         """
         if self.is_fourier:
             return 2 * self.last_focal_length * self.image_aperture

@@ -60,7 +60,7 @@ class Surface:
     thickness : float
         Distance along the axis to the next surface in millimetres; 0 for the last.
     glass : Glass or None
-        What follows up to the next surface; None for air.
+        Material up to the next surface; None for air.
     semi_aperture : float
         Distance from the axis up to which light passes, in millimetres.
     conic : float
@@ -347,7 +347,7 @@ class Prescription(LensData):
             raise InputError(f"{text}: they must stay apart within the smaller of their semi-apertures, {edge:.4g}")
 
     def _crossing(self) -> tuple[int, int, float, str] | None:
-        """Return the first refracting surfaces that cross where light passes both: indices, distance, and words."""
+        """Return the first refracting surfaces that cross where light passes both: indices, distance, and a message."""
         glasses = [None, *(surface.glass for surface in self.surfaces)]
         indices = [index for index, (before, after) in enumerate(itertools.pairwise(glasses)) if before != after]
         for first, second in itertools.pairwise(indices):

@@ -115,8 +115,8 @@ def rising(
 ) -> Iterator[tuple[NDArray[np.float32], list[float]]]:
     """Yield, for each distance, two captures of scenes whose radiance rises along the bins: to the right and downwards.
 
-    They are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave capture;
-    None means a ray capture.
+    The captures are computed from a white capture. The wavelengths in nanometres are those of the channels of a wave
+    capture; None means a ray capture.
     """
     lights = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
     centroids = {light: PupilCentroid(camera, light) for light in lights if light is not None}

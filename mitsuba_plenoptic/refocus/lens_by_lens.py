@@ -559,9 +559,9 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
 
 
 def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
-    r"""Return the integrals over bins along an axis of power at samples, of which there are some for each lens.
+    r"""Return the integrals over bins, along an axis, of power that is sampled several times for each lens.
 
-    Where samples miss nothing of the power, it is the trigonometric polynomial through them, whose integrals over
+    Where the samples resolve the power, the power is the trigonometric polynomial through them, whose integrals over
     bins of m samples are exact: a frequency of f periods a sample counts :math:`m \,\mathrm{sinc}(f m)` times.
     """
     count, per_bin = power.shape[axis], tile.samples / tile.oversample

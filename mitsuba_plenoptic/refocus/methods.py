@@ -178,7 +178,7 @@ def method(
     as_it_is : bool
         Whether the method needs the main lens's aberrations; other methods form images by the ideal lens.
     long : bool
-        Whether the method may take long: then it writes checkpoints and takes workers.
+        Whether the method may take long, so that it writes checkpoints and uses workers.
     white : bool
         Whether the method's images can be divided by those of a white capture.
     """

@@ -281,7 +281,7 @@ class ParaxialPath:
                 yield there, lines[own]
 
     def vjp(self, gradient: Rows, workspace: FieldWorkspace) -> Rows:
-        """Return blocks of the gradient by the first plane's field, from the gradient by the lines."""
+        """Yield blocks of the gradient with respect to the first plane's field, from the gradient of the lines."""
         count, positive = self._step.x.held, (self._step.y.held + 1) // 2
 
         def by_spectrum() -> Rows:

@@ -416,7 +416,7 @@ def _lens_patches(
 
 
 def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return one lens's white micro-image, and how far from the axis its pixels see the pupil through the centre.
+    """Return one lens's white micro-image, and the radius in the pupil that each pixel sees through the lens's centre.
 
     For an unfocused camera with an aligned lattice the micro-image is a disc.
     """

@@ -37,8 +37,8 @@ class Reconstruction(Displayed):
     Attributes
     ----------
     image : (rows, columns[, channels]) float32 array
-        Upright; one bin per microlens of the full detector, or as many as were asked for, in units of the capture. It
-        lines up with the image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light can come from.
+        Upright, in units of the capture; by default one bin per microlens of the full detector. It lines up with the
+        image of Mitsuba's ``thinlens`` focused at `distance`. NaN where no light can come from.
     distance : float
         Object distance in scene units; may be infinite.
     bin_size : float
@@ -52,8 +52,8 @@ class Reconstruction(Displayed):
     guards : dict
         Fractions of the light that the guards of the physics found lost, by their names.
     facts : dict
-        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square
-        of what is left of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
+        Facts that the method states. ``deconvolved``: the ``iterations`` made, the ``residual`` (root mean square of
+        the unexplained part of the capture, over that of the capture), whether it was ``stopped_by_noise``, the
         ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is
         ``in_focus``, where finer bins show little more (see `design.resolution_limit`).
     """

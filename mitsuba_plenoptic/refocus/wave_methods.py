@@ -23,11 +23,11 @@ factor (exactly for z = f2), and the pupil holds :math:`\sqrt{I}` itself. ``rela
 Focused cameras
 ---------------
 The two phases are right for :math:`z \neq f_2`, too. The chief ray of a pixel goes through the centre of its lens, so
-light converges to there over z; and what is left after the microlens, :math:`\exp(-i \pi |m - c|^2 / \lambda a)`, makes
-it converge once more, to :math:`\sqrt{I}` itself in the plane that the microlens sees, a before the MLA (or behind it)
-with :math:`1/a + 1/z = 1/f_2`: the micro-image, enlarged, where the main lens's image is. Where micro-images are smooth
-the light goes through a small part of the lens only, and what came from the rim of the pupil through the rim of a lens
-misses the pupil on its way back; images are divided by what a white scene gives.
+light converges to there over z; the phase that remains behind the microlens,
+:math:`\exp(-i \pi |m - c|^2 / \lambda a)`, makes it converge once more, to :math:`\sqrt{I}` itself in the plane that
+the microlens sees, a before the MLA (or behind it) with :math:`1/a + 1/z = 1/f_2`: the micro-image, enlarged, where the
+main lens's image is. Where micro-images are smooth the light goes through a small part of the lens only, and light from
+the rim of the pupil through the rim of a lens misses the pupil on its way back; images are divided by white.
 
 Partial coherence
 -----------------

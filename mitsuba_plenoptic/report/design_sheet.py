@@ -309,7 +309,7 @@ def _diffraction(camera: PlenopticCamera, wavelength: float) -> list[_Line]:
 
 
 def _distance(value: float) -> tuple[str, str]:
-    """Return a distance and its unit as texts; the text may be that for infinity or for no plane."""
+    """Return a distance and its unit as texts; "infinity" and, for no plane, "none" have no unit."""
     if value < 0:
         return "none", ""
     return ("infinity", "") if math.isinf(value) else (_four(value), "mm")

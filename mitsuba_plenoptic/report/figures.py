@@ -54,10 +54,10 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     Parameters
     ----------
     results : sequence of Reconstruction
-        In any order; of a method and a distance the last is shown, and what is missing stays empty.
+        In any order. Of several with one method and distance the last is shown; missing images stay empty.
     white : float, optional
-        Radiance that becomes white. Default: that which 99.5 % of the bins do not surpass; less where a highlight would
-        make images dark that are lit all over.
+        Radiance shown white. Default: the value that 99.5 % of the bins do not exceed, or less where highlights would
+        darken images that are lit all over.
 
     Returns
     -------

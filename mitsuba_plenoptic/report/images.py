@@ -121,8 +121,8 @@ class Brightness:
         In stops, the same for every picture: the value 2^-exposure becomes white, 1 at 0.
     percentile : float, optional
         Instead, the percentage of the bins or pixels that do not surpass the value, above 0 and up to 100. Default:
-        99.5 where there is no exposure, and less where a highlight would make a picture dark that is lit all over. If
-        the value is black, the brightest becomes white.
+        99.5 without an exposure, or less where highlights would darken a picture that is lit all over. If the value is
+        black, the brightest becomes white.
     """
 
     exposure: float | None = None

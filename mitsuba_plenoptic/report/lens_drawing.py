@@ -37,9 +37,9 @@ class FieldFigures:
     spot : float
         Root mean square radius of a point's image, projected onto the MLA, in millimetres; NaN where all is dark.
     light : float
-        Area of the exit pupil that is open, over that on the axis.
+        Open area of the exit pupil over the open area on the axis.
     distortion : float
-        How much farther from the axis the chief ray puts a point's image than paraxial optics, over its distance.
+        Displacement of a point's image away from the axis, by its chief ray against paraxial optics, over its distance.
     """
 
     height: float

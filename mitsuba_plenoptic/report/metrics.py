@@ -242,13 +242,13 @@ class Difference:
     Attributes
     ----------
     measured : float
-        What is measured, noise and all.
+        The measured difference, noise included.
     noise : float or None
-        What noise alone would give; None if one of the captures does not know its noise.
+        The difference by noise alone; None if a capture does not state its noise.
     true : float or None
         The difference without noise.
     noise_alone : bool or None
-        Whether noise is enough to explain what is measured.
+        Whether noise explains the measured difference.
     """
 
     measured: float

@@ -53,9 +53,9 @@ class StageOptions:
     Parameters
     ----------
     notify : callable
-        Called while a stage is computed, with its name, what is done and how much there is (0 of 0: it has begun).
+        Called during a stage with its name and the finished and total amounts of work (0 of 0 at the start).
     finished : callable
-        Called when a stage is there, with its name, its seconds and whether it was there already.
+        Called when a stage is finished, with its name, its seconds and whether it was stored already.
     resume : bool
         Whether the checkpoint of another capture is refused, instead of being replaced.
     """

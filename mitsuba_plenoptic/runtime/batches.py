@@ -139,7 +139,7 @@ def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:
 
 
 Progress = Callable[[int, int], None]
-"""Called with the items done and how many there are."""
+"""Called with the numbers of items done and of all items."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -210,7 +210,7 @@ class Job:
     Attributes
     ----------
     progress : callable, optional
-        Called with the items done and how many there are.
+        Called with the numbers of items done and of all items.
     batch_map : BatchMap, optional
         Computes the batches. Default: threads of this process.
     keeper : CheckpointStore, optional
@@ -246,8 +246,8 @@ class Job:
         items : int
             Items of all sums.
         facts : callable
-            Returns what the job is computed from, by which a stored one is recognised as the same: plain JSON values,
-            or functions that return them when they are needed.
+            Returns the data that determine the job, by which a stored job is recognised: plain JSON values, or
+            functions that return such values when they are needed.
 
         Returns
         -------
@@ -297,7 +297,7 @@ class Job:
         items : sequence of int
             Number of items in each batch.
         done, total : int
-            The items that are done before, and those of the whole job.
+            Items done before, and items of the whole job.
         """
         self._report(done, total)
         with contextlib.closing(self.workers(batches)) as results:
@@ -340,7 +340,8 @@ class Cluster:
     Raises
     ------
     InputError
-        If not exactly one of the two is given or, on entering, the workers cannot be had or have other software.
+        If not exactly one of the two is given or, on entering, the workers cannot be started or reached, or have other
+        software.
     """
 
     threads = 0

@@ -1,6 +1,6 @@
 """Four-dimensional light fields: decoding, views, refocusing and depth.
 
-A light field is an `xarray.DataArray`; `geometry` says what its axes mean.
+A light field is an `xarray.DataArray`; `coordinates` says what its axes mean.
 """
 
 from .coordinates import camera_of, depth_range, disparity, distance_of, grid_of

@@ -33,10 +33,10 @@ def decode(
 ) -> xr.DataArray:
     """Return a capture as a light field with one sample per pixel across the pupil and one per lens across the field.
 
-    The distance between micro-images is not an integer number of pixels. Each micro-image is resampled about its centre
-    by linear interpolation, which for a step of one pixel is the mean over a pixel-sized square, so that no light is
-    lost. The capture and the white image are sampled alike and then divided. A lattice that is not upright and square
-    is resampled to an upright square one, linearly along its rows and between them.
+    Micro-images are not a whole number of pixels apart. Each is resampled about its centre by linear interpolation,
+    which for a step of one pixel is the mean over a pixel-sized square, so that no light is lost. The capture and the
+    white image are sampled alike and then divided. A lattice that is not upright and square is resampled to an upright
+    square one, linearly along its rows and between them.
 
     In a Fourier light-field microscope each lens makes a picture of the whole object: each picture is a view, with one
     sample a pixel across the field. Light fields of a microscope with the array in the native image plane are not

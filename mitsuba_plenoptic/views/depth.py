@@ -90,7 +90,7 @@ def depth_map(
     Raises
     ------
     InputError
-        If the light field has no camera, near is not before far, an argument is out of range, a focused camera tells
+        If the light field has no camera, near is not before far, an argument is out of range, a focused camera resolves
         no depth between near and far, or its micro-images are needed and not given, or of another camera.
 
     Examples
@@ -263,9 +263,9 @@ class DepthError:
     Attributes
     ----------
     median, percentile_90 : float
-        Errors of the bins that are sure; NaN if there is none.
+        Errors of the bins with sufficient confidence; NaN if there is none.
     share : float
-        Fraction of the bins with a finite true depth that are sure.
+        Fraction of the bins with a finite true depth whose confidence is sufficient.
     """
 
     median: float

@@ -44,13 +44,13 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     Parameters
     ----------
     white : (rows, columns[, channels]) array
-        A picture of something evenly white. Micro-images must be brighter than what lies between them.
+        A picture of something evenly white. Micro-images must be brighter than the gaps between them.
 
     Returns
     -------
     LensGrid
-        All lenses whose micro-image is centred in the image, in whole rows and columns, so that a rotated lattice
-        has some beyond it.
+        All lenses with a micro-image centred in the image, in whole rows and columns; a rotated lattice has some lenses
+        beyond the image.
 
     Raises
     ------

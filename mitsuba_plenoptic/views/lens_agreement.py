@@ -72,9 +72,8 @@ class LensComparison:
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
-        The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. To be
-        explained is the variance of a bin's samples; the variance between samples of neighbouring lenses is left
-        unexplained. Interpolation reduces both alike.
+        The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. The
+        variance of a bin's samples is to be explained; the variance between neighbouring lenses stays unexplained.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.

@@ -202,9 +202,9 @@ def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
 def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarray, bool]:
     """Return steps along and across the rows from two lattice vectors; rows are chosen nearest to horizontal.
 
-    Rows and the direction across them are at right angles. With a and b the two shortest vectors, these are along a and
-    b in a rectangular lattice. In a hexagonal one, stretched or not, they are along a + b and a - b, or along a and
-    across it, and every second row is shifted; if it is not stretched, there are three such pairs.
+    Rows and columns are at right angles. Let a and b be the two shortest vectors. A rectangular lattice has rows along
+    a and columns along b. A hexagonal lattice, stretched or not, has rows along a + b and columns along a - b, or rows
+    along a; every second row is shifted. Three such pairs exist without stretching.
 
     Shapes: `vectors` (2, 2); the result (2, 2).
     """

@@ -48,8 +48,7 @@ def open_light_field(
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
         `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder with ``parameters.cfg``: one of the
         4D Light Field Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with
-        `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of some plenoptic
-        camera.
+        `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of a plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
         it replaces the computed one; for a raw picture it shows where the micro-images are.
@@ -60,7 +59,7 @@ def open_light_field(
     camera : PlenopticCamera, optional
         The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
     truth : path or bool
-        Ground truth of a capture, for `decode`. True: what the capture names, if it lies in the same folder.
+        Ground truth of a capture, for `decode`. True: the file that the capture names, if it lies in the same folder.
 
     Raises
     ------

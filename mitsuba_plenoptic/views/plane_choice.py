@@ -117,10 +117,9 @@ def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
 def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
     """Return a mask of bins whose true plane may lie beyond the last plane.
 
-    This is so within the tolerance of the first or the last plane, and where no minimum of the disagreement around the
-    chosen plane is closed. For a closed minimum the logarithm of the deviation must rise on both sides, among the
-    comparable planes, by a part of the difference between the chosen plane and the median of all; on a side that ends
-    before incomparable planes, by less.
+    These are bins within the tolerance of the first or the last plane, and bins whose minimum of disagreement is not
+    closed. In a closed minimum the logarithm of the deviation rises on both sides by a part of its difference between
+    the chosen plane and the median of all planes; by less on a side that ends at planes without comparison.
     """
     ratio = found.ratio
     low, high = _around(found.inverse, plane, tolerance)

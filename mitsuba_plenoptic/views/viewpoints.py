@@ -66,7 +66,7 @@ def pick_views(lf: xr.DataArray, count: int) -> xr.DataArray:
     Raises
     ------
     InputError
-        If there are fewer.
+        If the light field has fewer views.
     """
     lf = require_light_field(lf)
     count = require_count("count", count, maximum=min(lf.shape[:2]))

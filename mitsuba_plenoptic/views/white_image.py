@@ -1,8 +1,8 @@
 """White images: computed by rays, as the open fraction of the pupil; recorded ones checked and scaled.
 
-Of a camera `white_image` is the one white capture by rays, and `recorded_white` the one that serves in its place. What
-a method of reconstruction makes of it is `mitsuba_plenoptic.refocus.radiance.white_sums`, its divisor.
-`mitsuba_plenoptic.design.white_mean` is a closed form, for sheets that take no capture.
+`white_image` computes the white capture of a camera by rays; `recorded_white` prepares a recorded one to replace it.
+`mitsuba_plenoptic.refocus.radiance.white_sums` makes the divisor of a reconstruction method from it, and
+`mitsuba_plenoptic.design.white_mean` is a closed form for design sheets.
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ def recorded_white(
     much between microlenses with gaps.
 
     Each lens is judged by its light, the sum over the pixels whose chief rays pass it, over the computed light. For
-    wave captures this ratio is the same as for rays: what diffraction carries to the neighbours, they give back.
+    wave captures this ratio is the same as for rays, as neighbouring lenses exchange equal light by diffraction.
 
     Parameters
     ----------

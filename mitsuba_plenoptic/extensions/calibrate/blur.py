@@ -46,9 +46,9 @@ class Blur:
         Focal lengths in mm of each type of lenses, and standard deviations, including those by the camera's parameters.
     scale : float
         Radius in pixels, in the terms of the data, for each unit of :math:`1 - z/f + z/a`: half of a lens's diameter if
-        they mean the whole disc.
+        the data state radii of the whole disc.
     error : float
-        RMS of what is left of the radii in pixels.
+        RMS residual of the radii in pixels.
     """
 
     focal_lengths: tuple[float, ...]
@@ -158,7 +158,7 @@ class CutBlur:
                 self._means[kind, :, row] = (open_ @ d / np.maximum(open_.sum(1), 1)[:, None]).T / camera.pixel_size
 
     def defocus(self, kind: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`board_view`)."""
+        r"""Return the relative blur :math:`\kappa = 1 - z/f + z/a` of points of given disparities (`boards`)."""
         over = self._z / self._b
         # From lens to lens a point moves by 1 + z/a in the array's plane, and micro-images by 1 + z/b.
         return np.asarray(1 - self._ratios[kind] + over + disparity * (1 + over))

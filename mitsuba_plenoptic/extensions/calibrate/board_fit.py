@@ -73,14 +73,14 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         Provides what the data do not determine: detector, lattice, f-number, focal lengths of the microlenses, models.
         All other parameters are found from the data alone.
     centres : Table, optional
-        Centres of micro-images, fitted jointly: without them pitch and focal length are strongly correlated, and the
-        centres are about where corners are seen.
+        Centres of micro-images, fitted jointly. Without centres, pitch and focal length are strongly correlated, and
+        centres are assumed near the corners.
 
     Raises
     ------
     InputError
-        If the data cannot determine what a camera predicts; the message says what they lack. Parameters that
-        they leave open have wide deviations (`Calibration.open_direction`).
+        If the data cannot determine what a camera predicts; the message says what is lacking. Parameters that the data
+        leave open have wide deviations (`Calibration.open_direction`).
     """
     require_camera(start, "start").require_thin("cameras are calibrated")
     require_no_shape(start, "cameras are calibrated")
@@ -165,7 +165,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     camera : PlenopticCamera
         The camera to evaluate.
     index : LensIndex, optional
-        How the corners count lenses. Default: found from where they lie.
+        Indexing of lenses in the table of corners. Default: found from the positions of the corners.
 
     Raises
     ------
@@ -249,8 +249,8 @@ def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: Len
 def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) -> Problem:
     """Return a problem without centres, constrained so that corners are seen through the pupil and near their centres.
 
-    Over the pupil's image, the rows of one corner spread evenly, and err together: each corner counts once. Pupil and
-    principal point are else so open that the camera's own micro-images may lie some lenses beside the corners.
+    Over the pupil's image, the rows of one corner spread evenly, and err together: each corner counts once. Without
+    this, pupil and principal point could put the camera's micro-images some lenses beside the corners.
     """
     seen = problem.corners.keep(used)
     matrix = np.column_stack([np.ones(len(seen)), seen.lens])
@@ -290,8 +290,8 @@ def _require_matching_pupil(
 ) -> None:
     """Refuse distances in the camera that give pupil images of another size than the observed micro-images.
 
-    Squares that are given s times too large scale the object space by s and that behind the main lens by 1/s along the
-    axis, which explains the corners as well.
+    If squares are stated s times too large, the object space scales by s and the image space by 1/s along the axis,
+    which explains the corners equally well.
     """
     f, b, z = found.numbers[:3]
     radius = z / b * f / (2 * start.f_number) / problem.pixel_size

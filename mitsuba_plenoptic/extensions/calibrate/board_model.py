@@ -12,7 +12,7 @@ through q where
 
 which is linear in t except for the tilt. The detector point is :math:`c - (z + h) t`.
 
-Distances virtual to the array, as in a Galilean camera, need no case of their own.
+Images behind the array, as in a Galilean camera, need no separate case.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Observations:
     board : (n, 2) array
         Position of the corner on its board in mm.
     pose : (n,) array
-        Which pose of the board it is, from 0.
+        Index of the board's pose, from 0.
     """
 
     lens: np.ndarray

@@ -2,7 +2,7 @@ r"""Corners of checkerboards in raw pictures: a sharp view of the board, in whic
 
 With C the centre of a micro-image, a point is seen in it at :math:`p = C + \sigma (C - Q)`: Q is where the point would
 be seen through a lens on the line to the main lens's centre, and :math:`\sigma` its disparity, the same for all points
-of one depth. Both are in pixels of the raw picture and ask for no number of the camera. A view takes each position Q
+of one depth. Both are in pixels of the raw picture and need no parameter of the camera. A view takes each position Q
 from the nearest lenses.
 """
 

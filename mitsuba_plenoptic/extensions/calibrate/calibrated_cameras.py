@@ -83,7 +83,7 @@ def read_camera(source: str | Path) -> tuple[PlenopticCamera, LensIndex | None]:
     -------
     camera : PlenopticCamera
     index : LensIndex or None
-        How the data of its calibration count lenses; None if the file does not say.
+        Indexing of lenses in the data of the calibration; None if the file does not state it.
 
     Raises
     ------
@@ -116,8 +116,8 @@ def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
     """Return the camera of a configuration that libpleno and COMPOTE write (``intrinsics.js``).
 
     COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.
-    The two differ by how far from the array the image lies; the numbers are those that agree in the array's plane. The
-    array's rotation becomes tilt and rotation to first order: it is some 1e-4 rad in a real camera.
+    The two differ unless the image lies in the array's plane, for which the coefficients agree. The array's rotation,
+    some 1e-4 rad in a real camera, becomes tilt and rotation to first order.
     """
     with refusing("it is no configuration of libpleno:", IndexError, OverflowError, *NO_RECORD):
         sensor, mla, lens = values["sensor"], values["mla"], values["main_lens"]

@@ -87,11 +87,11 @@ class Calibration:
         The camera, with the principal point rounded to half a pixel: it is the centre of the full detector, of which
         the crop window is recorded.
     index : LensIndex
-        How the observations count lenses.
+        Indexing of lenses in the observations.
     evaluation : Evaluation
         Residuals and poses.
     numbers, deviations : dict
-        The camera's parameters by the names of `model.NAMES`, and their standard deviations.
+        The camera's parameters by the names of `board_model.NAMES`, and their standard deviations.
     correlation : (17, 17) array
         Correlations of the parameters' errors.
     centre_residuals : (n, 2) array
@@ -107,8 +107,8 @@ class Calibration:
     centre_outliers : (m,) int array
         Rows, from 0, of centres that were not fitted: doubtful ones and those that lie off the others' lattice.
     prediction_deviation : float
-        RMS in pixels by which the parameters' errors displace corners of boards that are turned by 30 degrees from
-        those seen and whose poses are fitted.
+        RMS displacement in pixels, due to errors of the parameters, of corners of boards turned by 30 degrees from the
+        observed ones, with fitted poses.
     """
 
     camera: PlenopticCamera
@@ -159,8 +159,8 @@ class Calibration:
         Returns
         -------
         list of (float, dict)
-            Deviation of the combination over that of parameters that were independent, greatest first; and by how many
-            of its deviations each parameter changes, those that matter.
+            For each combination, greatest first: its deviation over the deviation for independent parameters, and the
+            changes of the parameters that matter, in their own deviations.
         """
         values, vectors = np.linalg.eigh(self.correlation)
         return [
@@ -181,9 +181,9 @@ class ResidualMap:
     by : str
         Property, of `GROUPED_BY`, that a group's observations have in common.
     key : (groups, columns) array
-        Which group it is, with the columns that `GROUPED_BY` names. ``lens``: indices as the data have them, and where
-        the camera has the centre of the micro-image, in pixels; ``field``: middle of a square of the detector, in
-        pixels; ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
+        Identity of the group, with the columns that `GROUPED_BY` names. ``lens``: indices as in the data, and the
+        camera's centre of the micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
+        ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
         Number of observations in each group.
     mean : (groups, 2) array

@@ -1,7 +1,7 @@
 """Corners of a checkerboard in raw pictures of a focused plenoptic camera, as `calibrate` takes them.
 
-OpenCV finds the board in a view of the whole scene (`board_view`). Each corner is then searched in all micro-images
-that should show it, and located in each to a fraction of a pixel (`saddle`); the corners found improve the expected
+OpenCV finds the board in a view of the whole scene (`boards`). Each corner is then searched in all micro-images that
+should show it, and located in each to a fraction of a pixel (`find_saddles`); located corners improve the expected
 positions of the others.
 """
 
@@ -72,8 +72,7 @@ def detect_corners(
     board : Board
         The board, all of which must be in the picture; the size of squares does not matter.
     camera : PlenopticCamera, optional
-        The camera, if it is known: what the main lens's pupil cuts off the microlenses' blur then displaces no corner
-        (`CutBlur`).
+        The camera, if it is known: blur that the main lens's pupil cuts off then displaces no corner (`CutBlur`).
     frame : int
         Number of the picture.
     name : str
@@ -82,13 +81,13 @@ def detect_corners(
     Returns
     -------
     Table
-        As `read_corners` gives it. Corners are counted to the right and then down, as they are seen: a board that has
-        been turned upside down is counted from its other end.
+        As `read_corners` gives it. Corners are counted to the right and then down as seen: a board turned upside down
+        is counted from its other end.
 
     Raises
     ------
     InputError
-        If OpenCV is not there, the picture and the white one do not match, or no board is seen.
+        If OpenCV is missing, the picture and the white picture do not match, or no board is seen.
     """
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
@@ -112,7 +111,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     camera : PlenopticCamera
         The camera, tilted or not.
     index : LensIndex, optional
-        How the table counts lenses. Default: from lens (0, 0) of the camera's lattice.
+        Indexing of lenses in the table. Default: that of the camera's lattice.
     """
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
@@ -223,7 +222,7 @@ def _refined(
 
 
 def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return a function for `find_saddles`: displacements from pixels near corners to the positions that they show."""
+    """Return a function for `find_saddles`: displacements from pixels to the positions that these pixels show."""
     defocus = cut.defocus(kind, disparity)
     return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
 
@@ -254,7 +253,7 @@ def _agreed(
     position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return recomputed position and disparity of each corner, and a mask of the observations that agree with them."""
+    """Return recomputed positions and disparities of corners, and a mask of the observations that agree with both."""
     position, disparity = position.copy(), disparity.copy()
     agreed = np.zeros(len(seen), dtype=bool)
     for index in range(len(position)):

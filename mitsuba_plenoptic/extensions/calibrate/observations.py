@@ -5,7 +5,7 @@ row), ``u, v`` (column and row of the corner in pixels; the centre of the first 
 corner, row by row along the board's columns, from 0) and ``frame`` (index of the picture, one for each pose of the
 board). They may have the column ``rho``: the radius of the corner's blur in pixels, of one sign in front of focus and
 of the other behind it. Centres have ``k, l, u, v``, and may have ``doubtful``: 1 for those that dust or a defect
-displaces, as `white` finds them; a fit leaves these out. Other columns are ignored.
+displaces, as `white_centres` finds them; fits leave doubtful centres out. Other columns are ignored.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Centres of micro-images from a white image, found lens by lens.
 
-`lightfield.estimate_lens_grid` finds the lattice. Each micro-image is then located by its centroid in a disc with a
-soft rim; the disc follows the centroid until both agree, so that the centre of a symmetrical micro-image is found
-wherever it lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
+`views.estimate_lens_grid` finds the lattice. Each micro-image is then located by its centroid in a disc with a soft
+rim; the disc follows the centroid until both agree, so that the centre of a symmetrical micro-image is found wherever
+it lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
 
 Dust on the array or the detector darkens part of a micro-image and displaces its centroid. Such centres are doubtful:
 they lie off their neighbours' lattice, or their light differs from that of the neighbours.
@@ -48,9 +48,9 @@ class Centres:
     pixel : (n, 2) array
         Column and row; the centre of the first pixel is 0.
     light : (n,) array
-        Light of each micro-image over that of the brightest, which falls with vignetting.
+        Light of each micro-image relative to the brightest; it falls with vignetting.
     residuals : (n, 2) array
-        Centres minus those of the grid in pixels: lenses that are displaced, tilt and distortion.
+        Centres minus the grid's centres in pixels: displacements of lenses, tilt and distortion.
     doubtful : (n,) bool array
         Centres that dust or a defect may have displaced: their position or their light differs from that of their
         neighbours by more than six deviations.

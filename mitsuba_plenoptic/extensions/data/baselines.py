@@ -87,7 +87,7 @@ def _images(capture: Capture, **options: Any) -> np.ndarray:
 
 
 def _by_waves(question: Question, *, method: str) -> Answers:
-    """Refocus capture and white capture by waves and divide, which is faster than correcting displacements."""
+    """Return the capture refocused by waves over the white capture refocused alike; displacements stay, for speed."""
     options = {"method": method, "wavelength": WAVELENGTH}
     if method not in question.of_white:
         question.of_white[method] = _images(question.white, **options)

@@ -59,7 +59,7 @@ class Source:
     scene: str | None
     # How often it is chosen, in proportion to those of the others.
     share: float
-    # The generator's settings or the scene's parameters, parsed by `draws.parse`.
+    # The generator's settings or the scene's parameters, parsed by `parse`.
     values: Mapping[str, Any]
     # Of the scene's lengths.
     unit: str = "mm"
@@ -102,7 +102,7 @@ class Recipe:
     variant : str
         Mitsuba variant.
     camera, light, noise, ray, wave : dict
-        Sections, parsed by `draws.parse`. No noise: None.
+        Sections, parsed by `parse`. No noise: None.
     scenes : tuple of Source
         Sources of the scenes.
     truth : tuple of str
@@ -142,7 +142,7 @@ class Recipe:
         Raises
         ------
         InputError
-            If a value is out of range for what it is of.
+            If a value is out of range.
         """
         shares = np.cumsum([source.share for source in self.scenes])
         chosen = int(

@@ -111,7 +111,7 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     Raises
     ------
     InputError
-        If the recipe asks for what cannot be rendered.
+        If the sample cannot be rendered.
     """
     plan = recipe.plan(index)
     scene = open_sample(recipe, plan)

@@ -49,7 +49,7 @@ class CellSet:
         return np.stack([np.arange(len(self)) - self.start[row] + self.first[row], row + self.top], axis=-1)
 
     def find(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the positions in this set of cells (..., 2); the set's length for cells outside."""
+        """Return the number in this set of each cell I, J (..., 2); the length of the set for cells outside."""
         row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
         inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
@@ -104,7 +104,7 @@ class BinCells:
 
     @cached_property
     def bins(self) -> tuple[int, int]:
-        """Number of bins of a cell along x and y; a bin is at most the pitch along the rows over `oversample` wide."""
+        """Number of bins of a cell along x and y; a side is at most the pitch along the rows over `oversample`."""
         height = float(self.vectors[1, 1]) / self.camera.mla_pitch
         return self.oversample * self._types, math.ceil(self.oversample * height * (1 - 1e-9))
 

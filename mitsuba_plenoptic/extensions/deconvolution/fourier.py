@@ -135,7 +135,7 @@ class FourierResponse(StoredResponse):
 
     @property
     def _phases(self) -> list[tuple[slice, slice]]:
-        """First bins of each position within a pixel."""
+        """Slices of the bins, by rows and columns, that lie at the same position within their pixels."""
         starts = [slice(start, None, self._oversample) for start in range(self._oversample)]
         return list(itertools.product(starts, starts))
 
@@ -236,7 +236,7 @@ def _over_bins(spread: NDArray[np.float32], width: int, axis: int) -> NDArray[np
 
 
 def _over_pixels(parts: NDArray[np.float32], count: int, start: int, axis: int) -> NDArray[np.float32]:
-    """Return sums over pixels of parts of pixels, for a bin `start` parts farther; one pixel more than there are."""
+    """Return sums over pixels, each of `count` parts, of parts moved on by `start`; one pixel is added."""
     before = [(0, 0), (0, 0)]
     before[axis] = (start, count - start)
     padded = np.pad(parts, before)

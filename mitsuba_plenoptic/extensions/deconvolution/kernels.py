@@ -230,7 +230,7 @@ class PlaneResponse:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: its blocks, steps and member cells, and the cells that light these."""
+    """A zone on the backend's device: its blocks, steps and member cells, and the cells that light the members."""
 
     blocks: list[SampleBlock]
     steps: list[Any]
@@ -239,6 +239,6 @@ class _Placed:
 
 
 def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> Iterator[Result]:
-    """Yield the results of zones in order, computed on all cores; a CUDA device takes its work from one."""
+    """Yield the results of zones in order, computed by threads on all cores, or by one thread for a CUDA device."""
     with single_threaded_blas(), ThreadPoolExecutor(1 if backend().is_cuda else worker_count()) as pool:
         yield from pool.map(work, zones)

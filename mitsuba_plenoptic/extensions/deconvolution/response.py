@@ -287,7 +287,7 @@ class Response(StoredResponse):
             ]
 
     def _prepared(self, groups: Sequence[NDArray[np.int64]], steps: float) -> float:
-        """Return the part of the time that point spreads take, compared with some steps of an inversion."""
+        """Return the fraction that point spreads take of the time of an inversion of some steps."""
         spreads = products = 0.0
         for distance in self._distances:
             batches = self._batches(self.cells, distance, self._middle(groups[0]))

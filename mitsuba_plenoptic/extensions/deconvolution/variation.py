@@ -140,7 +140,7 @@ def _differences(cells: BinCells, lit: CellSet) -> Differences:
 
 
 def _steps(neighbours: list[tuple[NDArray[np.int64], NDArray[np.float64]]], scale: float) -> sparse.csr_matrix:
-    """Return the matrix of differences from every bin to a mean of others; bins that lack one of them have none."""
+    """Return the matrix of differences from every bin to a mean of neighbours; 0 for bins without all neighbours."""
     count = len(neighbours[0][0])
     bins = np.arange(count)
     whole = np.all([(number >= 0) | (share == 0) for number, share in neighbours], axis=0)

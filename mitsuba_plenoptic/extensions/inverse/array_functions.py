@@ -84,7 +84,7 @@ class Latest:
     equal : callable
         Whether two arrays of this library are equal.
     taken : callable
-        What the function takes, of an array of this library.
+        Function that converts an array of this library into an argument of `function`.
     """
 
     def __init__(

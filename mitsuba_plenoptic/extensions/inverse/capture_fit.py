@@ -66,14 +66,13 @@ def fit(
     Parameters
     ----------
     camera : PlenopticCamera
-        Where to start; the parameters that are not fitted are right. It must be near: spots of the model that do not
-        overlap those of a capture by more than their width do not find them. `lattice_from_white` brings a lattice
-        near.
+        The start of the fit; parameters that are not fitted keep its values. The start must be so near that spots of
+        the model overlap those of the captures; `lattice_from_white` brings a lattice near.
     views : View, or sequence of View
         Captures by one camera, and their light.
     names : str or iterable of str
-        Names of the parameters that are fitted, those by which captures are differentiated, as for
-        `CaptureOperator.derivative`; a single part of one has its index from 1, as ``wavefront.5``.
+        Names of the fitted parameters, which must have derivatives (see `CaptureOperator.derivative`); a single
+        component has its index from 1, as in ``wavefront.5``.
     wavelength : float
         Wavelength in nanometres.
     photons : float, optional

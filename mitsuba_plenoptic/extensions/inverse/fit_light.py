@@ -192,7 +192,7 @@ class View:
     Raises
     ------
     InputError
-        If an input has a wrong shape or value: weights are not negative, nor all zero.
+        If an input has a wrong shape or value; weights must not be negative or all zero.
     """
 
     image: NDArray[np.float32]

@@ -63,11 +63,11 @@ class Fit:
         be separated.
     at_bounds : dict
         Parameters that lie at a bound, nearer than a hundredth of their deviation: by name "lowest" or "highest". Their
-        deviations are one-sided: how far inside the bound the sum of the weighted squares is larger by 1, with the
-        others fitted anew. Those of the others hold them at the bound.
+        deviations are one-sided: the distance from the bound at which the weighted squares sum to 1 more, with the
+        other parameters fitted anew. Other deviations hold for parameters fixed at the bound.
     chi_square, chi_square_deviation : float
-        Sum of the weighted squared residuals over what is expected of it, and its standard deviation: 1 where the
-        model and the noise are right.
+        Sum of the weighted squared residuals over its expectation, and its standard deviation: 1 where the model and
+        the noise are right.
     pixels : int
         Number of pixels that are neither masked nor saturated.
     steps : int
@@ -150,7 +150,7 @@ def summary(
 
 
 def _one_sided(rows: NDArray[np.float64], slope: NDArray[np.float64], which: Sequence[int]) -> NDArray[np.float64]:
-    """Return the distance of parameters from their bound at which the sum of squares is larger by 1."""
+    """Return the distances of parameters from their bounds at which the sum of squares is larger by 1."""
     information = np.linalg.pinv(rows.T @ rows)
     steep = np.abs(slope[list(which)])
     return np.asarray(1 / (steep + np.sqrt(steep**2 + 1 / np.diag(information)[list(which)])))

@@ -65,7 +65,7 @@ def fit_layers(
     Raises
     ------
     InputError
-        If an input is out of range, captures and positions are not as many, a capture has other channels than the
+        If an input is out of range, the numbers of captures and positions differ, a capture has other channels than the
         planes, or the variant has no derivatives.
     """
     refuse_if(

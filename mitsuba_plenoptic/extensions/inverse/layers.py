@@ -34,7 +34,7 @@ class Layers:
     Parameters
     ----------
     depths : sequence of float
-        The z of each plane, increasing. The planes are seen by what looks along +z, as sensors do that are not turned.
+        The z of each plane, increasing. The planes are visible to sensors that look along +z, as unrotated sensors do.
     widths : sequence of float
         Width of each plane, in scene units.
     radiance : array (planes, rows, columns) or (planes, rows, columns, channels)

@@ -41,13 +41,13 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     Returns
     -------
     PlenopticCamera
-        The same with the lens as it then is. Its origin is the moved lens's front principal plane.
+        The camera with the changed lens; its origin is the front principal plane of the changed lens.
 
     Raises
     ------
     InputError
-        If the camera has no such lens, the group does not exist, its surfaces would cross others, or there is no room
-        for it at which the distance is in focus; where there are several, the one nearest to where it stands is taken.
+        If the camera has no such lens, the group does not exist, its surfaces would cross others, or no position of the
+        group focuses the distance. Of several positions, the nearest to the present one is taken.
     """
     lens = camera.prescription
     if lens is None:

@@ -108,7 +108,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 
     @property
     def _finer(self) -> int:
-        """Ratio of direction steps: between neighbouring nodes, over between neighbouring pairs of the far table."""
+        """Ratio of two steps of direction: of neighbouring nodes to neighbouring pairs of the far table."""
         lenses = min(max(_FAR_WIDTHS * self.width, _FAR[0]), _FAR[1])
         return max(1, math.ceil(lenses / (NEAR * self.stride) - 0.3))
 

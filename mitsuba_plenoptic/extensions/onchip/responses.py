@@ -381,7 +381,7 @@ class ResponseCapture(SignedCapture):
         return partial(ResponseSum, self.camera, light, nodes, spp=spp, seed=seed)
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:
-        """Return no channels to mend: noise of few rays exceeds the light nearby, so that negative pixels remain."""
+        """Return no channels to mend: negative pixels stay, as the noise of few rays exceeds the light around them."""
         return {}
 
 

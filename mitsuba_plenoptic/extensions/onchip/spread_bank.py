@@ -154,9 +154,9 @@ def _reach(
 def _around(
     camera: PlenopticCamera, position: NDArray[np.float64], count: int
 ) -> tuple[PlenopticCamera, NDArray[np.float64], tuple[float, float]]:
-    """Return the camera of the lenses around a position, the middle of the lens's pixels, and the lens's centre.
+    """Return a crop of the camera around the lens at a position, the middle of its pixels, and the lens's centre.
 
-    Lenses aligned to chief rays are all shifted alike there.
+    All lenses of the crop that are aligned to chief rays are shifted alike.
     """
     width = ACROSS * camera.pixel_size
     offset = np.array(camera.mla_offset)

@@ -40,7 +40,7 @@ class EdgeSharpness:
     upright : bool
         Whether the edge is nearer to the columns.
     length : int
-        Rows, or columns of an edge that is nearer to the rows, that were used.
+        Number of rows used; of columns, for an edge that is nearer to the rows.
     width : float
         Distance in pixels from 10 to 90 per cent of the edge's height.
     mtf50 : float

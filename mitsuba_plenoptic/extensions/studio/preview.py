@@ -84,11 +84,11 @@ class Proposal:
     distance : float
         Distance of the plane in focus, in the scaled scene.
     mla_distance : float
-        Distance from main lens to MLA for it.
+        Distance from main lens to MLA for this focus.
     scale : float
         Factor for all lengths of the scene; 1 if only the focus is to change.
     pose : mitsuba.ScalarTransform4f or None
-        Position of the camera in the scene before it is scaled; None for its own.
+        Position of the camera in the unscaled scene; None for the present position.
     """
 
     distance: float

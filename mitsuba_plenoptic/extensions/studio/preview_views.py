@@ -146,7 +146,7 @@ class LensView(PreviewView):
         return np.asarray(blur <= camera.mla_pitch)
 
     def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field at a distance, which grow with it, in mm."""
+        """Return width and height of the field in mm, which grow with the distance."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size

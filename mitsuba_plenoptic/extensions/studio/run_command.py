@@ -126,7 +126,7 @@ def _require_outputs_apart(file: Path, steps: list[RunStep]) -> None:
 
 
 def _settings(step: RunStep, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return everything on which a step depends, except the files it reads, but with the files that scenes name."""
+    """Return the settings of a step, and hashes of its scenes and of the files that scenes name; no other inputs."""
     # Brings libraries that take a while to load.
     from ...report.stage_store import scene_fingerprint
 

@@ -35,7 +35,7 @@ def read_source(
         ``.exr``: a capture, a focal stack, a reconstruction or a depth map of this package. Other suffixes: what
         `open_light_field` reads.
     white, views, linear, camera
-        As for `open_light_field`; of no use for what was computed of a light field.
+        As for `open_light_field`; refused for results computed from light fields.
 
     Raises
     ------

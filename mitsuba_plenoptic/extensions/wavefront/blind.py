@@ -5,7 +5,7 @@ A capture of zones z whose points have the weights :math:`w_z`, behind wavefront
 .. math:: I = \sum_z A(a_z) \, w_z .
 
 Both are unknown (blind deconvolution). Steps of Richardson and Lucy's method, which change the weights and keep them
-positive, alternate with steps of a fit, which change the terms (see `search`).
+positive, alternate with steps of a fit, which change the terms (see `zone_search`).
 
 A tilt of the wavefront is equivalent to a shift of the object, and defocus to another object distance: one capture
 cannot separate them, so these terms are held fixed. Nor can it separate a wavefront from an object without structure,

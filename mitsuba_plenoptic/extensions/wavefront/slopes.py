@@ -55,7 +55,7 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
     """Return slopes measured in the views of a capture: the centroid of the lenses lit from each pupil point.
 
     The slopes are those of geometrical optics, for light that spreads over several lenses. They saturate where light
-    stays within one lens, and coarse pixels make them some percent small. They start `fit_wavefronts`.
+    stays within one lens, and coarse pixels make them some percent too small. They start `fit_wavefronts`.
 
     Parameters
     ----------
