@@ -12,7 +12,6 @@ from scene_cases import letters
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera
-from mitsuba_plenoptic.prescription.lens_file import write_prescription
 from mitsuba_plenoptic.refocus import Volume, write_reconstruction, write_volume
 from mitsuba_plenoptic.views.light_field_files import save_light_field
 from mitsuba_plenoptic.views.mosaics import write_mosaic
@@ -246,7 +245,6 @@ WRITERS = {
     "lf.mat": lambda path: save_light_field(path, LIGHT_FIELD),
     "lf.png": lambda path: write_mosaic(path, LIGHT_FIELD),
     "c.csv": lambda path: mp.calibration.write_corners(path, dict.fromkeys(CORNERS, np.arange(3000))),
-    "lens.yaml": lambda path: write_prescription(path, PlenopticCamera.preset("paper_double_gauss").prescription),
 }
 CORNERS = ("k", "l", "u", "v", "cluster", "frame")
 NEEDS = {"lf.mat": "raw", "c.csv": "calibrate"}

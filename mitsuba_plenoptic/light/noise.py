@@ -114,7 +114,7 @@ class Mended:
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
     def _spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of squares at their pixels."""
+        """Return an image in which each pixel has the value of its square."""
         rows, columns = self._light.shape
         return values.repeat(2, 0)[:rows].repeat(2, 1)[:, :columns]
 

@@ -8,11 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ..errors import NO_RECORD, InputError, refusing
 from ..extension import format_of, place
-from ..runtime.files import read_yaml, require_file, write_text
+from ..runtime.files import read_yaml, require_file
 from . import BUNDLED, Prescription, bundled_prescription
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
 from .lens_data import LensData, known_kind
@@ -78,16 +76,3 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
 def lens_from_plain(value: Any) -> LensData:
     """Return the main lens of plain data: a prescription, unless an entry marks another kind."""
     return known_kind(value, Prescription).from_plain(value)
-
-
-def write_prescription(path: str | Path, lens: Prescription) -> None:
-    """Write a main lens as a YAML file, for `read_prescription`.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    lens : Prescription
-        The lens.
-    """
-    write_text(path, yaml.safe_dump(lens.to_plain(), sort_keys=False), ".yaml", ".yml", ".json")

@@ -75,7 +75,7 @@ def _slopes(camera: PlenopticCamera, u: NDArray, wavelength: float) -> NDArray[n
 
 
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
-    """Draw a section of the lens, with rays parallel to the axis that end half the detector distance behind it."""
+    """Draw a section of the lens, with rays parallel to the axis to half the detector distance beyond the detector."""
     half = float(camera.lattice.aperture_width) / 2
     start = np.linspace(-1, 1, _RAYS) * half * 0.98
     sine = _slopes(camera, start, wavelength) / camera.mla_medium

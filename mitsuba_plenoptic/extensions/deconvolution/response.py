@@ -334,7 +334,7 @@ class Response(StoredResponse):
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
-        """Number of cells, and of bins in each, for each plane."""
+        """For each plane, the number of cells and the number of bins in a cell."""
         return [plane.shape for plane in self.planes]
 
     def variation(self) -> TotalVariation:

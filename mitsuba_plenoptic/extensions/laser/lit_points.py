@@ -169,7 +169,7 @@ class LaserScene:
     def _pupil_images(
         self, middle: NDArray[np.float64], half: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Return where chief rays of points that recorded lenses see through the whole pupil meet the array."""
+        """Return array positions of the chief rays of all points that recorded lenses can see through the pupil."""
         position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
         radius, angle = self.system.lens.reach * np.sqrt(rng.random(_SEARCH)), 2 * math.pi * rng.random(_SEARCH)
         return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
