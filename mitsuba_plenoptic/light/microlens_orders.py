@@ -338,9 +338,10 @@ class VaryingArrayFactor:
     def at(self, *coordinates: Any) -> Any:
         """Return the factor at Dr.Jit float64 coordinates along its axes, as Complex2f."""
         numbers: dict[ArrayParameter, Any] = {}
-        for axis, place, period in zip(self.axes, coordinates, self._periods, strict=True):
+        periods = self.lattice.period(len(self.focal_lengths))
+        for axis, place in zip(self.axes, coordinates, strict=True):
             pitch = self.lattice.pitches[axis]
-            numbers[ArrayParameter("position", axis)] = (place - self.lattice.offset[axis]) / period
+            numbers[ArrayParameter("position", axis)] = (place - self.lattice.offset[axis]) / periods[axis]
             numbers[ArrayParameter("width", axis)] = self.lattice.aperture_widths[axis] / pitch
             for lens_type, length in enumerate(self.focal_lengths):
                 area = in_millimetres(self.wavelength) * length
@@ -352,11 +353,6 @@ class VaryingArrayFactor:
                 change = array_types(value.real).Float(number - dr.detach(number))
                 value = value + self.factor.at(*places, parameter=parameter) * change
         return value
-
-    @property
-    def _periods(self) -> list[Any]:
-        periods = self.lattice.period(len(self.focal_lengths))
-        return [periods[axis] for axis in self.axes]
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:

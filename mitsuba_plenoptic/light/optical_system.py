@@ -70,7 +70,7 @@ class OpticalSystem:
     @cached_property
     def lens(self) -> MainLens:
         """Main lens of the camera, for waves and rays; see `MainLens` for its methods."""
-        return _wave_lens(self.camera, self.wavelength, self.lens_model or self.camera.lens_model)
+        return _wave_lens(self.camera, self.wavelength, model=self.lens_model or self.camera.lens_model)
 
     def waves_of(self, points: NDArray[np.float64]) -> MainLens:
         """Return the main lens for wave propagation from scene points (n, 3).
@@ -96,7 +96,5 @@ class OpticalSystem:
         return self.lens.waves_of_one(point)
 
 
-@functools.lru_cache(maxsize=4)
-def _wave_lens(camera: PlenopticCamera, wavelength: float, lens_model: str) -> MainLens:
-    """Return the main lens of a camera for waves; the last few are cached, as fits are slow."""
-    return main_lens(camera, wavelength, model=lens_model)
+# Fits of exit pupils are slow.
+_wave_lens = functools.lru_cache(maxsize=4)(main_lens)

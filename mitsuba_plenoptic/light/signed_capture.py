@@ -103,7 +103,7 @@ class SignedCapture:
         items = int(first.items.sum())
         if runs == 1:
             sums = [lambda: first]
-        tasks = [SumTask(items, plan, partial(_part, runs)) for plan in sums]
+        tasks = [SumTask(items, plan, lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task) for task in tasks]
         channels = self.colours.spectrum.channels
@@ -139,11 +139,6 @@ class SignedCapture:
         alike = [replace(node, plan=longest[node.plan.system.lens.refraction]) for node in self.nodes]
         seconds, memory = self.sums(spp, seed, 1, SignedRaySum, nodes=alike)[0]().cost()
         return Cost(0, 0, seconds, memory)
-
-
-def _part(runs: int, image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the contribution of one of `runs` captures to their mean."""
-    return image * np.float32(1 / runs)
 
 
 class SignedRayAdjoint(SignedRaySum):

@@ -6,7 +6,7 @@ import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ..errors import NO_RECORD, InputError, refusing
 from ..extension import format_of, place
@@ -43,8 +43,7 @@ def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensDa
     if text in BUNDLED or not there:
         return bundled_prescription(text)
     if (found := format_of(path.suffix.lower(), "lens", str(path))) is not None:
-        lens: LensData = place(*found)(path)
-        return lens
+        return cast(LensData, place(*found)(path))
     try:
         return lens_from_plain(read_yaml(require_file(path)))
     except InputError as error:

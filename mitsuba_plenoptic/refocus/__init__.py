@@ -1,7 +1,6 @@
 """Reconstruction of refocused images from one capture, by the ray model and by the wave model.
 
-A new method is a new module with a function that `methods.method` registers: imported here, or named by the record of
-an extension.
+A new method is a module with a function that `methods.method` registers, imported here or named by an extension.
 """
 
 from typing import Any

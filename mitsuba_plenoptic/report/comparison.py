@@ -98,23 +98,22 @@ _COHERENT = ("coherent", "partial")
 def measure(experiment: Experiment) -> dict[str, Any]:
     """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
     ray, wave = experiment.ray.image, experiment.wave.image
+    middle = middle_of_micro_images(experiment.camera)
+    pixels = {"all": None, "middle": middle, "rim": ~middle}
     return {
         "captures": {
             **rounded(image_metrics(ray, wave)),
             "relative_error": round(relative_error(ray, wave), 5),
-            "difference": _difference(experiment),
+            "difference": {
+                name: rounded(capture_difference(experiment.ray, experiment.wave, where))
+                for name, where in pixels.items()
+            },
             "points": _against_points(experiment),
         },
         "reconstructions": _reconstructions(experiment),
         "interference": _interference(experiment),
         "edges": _edges(experiment),
     }
-
-
-def _difference(experiment: Experiment) -> dict[str, Any]:
-    middle = middle_of_micro_images(experiment.camera)
-    pixels = {"all": None, "middle": middle, "rim": ~middle}
-    return {name: rounded(capture_difference(experiment.ray, experiment.wave, where)) for name, where in pixels.items()}
 
 
 def _against_points(experiment: Experiment) -> dict[str, float] | None:

@@ -202,10 +202,15 @@ def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Wi
         if "interference" in row:
             metrics.append(["Interference", f"{row['interference']:.1%}"])
         facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = metrics
+
+    def png(name: str, distance: float) -> str:
+        shown = Image.fromarray(to_bytes(window.of(experiment.image(name, distance)), peak))
+        return data_url("png", encoded(shown, format="PNG", optimize=True))
+
     return {
         "distances": [float(f"{distance:g}") for distance in distances],
         "images": {
-            name: {f"{distance:g}": _png(window.of(experiment.image(name, distance)), peak) for distance in distances}
+            name: {f"{distance:g}": png(name, distance) for distance in distances}
             for name in ("truth", *SLIDER_METHODS)
         },
         "facts": facts,
@@ -227,7 +232,3 @@ def _webp(image: np.ndarray, peak: float) -> str:
         if len(content) <= _CAPTURE_BYTES:
             break
     return data_url("webp", content)
-
-
-def _png(image: np.ndarray, peak: float) -> str:
-    return data_url("png", encoded(Image.fromarray(to_bytes(image, peak)), format="PNG", optimize=True))

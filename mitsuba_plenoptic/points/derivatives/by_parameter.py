@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
 from functools import cache, partial
 from typing import Any
@@ -55,7 +54,7 @@ class _VaryingPath(dr.CustomOp):
         moments = np.zeros((size, size))
         for first in range(0, len(gradient), _BLOCK):
             block = slice(first, first + _BLOCK)
-            across, up = (_powers(values[block] / self._radius, size) for values in (x, y))
+            across, up = (np.vander(values[block] / self._radius, size, increasing=True).T for values in (x, y))
             moments += (across * gradient[block]) @ up.T
         unit = in_millimetres(WAVEFRONT_UNIT)
         found = np.array([unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials])
@@ -63,14 +62,6 @@ class _VaryingPath(dr.CustomOp):
 
     def name(self) -> str:
         return "aberrations"
-
-
-def _powers(values: NDArray[Any], count: int) -> NDArray[np.float64]:
-    """Return the powers 0 ... count - 1 of some values, (count, n)."""
-    result = np.ones((count, len(values)))
-    for lower, power in itertools.pairwise(result):
-        np.multiply(lower, values, out=power)
-    return result
 
 
 WAVELENGTH = "wavelength"
