@@ -71,8 +71,8 @@ class Extension:
         functions of a camera, its light, the colours and the accuracy, which return their wave capture.
     methods : mapping of str to str
         Methods of reconstruction, and the modules that register them by `refocus.methods.method`.
-    lenses : tuple of str
-        Modules that register main lenses by `lenses.common.builds`.
+    lenses : mapping of str to str
+        Kinds of main lenses, and the modules that register them by `lenses.common.builds`.
     cameras : mapping of str to str
         Programs whose JSON files of cameras are read, and the places of functions of such a file's object that return
         the camera.
@@ -93,7 +93,7 @@ class Extension:
     plugins: Mapping[str, str] = field(default_factory=dict)
     captures: Mapping[str, str] = field(default_factory=dict)
     methods: Mapping[str, str] = field(default_factory=dict)
-    lenses: tuple[str, ...] = ()
+    lenses: Mapping[str, str] = field(default_factory=dict)
     cameras: Mapping[str, str] = field(default_factory=dict)
     displays: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, FileFormat] = field(default_factory=dict)
@@ -154,8 +154,7 @@ class Displayed:
 def register(kind: str) -> None:
     """Import the modules listed under ``methods`` or ``lenses`` of the records, which register themselves."""
     for package, record in installed().items():
-        modules = getattr(record, kind)
-        for module in modules.values() if isinstance(modules, Mapping) else modules:
+        for module in getattr(record, kind).values():
             importlib.import_module(f"{package}.{module}")
 
 

@@ -64,7 +64,7 @@ def test_all_that_records_name_is_there():
     for package, record in installed().items():
         for module, names in record.names.items():
             assert all(hasattr(importlib.import_module(f"{package}.{module}"), name.split(".")[-1]) for name in names)
-        for module in [*record.plugins, *record.methods.values(), *record.lenses]:
+        for module in [*record.plugins, *record.methods.values(), *record.lenses.values()]:
             importlib.import_module(f"{package}.{module}")
         for kind in ("parameters", "responses", "presets", "captures", "cameras"):
             for text in getattr(record, kind).values():
