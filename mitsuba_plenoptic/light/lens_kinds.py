@@ -237,12 +237,12 @@ class LensKinds:
 
     def number(self, i: Any, j: Any, height: Any) -> Any:
         """Return the index of each lens's kind."""
-        camera = self.camera
-        kind = mi.UInt32(camera.lattice.lens_type(i, j)) if len(camera.mla_focal_lengths) > 1 else mi.UInt32(0)
+        camera, types = self.camera, len(self.camera.mla_focal_lengths)
+        kind = dr.minimum(mi.UInt32(camera.lattice.lens_type(i, j)), types - 1) if types > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
-            kind += len(camera.mla_focal_lengths) * _nearest(irregularities(camera, i, j)[2], self._ratios)
+            kind += types * _nearest(irregularities(camera, i, j)[2], self._ratios)
         if len(self._heights) > 1:
-            kind += len(camera.mla_focal_lengths) * len(self._ratios) * _nearest(height, self._heights)
+            kind += types * len(self._ratios) * _nearest(height, self._heights)
         return kind
 
     @property

@@ -226,9 +226,8 @@ class SignedRaySum:
                     own = np.moveaxis(np.stack([v[few] for v in values], axis=1), 0, 2)
                     if not own.any():
                         continue
-                    combined = self._combined(kernels, own, cosines[:, few], number)
                     # Row by row, which takes a fraction of the time of a sum with columns of a matrix.
-                    for row, part in zip(total, combined, strict=True):
+                    for row, part in zip(total, self._combined(kernels, own, cosines[:, few], number), strict=True):
                         np.add.at(row, some[few], part)
 
     def _combined(

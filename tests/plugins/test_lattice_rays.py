@@ -383,3 +383,20 @@ def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
         monkeypatch.setattr("mitsuba_plenoptic.refocus.splatting._MOST_TAPS", most)
         images.append(reconstruct(image, 225.0, camera=camera, oversample=3).image)
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5)
+
+
+def test_lengths_beyond_all_measure_are_captured_in_the_dark(python):
+    """Indices of lenses that floats cannot hold once led to focal lengths that are in nobody's memory."""
+    made = python("""
+    import mitsuba as mi
+    mi.set_variant("llvm_ad_mono")
+    import mitsuba_plenoptic as mp
+    camera = mp.PlenopticCamera(
+        focal_length=1e-9, aperture_radius=1e-9, mla_distance=1e9, mla_focal_length=(0.512, 0.6144, 0.4655),
+        mla_pitch=1.5e-8, detector_distance=0.512, detector_width=1e9, resolution=(63, 1), mla_fill=0.16,
+        mla_lattice="hexagonal",
+    )
+    scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
+    assert mp.render_capture(scene, spp=1).image.shape == (1, 63)
+    """)
+    assert made.returncode == 0, made.stderr

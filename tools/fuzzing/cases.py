@@ -203,7 +203,7 @@ KINDS = tuple(
         ! refocus(light_field(), $not_distance)
         ! focal_stack(light_field(), <<[] | [240.0], method='magic' | [240.0], method=None>>)
         ! shift_and_add(light_field(), <<$not_place | None>>)
-        ! depth_map(light_field(), planes=<<$not_count | 1 | 2 | 10**6>>)
+        ! depth_map(light_field(), planes=<<$not_place | $not_positive | $not_whole | 1 | 2 | 10**6>>)
         ! depth_map(light_field(), near=<<$not_place | 400>>, far=300)
         ! view(light_field(), v=$not_place)
         ! pick_views(light_field(), <<$not_count | 1000>>)
