@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..errors import refuse_if
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
@@ -39,6 +40,9 @@ frequencies that the grid cannot represent."""
 
 _COUNTED = 256
 """Largest side in pixels of the square on which lenses that light a pixel are counted."""
+
+_MOST_LENSES = 2**12
+"""Most lenses that may light a pixel; each takes kernels and rays of its own."""
 
 _CELLS = 64
 """Number of strips of a window, and of cells of a strip."""
@@ -204,7 +208,10 @@ class Draws:
         beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
         apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
-        return camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
+        found = camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
+        many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses light a pixel"
+        refuse_if(len(found) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
+        return found
 
     @cached_property
     def _steps(self) -> list[Any]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from .. import report
 from ..errors import refuse_if
@@ -84,29 +83,15 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
     }
     white = drawing.brightness.peak([lf.values])
     picture = view_mosaic(lf)
-    _write(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
-
-
-def write_photodiodes(
-    path: str | Path, halves: xr.DataArray, names: NDArray[np.str_], drawing: Drawing = _AUTOMATIC
-) -> None:
-    """Write the pictures of photodiodes, named by row and column, and their sum, as parts or side by side."""
-    white = drawing.brightness.peak([halves.values])
-    total = np.asarray(halves.sum(("v", "u")).values)
-    pictures = {name: np.asarray(halves.values[j, i]) for (j, i), name in np.ndenumerate(names)}
-    picture = view_mosaic(halves)
-    parts = _images(**pictures, sum=total)
-    _write(
-        path, "photodiodes", halves, parts, picture, white, drawing, lambda: report.figures.views_figure(halves, white)
-    )
+    write_drawn(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
 
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
     """Write an epipolar image; a PNG is enlarged."""
     values = np.asarray(image.values)
     white = drawing.brightness.peak([values])
-    parts = _images(epipolar=values)
-    _write(
+    parts = parts_of(epipolar=values)
+    write_drawn(
         path,
         "epipolar image",
         image,
@@ -123,8 +108,8 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
     white = drawing.brightness.peak([stack.values])
     picture = _tiled(list(images.values()))
-    parts = _images(**images)
-    _write(
+    parts = parts_of(**images)
+    write_drawn(
         path, "focal stack", stack, parts, picture, white, drawing, lambda: report.figures.stack_figure(stack, white)
     )
 
@@ -173,12 +158,11 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     picture = np.concatenate(maps, axis=1)
-    _write(
-        path, "depth", found, _images(**parts), picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white)
-    )
+    own = parts_of(**parts)
+    write_drawn(path, "depth", found, own, picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white))
 
 
-def _write(
+def write_drawn(
     path: str | Path,
     kind: str,
     data: xr.DataArray | xr.Dataset,
@@ -206,7 +190,7 @@ def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 
-def _images(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+def parts_of(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
     """Return images as parts of a file, one image per part."""
     return {name: image_channels(image) for name, image in images.items()}
 

@@ -252,3 +252,10 @@ def test_plans_are_the_same_in_another_process():
     plan = PhaseSpace(PlenopticCamera(), 550.0, degree=2)
     other = pickle.loads(pickle.dumps(plan))
     assert np.array_equal(plan.kernels(0.002, 0.08), other.kernels(0.002, 0.08))
+
+
+def test_thousands_of_lenses_before_a_pixel_are_refused():
+    camera = PlenopticCamera(aperture_radius=2000.0, detector_width=0.128, resolution=(64, 64))
+    scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
+    with pytest.raises(InputError, match=r"aperture_radius = 2000: \d{4,} lenses light a pixel; waves of scenes"):
+        render_capture(scene, model="wave", spp=1)

@@ -47,15 +47,24 @@ def dual(
 
       mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
     """
+    import numpy as np
+
     from ...io.captures import read_capture
-    from ...report.output_files import require_picture_path, write_photodiodes
+    from ...report.figures import views_figure
+    from ...report.output_files import parts_of, require_picture_path, write_drawn
     from ...runtime.files import require_apart
+    from ...views.viewpoints import view_mosaic
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
     drawing = drawing_of(exposure, percentile, scale, figure, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
-    write_photodiodes(output, halves, photodiode_names(halves), drawing)
+    white = drawing.brightness.peak([halves.values])
+    pictures = {name: halves.values[j, i] for (j, i), name in np.ndenumerate(photodiode_names(halves))}
+    parts = parts_of(**pictures, sum=halves.sum(("v", "u")).values)
+    write_drawn(
+        output, "photodiodes", halves, parts, view_mosaic(halves), white, drawing, lambda: views_figure(halves, white)
+    )
     views, lenses = (f"{halves.sizes[x]} x {halves.sizes[y]}" for x, y in (("u", "v"), ("s", "t")))
     typer.echo(f"{output}: {views} pictures of {lenses} lenses")

@@ -287,6 +287,7 @@ def test_mistakes():
 
 def test_jax_that_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "jax", None)
-    monkeypatch.delitem(sys.modules, "mitsuba_plenoptic.jax")
+    for name in ("mitsuba_plenoptic.jax", "mitsuba_plenoptic.extensions.inverse.jax"):
+        monkeypatch.delitem(sys.modules, name)
     with pytest.raises(InputError, match=r"^mitsuba_plenoptic\.jax needs the package jax: pip install"):
         importlib.import_module("mitsuba_plenoptic.jax")

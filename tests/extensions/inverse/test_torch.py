@@ -562,6 +562,7 @@ def test_mistakes():
 
 def test_torch_that_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.delitem(sys.modules, "mitsuba_plenoptic.torch")
+    for name in ("mitsuba_plenoptic.torch", "mitsuba_plenoptic.extensions.inverse.torch"):
+        monkeypatch.delitem(sys.modules, name)
     with pytest.raises(InputError, match=r"^mitsuba_plenoptic\.torch needs the package torch: pip install"):
         importlib.import_module("mitsuba_plenoptic.torch")
