@@ -149,7 +149,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path, always_written, monkeypatch):
     def stopped(self, arrays):
         found = dict(arrays())
         found["found.0"] = found["found.0"][:-1]
-        checkpoints._write_archive(self.path, self.run, {}, found)
+        checkpoints._write_archive(self.path, self._known_facts(), {}, found)
         raise StoppedError
 
     with monkeypatch.context() as patch:
