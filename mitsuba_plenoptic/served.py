@@ -112,7 +112,8 @@ def attribute(name: str) -> Any:
     from .errors import did_you_mean
 
     absent = missing("names", name) or missing("modules", name)
-    raise AttributeError(absent or f"module {ROOT!r} has no attribute {name!r}{did_you_mean(name, public_names())}")
+    module, _, own = f"{ROOT}.{name}".rpartition(".")
+    raise AttributeError(absent or f"module {module!r} has no attribute {own!r}{did_you_mean(own, public_names())}")
 
 
 def _moved(name: str) -> str:

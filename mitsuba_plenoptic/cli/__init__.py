@@ -333,4 +333,5 @@ def _fail(message: str) -> int:
 
 
 def _complain(message: str) -> None:
-    print(f"{PROGRAM}: {' '.join(message.split())}", file=sys.stderr)
+    # In one piece, so that neither Ctrl-C nor a line of progress comes between the text and the end of its line.
+    print(f"{PROGRAM}: {' '.join(message.split())}\n", end="", file=sys.stderr)

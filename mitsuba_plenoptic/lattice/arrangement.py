@@ -244,7 +244,9 @@ class Lattice(abc.ABC):
     def lens_type(self, i: Any, j: Any) -> Any:
         """Return the index, from 0, of a lens's interleaved type: (i - j) modulo the number of types."""
         difference = i - j
-        return difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
+        remainder = difference - self.lens_types * floor((difference + 0.5) / self.lens_types)
+        # One of the types also where floats cannot hold the indices, as callers read tables with the result.
+        return maximum(minimum(remainder, self.lens_types - 1), 0)
 
     def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> tuple[Any, Any]:
         """Map (s, t) in the unit square to the cell shrunk by `scale`; return the offset from the cell's centre.

@@ -238,7 +238,7 @@ class LensKinds:
     def number(self, i: Any, j: Any, height: Any) -> Any:
         """Return the index of each lens's kind."""
         camera, types = self.camera, len(self.camera.mla_focal_lengths)
-        kind = dr.minimum(mi.UInt32(camera.lattice.lens_type(i, j)), types - 1) if types > 1 else mi.UInt32(0)
+        kind = mi.UInt32(camera.lattice.lens_type(i, j)) if types > 1 else mi.UInt32(0)
         if len(self._ratios) > 1:
             kind += types * _nearest(irregularities(camera, i, j)[2], self._ratios)
         if len(self._heights) > 1:

@@ -109,7 +109,7 @@ class SignedCapture:
         channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         every = sum(task.items for task in tasks)
-        image = job.run(tasks, shape, every, lambda: {"scene_digest": lambda: digest(first.probe())})
+        image = job.run(tasks, shape, every, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():
             warn(
                 "plenoptic_wave: none of the rays meets anything that shines; plain BSDFs are black from "

@@ -209,7 +209,7 @@ class Draws:
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
         apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
         found = camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
-        many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses light a pixel"
+        many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
         refuse_if(len(found) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
         return found
 
@@ -438,7 +438,7 @@ def divided(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     low = np.minimum(edges.astype(int), rows - 1)
     strips = np.diff(upto[low] + (edges - low)[:, None] * density[low], axis=0)
     sums = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(strips, axis=1)], axis=1)
-    # The strips one behind the other, as an interpolation of each takes longer.
+    # All strips in one interpolation, each two units after the one before.
     behind = 2.0 * np.arange(_CELLS)[:, None]
     places = np.broadcast_to(np.arange(columns + 1.0), sums.shape)
     cells = np.interp((parts + behind).ravel(), (sums / sums[:, -1:] + behind).ravel(), places.ravel())

@@ -196,7 +196,7 @@ class SignedRaySum:
         """Return the images (kernels, pixels) of each channel of each node, from traced rays of the pixels of a box."""
         every = dr.width(pixels)
         counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
-        # Written at once: memory that is first read where it is dark is mapped page by page, which takes longer.
+        # Written, as the system maps memory that is read before it is written in small pages, which takes longer.
         sums = [np.full((count, every), 0, np.float32) for count in counts]
         dr.eval(pixels)
         before: tuple[Lot, Brought] | None = None

@@ -91,8 +91,7 @@ class Walk:
         if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
             f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
         elif dr.is_array_v(x):
-            # Within the types also where indices are too large to be exact.
-            kind = dr.minimum(dr.uint32_array_t(type(x))(self.lattice.lens_type(i, j)), self.lattice.lens_types - 1)
+            kind = dr.uint32_array_t(type(x))(self.lattice.lens_type(i, j))
             f2 = dr.gather(type(x), f2 if dr.is_array_v(f2) else drjit_array(type(x), f2), kind)
         else:
             f2 = f2[np.asarray(self.lattice.lens_type(i, j), int)]

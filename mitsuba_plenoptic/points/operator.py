@@ -183,17 +183,14 @@ class CaptureOperator(CoherentPoints):
         """Return the image (rows, columns, channels) of checked weights (n, columns)."""
         _, matrix = self._channels.mixing(weights.shape[1])
         pupils = self._pupil_weights
-
-        def facts() -> dict[str, Any]:
-            arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
-            return {
-                "camera": self.camera.to_dict(),
-                "spectrum": self._channels.light,
-                "method": self._method,
-                "accuracy": self._accuracy,
-                "points_digest": digest(self.points, weights, *arrays),
-            }
-
+        arrays = [None] * 3 if pupils is None else [pupils.table, pupils.index, pupils.slant]
+        facts = {
+            "camera": self.camera.to_dict,
+            "spectrum": self._channels.light,
+            "method": self._method,
+            "accuracy": self._accuracy,
+            "points_digest": lambda: digest(self.points, weights, *arrays),
+        }
         shape, items = (*self.camera.shape, len(matrix)), self.sums * len(self.points)
         return job.run(self.tasks(weights, job), shape, items, facts)
 

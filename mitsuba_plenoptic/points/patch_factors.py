@@ -67,13 +67,20 @@ FIELD_BYTES = 2**26
 """Approximate bytes of the factors of the fields that are computed together."""
 
 
-def together(grid: Grid, placement: Placement, patch: int) -> int:
-    """Return the number of fields with patches of one size whose factors have at most `FIELD_BYTES`."""
-    across = float((placement.last[patch] - placement.first[patch]).max()) + 2
+def chunks_of(grid: Grid, placement: Placement, patches: NDArray[np.int64], most: int) -> list[NDArray[np.int64]]:
+    """Return patches of one size in chunks of at most `most`, whose factors have at most `FIELD_BYTES`."""
+    first = patches[0]
+    across = float((placement.last[first] - placement.first[first]).max()) + 2
     if (0, 1) in grid.microlenses.axes:
         # On the array, as the microlenses' factor depends on both axes.
-        across = 1.5 * float(placement.samples[patch])
-    return max(1, int(FIELD_BYTES / (8 * across**2)))
+        across = 1.5 * float(placement.samples[first])
+    size = min(most, max(1, int(FIELD_BYTES / (8 * across**2))))
+    return [patches[start : start + size] for start in range(0, len(patches), size)]
+
+
+def fields_memory(samples: float) -> float:
+    """Return the approximate bytes of the fields that a thread computes, with so many samples across a patch."""
+    return 10 * samples**2 + 2 * FIELD_BYTES
 
 
 class PatchFactors:

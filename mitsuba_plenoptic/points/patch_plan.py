@@ -21,7 +21,7 @@ from ..runtime.fft import resting_drjit
 from ..runtime.limits import check_memory
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
-from .patch_factors import FIELD_BYTES, Fields, together
+from .patch_factors import Fields, chunks_of, fields_memory
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .tile import Copies, Gather, Scatter, aperture_power, reached
@@ -101,8 +101,7 @@ class PatchPlan:
         changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
         most, chunks = min(_CHUNK, max(_FEW, len(samples) // _CHUNKS)), []
         for group in np.split(order, np.flatnonzero(changes) + 1):
-            size = min(most, together(self._grid, self._placement, group[0]))
-            chunks += [group[start : start + size] for start in range(0, len(group), size)]
+            chunks += chunks_of(self._grid, self._placement, group, most)
         return chunks
 
     # -- forward ---------------------------------------------------------------------------------------
@@ -263,7 +262,7 @@ class PatchPlan:
         tile = 4 * channels * across**2
         # No more batches are under way than there are.
         workers, threads = (min(count, len(self._chunks)) for count in (batch_map.workers, batch_map.threads))
-        fields = (threads + 1) * (10 * samples**2 + 2 * FIELD_BYTES)
+        fields = (threads + 1) * fields_memory(samples)
         tiles = workers + 1
         if (self._last - self._first > 1).any():
             tiles += 2 * threads  # with cells: buffers of patterns and of their sum

@@ -276,15 +276,12 @@ class PointsCapture:
             warn("plenoptic_wave: no ray from the pupil meets anything that shines")
         operator, pupil = self._operator(points), points.pupil_weights
         weights = points.weights if self.upsampling is None else points.weights @ self.upsampling
-
-        def facts() -> dict[str, Any]:
-            masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
-            return {
-                "points": len(points.positions),
-                "scene_digest": digest(points.positions, points.weights, *masks),
-                "responses": self.spectrum.responses,
-            }
-
+        masks: list[NDArray[Any]] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
+        facts = {
+            "points": len(points.positions),
+            "scene_digest": lambda: digest(points.positions, points.weights, *masks),
+            "responses": self.spectrum.responses,
+        }
         shape, items = (*self.camera.shape, self.spectrum.channels), len(points.positions) * operator.sums
         image = job.run(operator.tasks(weights, job), shape, items, facts)
         if np.min(self.spectrum.responses) >= 0:

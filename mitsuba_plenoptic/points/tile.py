@@ -21,7 +21,7 @@ from ..runtime.backend import array_module, backend
 from ..runtime.batches import Box, Part
 from ..runtime.fft import fft2, resting_drjit
 from .patch import PatchBatch, PatchWorkspace
-from .patch_factors import Fields
+from .patch_factors import Fields, fields_memory
 
 _FEWEST_COPIES = 3
 """Mean number of copies of a pattern above which cells are faster."""
@@ -257,6 +257,11 @@ class FieldBatch:
     def samples(self) -> int:
         """Total number of samples of all patches."""
         return self.fields.samples
+
+    @property
+    def memory(self) -> float:
+        """Approximate bytes while the fields are computed."""
+        return fields_memory(float(self.fields.placement.samples.max()))
 
 
 @dataclass(frozen=True)

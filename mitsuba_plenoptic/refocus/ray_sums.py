@@ -94,6 +94,21 @@ def _axis(
     return axis_bins(centre - half, centre + half, pupil, count, radius)
 
 
+def ray_sums_vjp(
+    bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
+) -> np.ndarray:
+    """Return the transpose of `ray_sums`, applied to bins."""
+    axes = aligned_axes(camera, distance, radius, footprint, oversample)
+    if axes is None:
+        return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
+    x, y = axes
+    pixels = np.einsum("jic,jr->ric", np.asarray(bins, np.float64), y.weights.toarray(), optimize=True)
+    pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
+    # In the precision in which the sums compare them.
+    limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
+    return np.where((square <= limit[:, None])[..., None], pixels, 0.0)
+
+
 @dataclass(frozen=True)
 class AxisBins:
     """Weights (bins, pixels) of the pixels of one axis, and the pupil coordinate of each pixel."""

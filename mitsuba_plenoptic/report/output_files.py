@@ -90,7 +90,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
     """Write an epipolar image; a PNG is enlarged."""
     values = np.asarray(image.values)
     white = drawing.brightness.peak([values])
-    parts = parts_of(epipolar=values)
+    parts = as_parts(epipolar=values)
     write_drawn(
         path,
         "epipolar image",
@@ -108,7 +108,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
     white = drawing.brightness.peak([stack.values])
     picture = _tiled(list(images.values()))
-    parts = parts_of(**images)
+    parts = as_parts(**images)
     write_drawn(
         path, "focal stack", stack, parts, picture, white, drawing, lambda: report.figures.stack_figure(stack, white)
     )
@@ -158,8 +158,8 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
     if parts["image"].ndim == 3:
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     picture = np.concatenate(maps, axis=1)
-    own = parts_of(**parts)
-    write_drawn(path, "depth", found, own, picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white))
+    stored = as_parts(**parts)
+    write_drawn(path, "depth", found, stored, picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white))
 
 
 def write_drawn(
@@ -190,7 +190,7 @@ def _enlarged(picture: np.ndarray, drawing: Drawing) -> np.ndarray:
     return enlarge(picture, drawing.scale or enlargement(picture))
 
 
-def parts_of(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+def as_parts(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
     """Return images as parts of a file, one image per part."""
     return {name: image_channels(image) for name, image in images.items()}
 

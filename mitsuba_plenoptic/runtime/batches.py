@@ -13,10 +13,10 @@ import gc
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, TypeVar
 
 import mitsuba as mi
@@ -197,7 +197,7 @@ class CheckpointStore(Protocol):
     """Stores the partial result of a job, so that it can resume after a crash: see `io.checkpoints.Checkpoint`."""
 
     def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
-        """Return the stored partial result of the job with these facts, or None; refuse another job's."""
+        """Return the stored result of the job with these facts, or functions of them, or None; refuse another job's."""
 
     def save(self, snapshot: Snapshot) -> None:
         """Store a snapshot if the time since the last one is long enough."""
@@ -231,7 +231,7 @@ class Job:
         tasks: Iterable[SumTask],
         shape: tuple[int, int, int],
         items: int,
-        facts: Callable[[], dict[str, Any]] = dict,
+        facts: Mapping[str, Any] = MappingProxyType({}),
     ) -> NDArray[np.float32]:
         """Return the sum of the images of several sums, computed one after another.
 
@@ -245,9 +245,9 @@ class Job:
             Rows, columns and channels of the image.
         items : int
             Items of all sums.
-        facts : callable
-            Returns the data that determine the job, by which a stored job is recognised: plain JSON values, or
-            functions that return such values when they are needed.
+        facts : mapping of str
+            The data that determine the job, by which a stored job is recognised: plain JSON values, or functions that
+            return such values when they are needed.
 
         Returns
         -------
@@ -255,7 +255,7 @@ class Job:
         """
         state = Snapshot(0, np.zeros(shape, np.float32))
         if self.keeper:
-            state = self.keeper.begin(shape, **facts()) or state
+            state = self.keeper.begin(shape, **facts) or state
         done = count = 0
         for count, task in enumerate(tasks, 1):
             if count > state.sums:

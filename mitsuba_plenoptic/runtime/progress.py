@@ -155,7 +155,8 @@ def _print_lines(ended: threading.Event, output: TextIO) -> None:
         done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
         try:
             if not is_quiet():
-                print(f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s", file=output, flush=True)
+                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s\n"
+                print(text, end="", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.
         wait = min(max(INTERVAL, elapsed / 10), LONGEST_INTERVAL)

@@ -257,5 +257,5 @@ def test_plans_are_the_same_in_another_process():
 def test_thousands_of_lenses_before_a_pixel_are_refused():
     camera = PlenopticCamera(aperture_radius=2000.0, detector_width=0.128, resolution=(64, 64))
     scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
-    with pytest.raises(InputError, match=r"aperture_radius = 2000: \d{4,} lenses light a pixel; waves of scenes"):
+    with pytest.raises(InputError, match=r"aperture_radius = 2000: \d{4,} lenses may light a pixel; waves of scenes"):
         render_capture(scene, model="wave", spp=1)

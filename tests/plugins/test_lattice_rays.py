@@ -385,8 +385,8 @@ def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5)
 
 
-def test_lengths_beyond_all_measure_are_captured_in_the_dark(python):
-    """Indices of lenses that floats cannot hold once led to focal lengths that are in nobody's memory."""
+def test_indices_of_lenses_that_floats_cannot_hold(python):
+    """Lenses of several focal lengths; an index of a type beyond their table ended in a segmentation fault."""
     made = python("""
     import mitsuba as mi
     mi.set_variant("llvm_ad_mono")

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -20,9 +19,8 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...runtime.backend import backend, backend_of
-from ...runtime.batches import Box, Part
-from ...runtime.fft import worker_count
-from ...runtime.limits import require_memory_for, single_threaded_blas
+from ...runtime.batches import Box, Part, on_all_cores
+from ...runtime.limits import require_memory_for
 from .cells import BinCells, CellSet
 
 _BLOCK = 8
@@ -205,8 +203,7 @@ class PlaneResponse:
                 target = samples[zone.members, block.rows, block.columns]
                 samples[zone.members, block.rows, block.columns] = target + light.reshape(target.shape)
 
-        for _ in _each(work, self._zones):
-            pass
+        _each(work, self._zones)
 
     def adjoint(self, samples: Any) -> NDArray[np.float32]:
         """Return, for each bin, the samples weighted by the bin's light."""
@@ -238,7 +235,6 @@ class _Placed:
     sources: Any
 
 
-def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> Iterator[Result]:
-    """Yield the results of zones in order, computed by threads on all cores, or by one thread for a CUDA device."""
-    with single_threaded_blas(), ThreadPoolExecutor(1 if backend().is_cuda else worker_count()) as pool:
-        yield from pool.map(work, zones)
+def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> list[Result]:
+    """Return the results of zones, computed on all cores; a CUDA device takes its work from one thread."""
+    return [work(zone) for zone in zones] if backend().is_cuda else on_all_cores(work, zones)

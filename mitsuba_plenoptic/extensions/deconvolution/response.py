@@ -24,7 +24,7 @@ from ...light.walk import Passage, Walk
 from ...optics.rays import cosines_to_slopes
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
-from ...points.patch_factors import Fields, together
+from ...points.patch_factors import Fields, chunks_of
 from ...points.recorder import Recorder
 from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
@@ -83,11 +83,8 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     for points in places:
         positions = lens.points(points, np.full(len(points), inverse_distance))
         placement = place(grid, positions)
-        alike = [np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples)]
-        groups = []
-        for same in alike:
-            count = together(grid, placement, same[0])
-            groups += [same[start : start + count] for start in range(0, len(same), count)]
+        alike = (np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples))
+        groups = [some for same in alike for some in chunks_of(grid, placement, same, len(same))]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
         batches.append(
             [
@@ -142,6 +139,11 @@ class RayBatch:
     def samples(self) -> int:
         """Number of rays."""
         return _RAYS**2
+
+    @property
+    def memory(self) -> float:
+        """Approximate bytes of the rays."""
+        return 200.0 * self.samples
 
     def prepare(self) -> Callable[[], Part]:
         """Return the function that traces the rays."""
@@ -250,8 +252,16 @@ class Response(StoredResponse):
         # If all lenses are alike, one kernel serves all zones, which only divide the work among the cores.
         asked = groups[len(groups) // 2 :][:1] if alike else groups
         super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
+        # Far too many bins are refused before they are put into batches.
         self._require_memory(len(asked))
-        bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(asked, steps)
+        middle = self._middle(asked[0])
+        batches = [
+            batch for distance in distances for some in self._batches(self.cells, distance, middle) for batch in some
+        ]
+        # Beside those that the threads compute, another one is prepared.
+        self._require_memory(len(asked), (job.workers.threads + 1) * max(batch.memory for batch in batches))
+        spreads = len(asked) * sum(batch.samples for batch in batches)
+        bins, self.prepared = self.cells.bins[0] * self.cells.bins[1], self._prepared(spreads, steps)
         total = math.ceil(_PROGRESS * len(distances) * len(asked) * bins / self.prepared)
         self.planes: list[PlaneResponse] = []
         for distance in distances:
@@ -286,12 +296,10 @@ class Response(StoredResponse):
                 for cell, bins in zip(cells, batches, strict=True)
             ]
 
-    def _prepared(self, groups: Sequence[NDArray[np.int64]], steps: float) -> float:
+    def _prepared(self, spreads: float, steps: float) -> float:
         """Return the fraction that point spreads take of the time of an inversion of some steps."""
-        spreads = products = 0.0
+        products = 0.0
         for distance in self._distances:
-            batches = self._batches(self.cells, distance, self._middle(groups[0]))
-            spreads += len(groups) * sum(batch.samples for some in batches for batch in some)
             kernel = _LIT * self._kernel_memory(distance, self.cells.oversample) / 4 * len(self._sampled)
             products += kernel * (_PRODUCT_TIME + _KERNEL_TIME / self.cells.oversample**2)
         return _SPREAD_TIME * spreads / (_SPREAD_TIME * spreads + steps * products)
@@ -322,13 +330,13 @@ class Response(StoredResponse):
             4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths)
         )
 
-    def _require_memory(self, groups: int) -> None:
+    def _require_memory(self, groups: int, fields: float = 0.0) -> None:
         def memory(oversample: int) -> float:
             each = [self._kernel_memory(distance, oversample) for distance in self._distances]
             bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(each) if self._folder else sum(each))
-            return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory
+            return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory + fields
 
         require_response_memory(memory, self.cells.oversample, self._distances)
 

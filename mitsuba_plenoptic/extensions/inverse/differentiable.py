@@ -35,8 +35,7 @@ from ...refocus.lens_by_lens import fine_bins
 from ...refocus.passages import BinSums
 from ...refocus.planning import plan, require_feasible
 from ...refocus.radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
-from ...refocus.ray_sums import aligned_axes, pupil_radius, ray_sums
-from ...refocus.splatting import Splat
+from ...refocus.ray_sums import pupil_radius, ray_sums, ray_sums_vjp
 from ...refocus.wave_methods import BackwardFields, signed_parts
 from ...refocus_options import FOOTPRINTS
 from ...runtime.backend import backend, drjit_array, one_at_a_time
@@ -128,21 +127,6 @@ class RayRefocus:
     def __call__(self, capture: Any) -> Any:
         """Refocus a tensor of Dr.Jit, (rows, columns) or (rows, columns, channels), differentiably."""
         return dr.custom(_RefocusOp, capture, lambda pixels: (self.forward(pixels), self.forward, self.adjoint))
-
-
-def ray_sums_vjp(
-    bins: np.ndarray, camera: PlenopticCamera, distance: float, radius: float, footprint: str, oversample: int
-) -> np.ndarray:
-    """Return the transpose of `ray_sums`, applied to bins."""
-    axes = aligned_axes(camera, distance, radius, footprint, oversample)
-    if axes is None:
-        return Splat.of(camera, distance, radius, footprint, oversample, bins.shape[2]).vjp(bins, camera.shape)
-    x, y = axes
-    pixels = np.einsum("jic,jr->ric", np.asarray(bins, np.float64), y.weights.toarray(), optimize=True)
-    pixels = np.einsum("ric,ip->rpc", pixels, x.weights.toarray(), optimize=True)
-    # In the precision in which the sums compare them.
-    limit, square = (radius**2 - y.pupil**2).astype(np.float32), (x.pupil**2).astype(np.float32)
-    return np.where((square <= limit[:, None])[..., None], pixels, 0.0)
 
 
 class _RefocusOp(dr.CustomOp):

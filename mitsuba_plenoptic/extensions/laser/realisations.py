@@ -102,7 +102,7 @@ def coherent_capture(
     }
     with guards.watch():
         tasks = [SumTask(count, lambda: work, lambda image: image)]
-        return job.run(tasks, (*operator.camera.shape, 1), count, lambda: facts)[..., 0]
+        return job.run(tasks, (*operator.camera.shape, 1), count, facts)[..., 0]
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def dual(
 
     from ...io.captures import read_capture
     from ...report.figures import views_figure
-    from ...report.output_files import parts_of, require_picture_path, write_drawn
+    from ...report.output_files import as_parts, require_picture_path, write_drawn
     from ...runtime.files import require_apart
     from ...views.viewpoints import view_mosaic
     from .halves import dual_pixel, photodiode_names
@@ -62,7 +62,7 @@ def dual(
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     white = drawing.brightness.peak([halves.values])
     pictures = {name: halves.values[j, i] for (j, i), name in np.ndenumerate(photodiode_names(halves))}
-    parts = parts_of(**pictures, sum=halves.sum(("v", "u")).values)
+    parts = as_parts(**pictures, sum=halves.sum(("v", "u")).values)
     write_drawn(
         output, "photodiodes", halves, parts, view_mosaic(halves), white, drawing, lambda: views_figure(halves, white)
     )
