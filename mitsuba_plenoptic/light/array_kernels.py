@@ -61,6 +61,9 @@ _COARSER = 2
 _FIELD, _PUPIL = 9, 9
 """Positions across the detector and the pupil whose rays the oblique kernels are for."""
 
+_EVEN = 1e-5
+"""Difference from the mirror image, of largest values 1, below which transmissions and weights are symmetric."""
+
 REACH = 2.5
 """Distance in microlens pitches to which kernels are computed."""
 
@@ -478,27 +481,57 @@ class ArrayKernels(LensWaves):
         exact = np.linalg.solve(values.T @ values, coefficients) * len(values)
         weight = np.zeros((*own.shape, coefficients.shape[1]), np.float32)
         weight[own] = values @ exact
-        weight = weight[top:bottom, left : left + width].reshape(-1, coefficients.shape[1])
+        weight = weight[top:bottom, left : left + width]
+        across, up = (_symmetry(T, weight, axis) for axis in (1, 0))
+        real = imaginary = np.ones(coefficients.shape[1], bool)
+        if across is not None and up is not None:
+            # Opposite points give conjugate products: half of the lens gives the real or the imaginary part.
+            real = np.ravel(across == up)
+            imaginary, bottom = ~real, (top + bottom) // 2
+            weight = 2 * weight[: bottom - top]
+        weight = weight.reshape(-1, coefficients.shape[1])
+        weights = weight[:, real], weight[:, imaginary]
         count, most = 2 * farthest + 1, farthest * every
-        result = np.empty((coefficients.shape[1], count, count), np.complex64)
+        # One symmetry gives the lags on one side from those on the other.
+        first = 0 if across is None and up is None else farthest
+        result = np.zeros((coefficients.shape[1], count, count), np.complex64)
         # Views (column, row, place) of T, from each column on.
         lines = np.lib.stride_tricks.sliding_window_view(T, width, axis=1).transpose(1, 0, 2)
         after, before = lines[left - most : left + most + 1 : every], lines[left + most : left - most - 1 : -every]
+        after, before = after[first:], before[first:]
 
         def integrate(lags: NDArray[np.int64]) -> None:
-            product = np.empty((count, bottom - top, width), np.complex64)
+            product = np.empty((count - first, bottom - top, width), np.complex64)
             for lag in lags.tolist():
                 b = lag * every
                 np.conjugate(before[:, top - b : bottom - b], out=product)
                 product *= after[:, top + b : bottom + b]
-                flat = product.reshape(count, -1)
-                result[:, farthest + lag] = (flat.real @ weight + 1j * (flat.imag @ weight)).T
+                flat = product.reshape(len(product), -1)
+                result.real[real, farthest + lag, first:] = (flat.real @ weights[0]).T
+                result.imag[imaginary, farthest + lag, first:] = (flat.imag @ weights[1]).T
 
         on_all_cores(integrate, np.array_split(np.arange(farthest + 1), worker_count()))
+        other_side = result[:, farthest:, :farthest:-1]
+        if across is not None:
+            result[:, farthest:, :farthest] = other_side * across
+        elif up is not None:
+            result[:, farthest:, :farthest] = other_side.conj() * up
         # The weights are real.
         result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.
         return np.asarray(result / np.float32(len(values)))
+
+
+def _symmetry(T: NDArray[Any], weight: NDArray[np.float32], axis: int) -> NDArray[np.float32] | None:
+    """Return 1 for weights that are even along an axis along which T is even, -1 for odd ones; None if any is neither.
+
+    Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
+    """
+    other = np.flip(weight, axis)
+    signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
+    even = np.allclose(T, np.flip(T, axis), rtol=0, atol=_EVEN)
+    even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max())
+    return signs[:, None, None] if even else None
 
 
 def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -7,10 +7,9 @@ Processing", section 8.7), so that memory holds only part of an image and the sp
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,11 +18,11 @@ import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime.batches import Box, Part, add
+from ..runtime.batches import Box, Part, add, on_all_cores
 from ..runtime.fft import fast_length, resting_drjit, worker_count
 
-_SQUARE = 1024
-"""Approximate width of the convolution of a tile in samples."""
+_SQUARE = 1536
+"""Approximate width of the convolution of a tile in samples. Narrower ones repeat more of the kernels' borders."""
 
 
 class Convolution:
@@ -47,14 +46,19 @@ class Convolution:
         self.tile = rows, columns
         self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
         self._spectra = np.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
-        for spectrum, kernel in zip(self._spectra, kernels, strict=True):
-            spectrum[...] = scipy.fft.rfft2(np.pad(kernel, self._margin - kernel.shape[0] // 2), self._size)
+
+        def transform(rank: int) -> None:
+            kernel = kernels[rank]
+            self._spectra[rank] = self._transform(np.pad(kernel, self._margin - kernel.shape[0] // 2), 1)
+
+        on_all_cores(transform, range(self.ranks))
 
     @property
     def memory(self) -> float:
         """Bytes that a convolution takes in addition to its images."""
-        tiles = sum(1 for _ in self._tiles(self.box))
-        return float((tiles + self.ranks) * self._spectra[0].nbytes + 8 * self.box.rows * self.box.columns)
+        # Each thread transforms a tile, and sums up the products with spectra.
+        spectra = (self.ranks + 3 * worker_count()) * self._spectra[0].nbytes
+        return float(spectra + 8 * self.box.rows * self.box.columns)
 
     def reached(self, box: Box) -> Box:
         """Return the recorded pixels, counted from the first, that light of the samples in a box can reach."""
@@ -64,28 +68,30 @@ class Convolution:
         return Box.between(low, np.minimum(high, (window.columns, window.rows)))
 
     def forward(
-        self, images: Iterable[NDArray[np.float32]], box: Box | None = None, pixels: Box | None = None
+        self, images: NDArray[np.float32], box: Box | None = None, pixels: Box | None = None
     ) -> NDArray[np.float32]:
-        """Return the sum (rows, columns) of all images, each convolved with its kernel."""
+        """Return the sum (rows, columns) of all images (ranks, rows, columns), each convolved with its kernel."""
         box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
-        tiles = list(self._tiles(box))
-        sums = np.zeros((len(tiles), *self._spectra.shape[1:]), np.complex64)
         wanted = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
         result = np.zeros((1, wanted.rows, wanted.columns), np.float32)
-        with resting_drjit():
+
+        def convolved(tile: tuple[slice, slice]) -> Part:
+            rows, columns = tile
+            size = rows.stop - rows.start, columns.stop - columns.start
+            total = np.zeros(self._spectra.shape[1:], np.complex64)
             for image, spectrum in zip(images, self._spectra, strict=True):
-                if not image.any():
-                    continue  # microlenses of this kind are elsewhere
-                for total, (rows, columns) in zip(sums, tiles, strict=True):
-                    part = self._transform(image[rows, columns])
+                samples = image[rows, columns]
+                if samples.any():  # microlenses of this kind may be elsewhere
+                    part = self._transform(samples, 1)
                     part *= spectrum
                     total += part
-            for total, (rows, columns) in zip(sums, tiles, strict=True):
-                size = rows.stop - rows.start, columns.stop - columns.start
-                square = self._back(total)[: size[0] + 2 * m, : size[1] + 2 * m]
-                reached = _grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m)
-                add(Part(reached, square[None]), wanted, result)
+            square = self._back(total, 1)[: size[0] + 2 * m, : size[1] + 2 * m]
+            return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
+
+        with resting_drjit():
+            for part in on_all_cores(convolved, self._tiles(box)):
+                add(part, wanted, result)
         return result[0]
 
     def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
@@ -115,11 +121,11 @@ class Convolution:
             for left in range(0, box.columns, columns):
                 yield slice(top, min(top + rows, box.rows)), slice(left, min(left + columns, box.columns))
 
-    def _transform(self, samples: NDArray[np.float32]) -> NDArray[np.complex64]:
-        return scipy.fft.rfft2(samples, self._size, workers=worker_count())
+    def _transform(self, samples: NDArray[np.float32], threads: int | None = None) -> NDArray[np.complex64]:
+        return scipy.fft.rfft2(samples, self._size, workers=threads or worker_count())
 
-    def _back(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
-        return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=worker_count())
+    def _back(self, spectrum: NDArray[np.complex64], threads: int | None = None) -> NDArray[np.float32]:
+        return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=threads or worker_count())
 
 
 def box_of(camera: PlenopticCamera, margin: int) -> Box:
@@ -141,13 +147,13 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
     trial = Box(block.left, block.top, min(columns, block.columns), min(rows, block.rows))
     start = time.perf_counter()
     for convolution in convolutions:
-        image = np.ones((trial.rows, trial.columns), np.float32)
-        convolution.forward(itertools.repeat(image, convolution.ranks), trial, convolution.reached(trial))
+        images = np.ones((convolution.ranks, trial.rows, trial.columns), np.float32)
+        convolution.forward(images, trial, convolution.reached(trial))
     seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
-    images = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
+    waiting = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
     # At a time two blocks are convolved, one waits and one is traced.
     apart = {id(convolution): convolution.memory for convolution in convolutions}
-    return seconds, 4 * images + sum(apart.values())
+    return seconds, 4 * waiting + sum(apart.values())
 
 
 def _grown(box: Box, margin: int) -> Box:

@@ -90,7 +90,7 @@ class Mended:
             self._squares, self._sum = Mended(_sums(image)), _sums(self._light)
             # The part of the light of each square that remains.
             self._kept = np.divide(self._squares.image, self._sum, out=np.ones_like(self._sum), where=self._sum > 0)
-            self.image = (self._light * self._spread(self._kept)).astype(image.dtype)
+            self.image = _times(self._light, self._kept)
 
     def forward(self, change: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the result for a change of the image."""
@@ -98,31 +98,38 @@ class Mended:
         if self._squares is None:
             return light
         kept = self._over_sum(self._squares.forward(_sums(change)) - self._kept * _sums(light))
-        return (light * self._spread(self._kept) + self._light * self._spread(kept)).astype(change.dtype)
+        return _times(light, self._kept) + _times(self._light, kept)
 
     def backward(self, gradient: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient with respect to the image: the transpose of `forward` applied to a gradient."""
         if self._squares is None:
             return np.where(self._positive, gradient, 0)
         squares = self._over_sum(_sums(gradient * self._light))
-        light = gradient * self._spread(self._kept) - self._spread(self._kept * squares)
-        own = np.where(self._positive, light, 0) + self._spread(self._squares.backward(squares))
+        even = np.ones_like(gradient)
+        light = _times(gradient, self._kept) - _times(even, self._kept * squares)
+        own = np.where(self._positive, light, 0) + _times(even, self._squares.backward(squares))
         return own.astype(gradient.dtype)
 
     def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values of squares divided by the light of the squares, 0 for squares without light."""
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
 
-    def _spread(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return an image in which each pixel has the value of its square."""
-        rows, columns = self._light.shape
-        return values.repeat(2, 0)[:rows].repeat(2, 1)[:, :columns]
+
+def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:
+    """Return an image times the factors of its squares of 2 x 2 pixels."""
+    rows, columns = image.shape
+    wide, result = factors.repeat(2, 1)[:, :columns], np.empty_like(image)
+    for first in range(2):
+        own, part = wide[: (rows + 1 - first) // 2], result[first::2]
+        np.multiply(image[first::2], own, out=part, casting="same_kind")
+    return result
 
 
 def _sums(image: NDArray[Any]) -> NDArray[np.float64]:
     """Return the sums over squares of 2 x 2 pixels; beyond odd edges missing pixels count as 0."""
-    whole = np.pad(image, [(0, size % 2) for size in image.shape])
-    rows = whole[::2].astype(np.float64) + whole[1::2]
+    if any(size % 2 for size in image.shape):
+        image = np.pad(image, [(0, size % 2) for size in image.shape])
+    rows = np.add(image[::2], image[1::2], dtype=np.float64)
     return np.asarray(rows[:, ::2] + rows[:, 1::2])
 
 

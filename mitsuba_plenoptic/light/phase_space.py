@@ -227,11 +227,13 @@ class PhaseSpace(ArrayKernels):
             node, part = self.nodes[radial], table[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
             to_space, orders, lags = [], [], []
-            for side, count, along in zip(node.sides, node.counts, (u[0], v[:, 0]), strict=True):
-                order = np.arange(-((count - 1) // 2), (count - 1) // 2 + 1)
+            for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
+                most = (count - 1) // 2
+                # Opposite frequencies give conjugate parts: those of half the plane stand for both.
+                order = np.arange(0 if halved else -most, most + 1)
                 place = (np.arange(count) + 0.5) * side / count - side / 2
                 # The gain compensates the damping by linear interpolation.
-                gain = np.sinc(order / count) ** -2 / side
+                gain = np.sinc(order / count) ** -2 / side * (1 + (halved * order > 0))
                 to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
                 orders.append(np.exp(-2j * np.pi * np.outer(order, along) / side).astype(np.complex64))
                 lags.append(np.asarray(order * (reach / side), np.float64))

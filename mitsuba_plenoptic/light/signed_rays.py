@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import pixel_response
+from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
@@ -45,8 +46,8 @@ from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels
 from .walk import Walk, walks_of
 
-_BLOCK_BYTES = 2**29
-"""Bytes of the images of one block of the detector."""
+_BLOCK_BYTES = 2**27
+"""Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
 
 _LANES = 2**21
 """Approximate count of rays that are traced at once."""
@@ -57,9 +58,9 @@ _RAY_BYTES = 200
 _PROBES, _CELLS = 2**10, 2**16
 """Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
 
-_NEAR = 8
-"""Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these little
-light."""
+_NEAR, _SPOTS = 8, 8.0
+"""Distances from the recorded pixels, in pixels and in widths of the microlenses' spots, beyond both of which a pixel
+brings these little light."""
 
 _THINNED = 2
 """Width in pixels of the squares, farther from the recorded pixels, of which one random pixel stands for all."""
@@ -248,10 +249,10 @@ class SignedRaySum:
             # Near pixels, and one of each square of the others, have rays.
             shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
             drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
-            squares = np.arange(_THINNED**2).reshape(_THINNED, _THINNED)
-            one_of_each = np.kron(drawn, np.ones_like(squares)) == np.tile(squares, shape)
-            held = ~far | one_of_each[: box.rows, : box.columns]
-            kept = dr.gather(mi.UInt32, drjit_array(mi.UInt32, held), pixels) != 0
+            row, column = np.divmod(pixels.numpy(), np.uint32(box.columns))
+            place = row % _THINNED * _THINNED + column % _THINNED
+            held = ~far[row, column] | (drawn[row // _THINNED, column // _THINNED] == place)
+            kept = drjit_array(mi.UInt32, held) != 0
         found: list[list[Any]] = [[] for _ in self._draws.kinds.every]
         for number in range(len(self._draws.candidates)):
             lens = dr.opaque(mi.UInt32, number)
@@ -274,9 +275,16 @@ class SignedRaySum:
                 for turn, seed in enumerate(own[1:]):
                     yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
 
+    @cached_property
+    def _near(self) -> float:
+        """Distance in pixels from the recorded pixels from which on there is little light; infinite out of focus."""
+        camera, longest = self._camera, max(node.plan.wavelength for node in self._nodes)
+        spot = in_millimetres(longest) * camera.reduced_distance / float(camera.lattice.aperture_width)
+        return math.inf if self._draws.by_points else max(_NEAR, _SPOTS * spot / camera.pixel_size)
+
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
-        window, near = box_of(self._camera, 0), _NEAR if self._parts > 1 else math.inf
+        window, near = box_of(self._camera, 0), self._near
         rows, columns = (
             np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
             for first, count, low, size in (

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic.light import array_kernels
 from mitsuba_plenoptic.light.lens_functions import LensFunctions
 from mitsuba_plenoptic.light.phase_space import PhaseSpace
 
@@ -72,3 +73,13 @@ def test_images_of_edges_are_better_than_by_as_many_polynomials():
     even = np.full((1, len(u)), 1 / len(u))
     kernels = (values @ best.duals).T @ exact / len(u)
     assert even @ (values @ best.functions) @ kernels == pytest.approx(even @ exact, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_symmetric_lenses_have_the_kernels_that_all_lags_give(name, monkeypatch):
+    plan = PhaseSpace(CAMERAS[name], 550.0, degree=2)
+    found = plan.kernels(0.002, 0.08)
+    with monkeypatch.context() as patch:
+        patch.setattr(array_kernels, "_symmetry", lambda *_: None)
+        expected = plan.moved(plan.camera).kernels(0.002, 0.08)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 * np.abs(expected).max())
