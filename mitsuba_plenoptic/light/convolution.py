@@ -49,7 +49,7 @@ class Convolution:
 
         def transform(rank: int) -> None:
             kernel = kernels[rank]
-            self._spectra[rank] = self._transform(np.pad(kernel, self._margin - kernel.shape[0] // 2), 1)
+            self._spectra[rank] = self._transform(np.pad(kernel, self._margin - kernel.shape[0] // 2))
 
         on_all_cores(transform, range(self.ranks))
 
@@ -83,10 +83,10 @@ class Convolution:
             for image, spectrum in zip(images, self._spectra, strict=True):
                 samples = image[rows, columns]
                 if samples.any():  # microlenses of this kind may be elsewhere
-                    part = self._transform(samples, 1)
+                    part = self._transform(samples)
                     part *= spectrum
                     total += part
-            square = self._back(total, 1)[: size[0] + 2 * m, : size[1] + 2 * m]
+            square = self._back(total)[: size[0] + 2 * m, : size[1] + 2 * m]
             return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
 
         with resting_drjit():
@@ -94,25 +94,28 @@ class Convolution:
                 add(part, wanted, result)
         return result[0]
 
-    def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> Iterator[NDArray[np.float32]]:
-        """Yield one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
+    def adjoint(self, pixels: NDArray[np.float32], box: Box | None = None) -> list[NDArray[np.float32]]:
+        """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
         samples = np.zeros((1, reached.rows, reached.columns), np.float32)
         add(Part(self._window, pixels[None]), reached, samples)
-        with resting_drjit():
-            # The transform is circular: samples after these wrap around, and are cut off below.
-            spectra = [
-                self._transform(samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m])
-                for rows, columns in tiles
-            ]
-        for spectrum in self._spectra:
+
+        # The transform is circular: samples after these wrap around, and are cut off below.
+        def transformed(tile: tuple[slice, slice]) -> NDArray[np.complex64]:
+            rows, columns = tile
+            return self._transform(samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m])
+
+        def correlated(spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
             image = np.empty((box.rows, box.columns), np.float32)
-            with resting_drjit():
-                for part, (rows, columns) in zip(spectra, tiles, strict=True):
-                    square = self._back(part * spectrum.conj())
-                    image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
-            yield image
+            for part, (rows, columns) in zip(parts, tiles, strict=True):
+                square = self._back(part * spectrum.conj())
+                image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
+            return image
+
+        with resting_drjit():
+            parts = on_all_cores(transformed, tiles)
+            return on_all_cores(correlated, self._spectra)
 
     def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
         """Yield the slices of rows and columns of each tile of a box."""
@@ -121,11 +124,11 @@ class Convolution:
             for left in range(0, box.columns, columns):
                 yield slice(top, min(top + rows, box.rows)), slice(left, min(left + columns, box.columns))
 
-    def _transform(self, samples: NDArray[np.float32], threads: int | None = None) -> NDArray[np.complex64]:
-        return scipy.fft.rfft2(samples, self._size, workers=threads or worker_count())
+    def _transform(self, samples: NDArray[np.float32]) -> NDArray[np.complex64]:
+        return scipy.fft.rfft2(samples, self._size)
 
-    def _back(self, spectrum: NDArray[np.complex64], threads: int | None = None) -> NDArray[np.float32]:
-        return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True, workers=threads or worker_count())
+    def _back(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
+        return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True)
 
 
 def box_of(camera: PlenopticCamera, margin: int) -> Box:

@@ -304,7 +304,7 @@ class SignedRaySum:
             convolutions, every = iter(self._convolutions), bins.rows * bins.columns
             felt = [
                 [
-                    np.reshape(list(next(convolutions).adjoint(gradient[channel], bins)), (-1, every))
+                    np.reshape(next(convolutions).adjoint(gradient[channel], bins), (-1, every))
                     for channel in node.channels
                 ]
                 for node in self._nodes

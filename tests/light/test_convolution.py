@@ -34,7 +34,7 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     assert np.vdot(plain.forward(images).astype(float), pixels) == pytest.approx(back, rel=1e-5)
     # A part of the samples, and some beyond those that pixels feel.
     part = Box(box.left + 100, box.top - 7, box.columns - 60, 40)
-    image = next(bands.adjoint(pixels, part))
+    image = bands.adjoint(pixels, part)[0]
     assert image.shape == (40, part.columns)
     np.testing.assert_allclose(image[:7], 0, atol=1e-4)
-    np.testing.assert_allclose(image[7:, :-40], next(plain.adjoint(pixels))[:33, 100:], atol=1e-4)
+    np.testing.assert_allclose(image[7:, :-40], plain.adjoint(pixels)[0][:33, 100:], atol=1e-4)
