@@ -482,7 +482,7 @@ class ArrayKernels(LensWaves):
         weight = np.zeros((*own.shape, coefficients.shape[1]), np.float32)
         weight[own] = values @ exact
         weight = weight[top:bottom, left : left + width]
-        across, up = (_symmetry(T, weight, axis) for axis in (1, 0))
+        across, up = (self._symmetry(T, weight, axis) for axis in (1, 0))
         real = imaginary = np.ones(coefficients.shape[1], bool)
         if across is not None and up is not None:
             # Opposite points give conjugate products: half of the lens gives the real or the imaginary part.
@@ -521,17 +521,17 @@ class ArrayKernels(LensWaves):
         # The normalisation uses the sampled open area, which conserves the energy.
         return np.asarray(result / np.float32(len(values)))
 
+    @staticmethod
+    def _symmetry(T: NDArray[Any], weight: NDArray[np.float32], axis: int) -> NDArray[np.float32] | None:
+        """Return 1 for weights that are even, and -1 for odd ones, along an axis along which T is even; otherwise None.
 
-def _symmetry(T: NDArray[Any], weight: NDArray[np.float32], axis: int) -> NDArray[np.float32] | None:
-    """Return 1 for weights that are even along an axis along which T is even, -1 for odd ones; None if any is neither.
-
-    Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
-    """
-    other = np.flip(weight, axis)
-    signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
-    even = np.allclose(T, np.flip(T, axis), rtol=0, atol=_EVEN)
-    even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max())
-    return signs[:, None, None] if even else None
+        Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
+        """
+        other = np.flip(weight, axis)
+        signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
+        even = np.allclose(T, np.flip(T, axis), rtol=0, atol=_EVEN)
+        even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max())
+        return signs[:, None, None] if even else None
 
 
 def displaced(kernels: NDArray[np.float64]) -> list[NDArray[np.float64]]:

@@ -49,7 +49,7 @@ class Convolution:
 
         def transform(rank: int) -> None:
             kernel = kernels[rank]
-            self._spectra[rank] = self._transform(np.pad(kernel, self._margin - kernel.shape[0] // 2))
+            self._spectra[rank] = scipy.fft.rfft2(np.pad(kernel, self._margin - kernel.shape[0] // 2), self._size)
 
         on_all_cores(transform, range(self.ranks))
 
@@ -83,10 +83,10 @@ class Convolution:
             for image, spectrum in zip(images, self._spectra, strict=True):
                 samples = image[rows, columns]
                 if samples.any():  # microlenses of this kind may be elsewhere
-                    part = self._transform(samples)
+                    part = scipy.fft.rfft2(samples, self._size)
                     part *= spectrum
                     total += part
-            square = self._back(total)[: size[0] + 2 * m, : size[1] + 2 * m]
+            square = scipy.fft.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
             return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
 
         with resting_drjit():
@@ -104,12 +104,13 @@ class Convolution:
         # The transform is circular: samples after these wrap around, and are cut off below.
         def transformed(tile: tuple[slice, slice]) -> NDArray[np.complex64]:
             rows, columns = tile
-            return self._transform(samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m])
+            part = samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
+            return np.asarray(scipy.fft.rfft2(part, self._size))
 
         def correlated(spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
             image = np.empty((box.rows, box.columns), np.float32)
             for part, (rows, columns) in zip(parts, tiles, strict=True):
-                square = self._back(part * spectrum.conj())
+                square = scipy.fft.irfft2(part * spectrum.conj(), self._size, overwrite_x=True)
                 image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
             return image
 
@@ -123,12 +124,6 @@ class Convolution:
         for top in range(0, box.rows, rows):
             for left in range(0, box.columns, columns):
                 yield slice(top, min(top + rows, box.rows)), slice(left, min(left + columns, box.columns))
-
-    def _transform(self, samples: NDArray[np.float32]) -> NDArray[np.complex64]:
-        return scipy.fft.rfft2(samples, self._size)
-
-    def _back(self, spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
-        return scipy.fft.irfft2(spectrum, self._size, overwrite_x=True)
 
 
 def box_of(camera: PlenopticCamera, margin: int) -> Box:
