@@ -58,7 +58,7 @@ _RAY_BYTES = 200
 _PROBES, _CELLS = 2**10, 2**16
 """Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
 
-_NEAR, _SPOTS = 8, 8.0
+_NEAR, _SPOTS = 8, 5.0
 """Distances from the recorded pixels, in pixels and in widths of the microlenses' spots, beyond both of which a pixel
 brings these little light."""
 
