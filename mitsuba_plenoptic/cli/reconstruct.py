@@ -277,7 +277,7 @@ def sheet(
 
     contact_sheet(read, Brightness(exposure, percentile).peak([one.image for one in read])).save(output)
     methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
-    typer.echo(f"{output}: {len(read)} images, {len(methods)} methods at {len(distances)} distances")
+    typer.echo(f"{output}: {len(read)} images (methods: {len(methods)}, distances: {len(distances)})")
 
 
 def _recorded(

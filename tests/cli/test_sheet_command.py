@@ -37,7 +37,7 @@ def test_what_was_written_is_read(results):
 @pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF-"), ("png", b"\x89PNG")])
 def test_a_figure_of_all(suffix, begins, results, tmp_path, run):
     path = tmp_path / f"sheet.{suffix}"
-    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images, 1 methods at 2 distances\n"
+    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
     assert path.read_bytes().startswith(begins)
 
 
@@ -52,7 +52,7 @@ def test_refused(results, raw, tmp_path, complaint):
 
 def test_distances_are_chosen(results, tmp_path, run, complaint):
     path = tmp_path / "sheet.png"
-    words = f"{path}: 2 images, 1 methods at 1 distances\n"
+    words = f"{path}: 2 images (methods: 1, distances: 1)\n"
     assert run("sheet", *results[0], "-o", path, "--distance", "240") == words
     assert run("sheet", *results[0], "-o", path, "--distance", "inf").startswith(f"{path}: 1 images")
     rule = "--distance = 210: no result is refocused there, but to 240, inf"
