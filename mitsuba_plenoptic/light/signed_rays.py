@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import pixel_response
-from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
@@ -58,9 +57,9 @@ _RAY_BYTES = 200
 _PROBES, _CELLS = 2**10, 2**16
 """Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
 
-_NEAR, _SPOTS = 8, 5.0
-"""Distances from the recorded pixels, in pixels and in widths of the microlenses' spots, beyond both of which a pixel
-brings these little light."""
+_NEAR = 8
+"""Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these little
+light."""
 
 _THINNED = 2
 """Width in pixels of the squares, farther from the recorded pixels, of which one random pixel stands for all."""
@@ -275,16 +274,9 @@ class SignedRaySum:
                 for turn, seed in enumerate(own[1:]):
                     yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
 
-    @cached_property
-    def _near(self) -> float:
-        """Distance in pixels from the recorded pixels from which on there is little light; infinite out of focus."""
-        camera, longest = self._camera, max(node.plan.wavelength for node in self._nodes)
-        spot = in_millimetres(longest) * camera.reduced_distance / float(camera.lattice.aperture_width)
-        return math.inf if self._draws.by_points else max(_NEAR, _SPOTS * spot / camera.pixel_size)
-
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""
-        window, near = box_of(self._camera, 0), self._near
+        window, near = box_of(self._camera, 0), _NEAR if self._parts > 1 else math.inf
         rows, columns = (
             np.abs(first + np.arange(count) - low - (size - 1) / 2) - (size - 1) / 2 > near
             for first, count, low, size in (
