@@ -29,7 +29,7 @@ _PRODUCTS = 2.0
 """Part of images of random light, over the tolerance, that products of terms and coefficients may lack. Much less is
 missing, because terms are below 1."""
 
-_TOGETHER = 2**17
+_TOGETHER = 2**19
 """Count of coefficients that are combined at a time."""
 
 
