@@ -45,6 +45,8 @@ _FLOOR = 1e-4
 _LEAST_SEEN = 1e-4
 """Light of a bin on the detector, over that of the best one, below which it is taken for dark."""
 
+_HALVED = np.float32(0.5)
+"""Least fraction of a bin that an extrapolation leaves: steps multiply, so that a bin at 0 would stay there."""
 
 _SPAN, _LEAST_FALL = 10, 0.95
 """Steps in which what is above the noise must fall below this fraction of itself."""
@@ -118,7 +120,7 @@ def richardson_lucy(
         point = state.found
         if accelerate and state.momentum:
             along = np.float32(state.momentum / (state.momentum + 3))
-            point = [np.maximum(x + along * (x - y), 0) for x, y in zip(state.found, state.last, strict=True)]
+            point = [np.maximum(x + along * (x - y), _HALVED * x) for x, y in zip(state.found, state.last, strict=True)]
         model = response.forward(point)
         if misfit is not None:
             state.misfits = [*state.misfits[-_SPAN:], misfit(image, model)]
