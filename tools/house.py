@@ -68,7 +68,7 @@ LIMITS = (
     Limit("clones of eight statements", 0, 0, 0),
     Limit("class names used twice", 5, 3),
     Limit("file names that stand twice", 24, 0, 0),
-    Limit("internal names that tests import", 313, 246, 150, "steps of methods, and extensions"),
+    Limit("internal names that tests import", 313, 247, 150, "steps of methods, and extensions"),
     Limit("modules of tools/bench/cases", 59, 30, 30),
     Limit("words of the documentation", 91_870, 68_902, 68_902),
     Limit("files visited by a ray capture", 24, 20, 20),

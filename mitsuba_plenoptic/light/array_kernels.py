@@ -530,7 +530,7 @@ class ArrayKernels(LensWaves):
         other = np.flip(weight, axis)
         signs = np.where((other * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
         even = np.allclose(T, np.flip(T, axis), rtol=0, atol=_EVEN)
-        even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max())
+        even = even and np.allclose(weight, signs * other, rtol=0, atol=_EVEN * np.abs(weight).max((0, 1)))
         return signs[:, None, None] if even else None
 
 

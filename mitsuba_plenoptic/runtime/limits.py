@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import os
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
@@ -146,11 +148,25 @@ def software() -> dict[str, str]:
     return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}
 
 
+_limiting = threading.Lock()
+_limits: list[Any] = []
+
+
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Keep NumPy's and SciPy's linear algebra on the calling thread; a context, or a decorator when called."""
-    with _libraries().limit(limits=1, user_api="blas"):
+    """Keep NumPy's and SciPy's linear algebra on the calling thread; a context, or a decorator when called.
+
+    The limit is that of the process: of contexts that overlap in several threads, the last to end lifts it.
+    """
+    with _limiting:
+        _limits.append(_limits[0] if _limits else _libraries().limit(limits=1, user_api="blas"))
+    try:
         yield
+    finally:
+        with _limiting:
+            limit = _limits.pop()
+            if not _limits:
+                limit.restore_original_limits()
 
 
 @cache

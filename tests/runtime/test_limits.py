@@ -9,9 +9,11 @@ import time
 
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.runtime.limits import single_threaded_blas
 from mitsuba_plenoptic.views import FourierRefocuser, LensGrid, depth_map, focal_stack
 
 VARIABLE = "MITSUBA_PLENOPTIC_MEMORY"
@@ -140,3 +142,18 @@ def test_light_fields_estimate_first(camera, monkeypatch):
     ):
         with pytest.raises(InputError, match="it would need"):
             work()
+
+
+def test_overlapping_threads_leave_the_linear_algebra_its_threads():
+    """Contexts that end in another order than by nesting, as those of threads do."""
+
+    def counts():
+        return [each["num_threads"] for each in ThreadpoolController().info() if each["user_api"] == "blas"]
+
+    before, first, second = counts(), single_threaded_blas(), single_threaded_blas()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert set(counts()) == {1}
+    second.__exit__(None, None, None)
+    assert counts() == before

@@ -11,9 +11,10 @@ Dokl. 27, 372; for this iteration Wang and Miller 2014, IEEE Trans. Image Proces
 
 .. math:: z_k = x_k + \frac{m}{m + 3} (x_k - x_{k-1}),
 
-where m counts the steps since one pointed against the way made, where it restarts (O'Donoghue and Candès 2015, Found.
-Comput. Math. 15, 715). Extrapolation by what the last two steps have in common (Biggs and Andrews 1997, Appl. Opt. 36,
-1766) overshoots here: well resolved lines swing to a contrast of 1.2 and back for a hundred steps.
+but at least half of :math:`x_k`, where m counts the steps since one pointed against the way made, where it restarts
+(O'Donoghue and Candès 2015, Found. Comput. Math. 15, 715). Extrapolation by what the last two steps have in common
+(Biggs and Andrews 1997, Appl. Opt. 36, 1766) overshoots here: well resolved lines swing to a contrast of 1.2 and back
+for a hundred steps.
 
 The iteration stops where the residual, weighted by the variances of the pixels, is as large as noise: the discrepancy
 principle (Morozov 1966; for Poisson counts Bertero et al. 2010, Inverse Problems 26, 105004). Further steps would fit
