@@ -46,8 +46,8 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 43_740, 43_659, "0.661; mirror symmetry of transfer functions"),
-    Limit("lines of the package", 66_151, 65_610, 61_520, "0.99; records of extensions, aliases of 1.0, docstrings"),
+    Limit("lines of the core", 66_151, 43_810, 43_659, "0.662; symmetric transfers, one table for all colours"),
+    Limit("lines of the package", 66_151, 65_680, 61_520, "0.99; records of extensions, aliases of 1.0, docstrings"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),

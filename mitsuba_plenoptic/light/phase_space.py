@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -90,10 +91,11 @@ _SUBSAMPLES = 4
 _PACKET = 4
 """Count of coefficients that are gathered at a time."""
 
-_TABLES = 16
-"""Number of tables, of some 35 MiB each, that are cached: all that a spectrum of as many nodes takes."""
+_BYTES = 2**30
+"""Bytes of tables that are cached, beyond which those that a capture does not need are freed, the oldest first. A table
+takes some 35 MiB, and 200 MiB at f/2."""
 
-_tables: dict[tuple[Any, ...], list[NDArray[np.float32]]] = {}
+_tables: dict[tuple[Any, ...], Table] = {}
 
 
 class TableNode(NamedTuple):
@@ -117,6 +119,8 @@ class PhaseSpace(ArrayKernels):
     window: int = 9
     # Nodes of the table along the pupil's radius, denser towards its rim.
     radial: int = 12
+    # Longest wavelength of the plans with which it is used, whose tables have the same nodes. Default: its own.
+    longest: float | None = None
 
     def __post_init__(self) -> None:
         camera = self.camera
@@ -174,8 +178,12 @@ class PhaseSpace(ArrayKernels):
     @functools.cached_property
     def nodes(self) -> list[TableNode]:
         """Nodes of the table along the pupil's radius, each with its window and number of samples."""
-        radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
-        pitch = self.lattice.pitches[0]
+        radius, pitch = self.camera.pupil_radius, self.lattice.pitches[0]
+        # Windows are for the longest wavelength, and samples for the shortest.
+        reach, least_reach = (
+            in_millimetres(limit or self.wavelength) * self.camera.pupil_distance
+            for limit in (self.longest, self.shortest)
+        )
         unit = max(pitch, _UNIT * reach / radius)
         oversampling = _OVERSAMPLING * (1 + (unit > _WIDE * pitch))
         made = []
@@ -186,68 +194,79 @@ class PhaseSpace(ArrayKernels):
             wanted = min(self.window * unit, max(least, unit + spread))
             sides = tuple(math.ceil(wanted / period - 1e-6) * period for period in self.lattice.period())
             # The largest lag is perpendicular to the radius.
-            step = max(reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
+            step = max(least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2)), pitch / _FINEST)
             # Between adjacent nodes the farthest points move by half a unit.
             angular = math.ceil(math.pi / 2 * max(sides) / unit)
             made.append(TableNode(sides, tuple(math.ceil(side / step) for side in sides), angular))
         return made
 
     @property
-    def table(self) -> list[NDArray[np.float32]]:
+    def table(self) -> Table:
         """Coefficients of rays at each node of the pupil's radius: (nodes of the angle, rows, columns, functions).
 
         Cameras that differ only in parameters without effect on the table, such as their detectors, share it. Plans do
         not store it, as those of many cameras, for example in a fit, would fill the memory.
         """
+        tabulate([self])
+        return _tables[self.key]
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """All that the table depends on."""
         camera = self.camera
-        key = (
+        return (
             *(camera.mla_lattice, camera.mla_pitches, camera.mla_aperture, camera.mla_fill),
             *(camera.pupil_radius, camera.pupil_distance, self.wavelength, *self.nodes),
             self.functions.combined.tobytes(),
         )
-        if key not in _tables:
-            while len(_tables) >= _TABLES:
-                del _tables[next(iter(_tables))]
-            _tables[key] = self.tabulated()
-        return _tables[key]
+
+    @property
+    def layout(self) -> tuple[Any, ...]:
+        """All that the places of coefficients in the table depend on, but the lattice."""
+        return self.camera.pupil_radius, *self.nodes
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the table's arrays."""
+        return [(node.angular + 1, *reversed(node.counts), self.functions.count) for node in self.nodes]
 
     @single_threaded_blas()
-    def tabulated(self) -> list[NDArray[np.float32]]:
-        """Return the table of coefficients, computed anew; `table` caches it."""
+    def tabulated(self, table: Table | None = None) -> Table:
+        """Return the table of coefficients, computed anew, in given memory or in memory of its own.
+
+        `table` caches it.
+        """
+        table = Table(self.shapes) if table is None else table
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
         u, v, inside = u[used], v[used], inside[used]
         functions = self.functions
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
-        shapes = [(node.angular + 1, *reversed(node.counts), functions.count) for node in self.nodes]
-        table = Table(shapes)
 
         def fill(radial: int) -> None:
             node, part = self.nodes[radial], table[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
-            to_space, orders, lags = [], [], []
+            gains, orders, lags = [], [], []
             for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
                 most = (count - 1) // 2
                 # Opposite frequencies give conjugate parts: those of half the plane stand for both.
                 order = np.arange(0 if halved else -most, most + 1)
-                place = (np.arange(count) + 0.5) * side / count - side / 2
-                # The gain compensates the damping by linear interpolation.
-                gain = np.sinc(order / count) ** -2 / side * (1 + (halved * order > 0))
-                to_space.append((np.exp(2j * np.pi * np.outer(place, order) / side) * gain).astype(np.complex64))
+                # Samples are in the middle of cells. The gain compensates the damping by linear interpolation.
+                phases = np.exp(np.pi * 1j * order * (1 / count - 1)) * np.sinc(order / count) ** -2 * count / side
+                gains.append(phases.astype(np.complex64))
                 orders.append(np.exp(-2j * np.pi * np.outer(order, along) / side).astype(np.complex64))
-                lags.append(np.asarray(order * (reach / side), np.float64))
-            spectra = np.einsum("ay,yxn,bx->nab", orders[1], values.astype(np.float32), orders[0], optimize=True)
+                lags.append(np.asarray(order * (reach / side), np.float32))
+            spectra = np.einsum("ay,yxn,bx->nba", orders[1], values.astype(np.float32), orders[0], optimize=True)
+            spectra *= gains[0][:, None] * gains[1]
+            size, below = node.counts, len(gains[0]) // 2
+            whole = np.zeros((functions.count, size[0], size[1] // 2 + 1), np.complex64)
             for angle in range(node.angular + 1):
-                overlap = self._overlap(
-                    radial,
-                    angle * math.pi / 2 / node.angular,
-                    math.pi / 2 / node.angular,
-                    lags[0],
-                    lags[1][:, None],
-                    radius,
-                )
-                part[angle] = np.moveaxis((to_space[1] @ (spectra * overlap) @ to_space[0].T).real, 0, -1)
+                turn = math.pi / 2 / node.angular
+                passed = spectra * self._overlap(radial, angle * turn, turn, lags[0][:, None], lags[1], radius)
+                whole[:, : below + 1, : passed.shape[2]] = passed[:, below:]
+                whole[:, size[0] - below :, : passed.shape[2]] = passed[:, :below]
+                part[angle] = scipy.fft.irfft2(whole, size, workers=1).T
 
         on_all_cores(fill, range(len(self.nodes)))
         return table
@@ -257,8 +276,8 @@ class PhaseSpace(ArrayKernels):
         radial: int,
         angle: float,
         turn: float,
-        lag_u: NDArray[np.float64],
-        lag_v: NDArray[np.float64],
+        lag_u: NDArray[np.float32],
+        lag_v: NDArray[np.float32],
         radius: float,
     ) -> NDArray[np.float32]:
         """Return O_P, averaged over the part of the pupil for which interpolation uses a node."""
@@ -266,8 +285,8 @@ class PhaseSpace(ArrayKernels):
         aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
         weights = np.concatenate([weights, weights])
-        total = np.zeros(np.broadcast_shapes(lag_u.shape, lag_v.shape))
-        scale = 0.0
+        rest = np.float32(radius**2) - (lag_u**2 + lag_v**2) / 4
+        total, scale = np.zeros_like(rest), 0.0
         for step, weight in zip(steps, weights, strict=True):
             t = 1 - (radial + step) / self.radial
             if not 0 <= t <= 1:
@@ -276,13 +295,11 @@ class PhaseSpace(ArrayKernels):
             # The area element of a step of t; on the axis any value gives the same result.
             area = weight * t * distance
             for part, share in zip(steps, weights, strict=True):
-                Pu, Pv = distance * math.cos(angle + part * turn), distance * math.sin(angle + part * turn)
-                both = np.maximum(
-                    (Pu + lag_u / 2) ** 2 + (Pv + lag_v / 2) ** 2, (Pu - lag_u / 2) ** 2 + (Pv - lag_v / 2) ** 2
-                )
-                total += area * share * (both <= radius * radius)
+                Pu, Pv = (np.float32(distance * f(angle + part * turn)) for f in (math.cos, math.sin))
+                # Both points P + lag / 2 and P - lag / 2 are within the pupil.
+                total += np.float32(area * share) * (np.abs(Pu * lag_u + Pv * lag_v) <= rest - np.float32(distance**2))
                 scale += area * share
-        return (total / scale).astype(np.float32)
+        return np.asarray(total / np.float32(scale))
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
@@ -296,10 +313,12 @@ class PhaseSpace(ArrayKernels):
 
 
 @functools.lru_cache(maxsize=16)
-def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float) -> PhaseSpace:
+def plan_of(
+    camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
+) -> PhaseSpace:
     """Return a usual or a finer plan of a camera, cached for further captures.
 
-    `shortest` is the shortest wavelength among the capture's plans.
+    `shortest` and `longest` are the extreme wavelengths among the capture's plans.
     """
     plan = PhaseSpace(
         camera,
@@ -309,6 +328,7 @@ def plan_of(camera: PlenopticCamera, wavelength: float, fine: bool, shortest: fl
         radial=_RADIAL[fine],
         tolerance=_TOLERANCES[fine],
         shortest=shortest,
+        longest=longest,
     )
     return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
 
@@ -320,9 +340,29 @@ def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
     return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
 
 
-def coefficients_of(plan: PhaseSpace) -> RayCoefficients | Polynomials:
-    """Return the object that computes the coefficients of rays for a plan."""
-    return Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table)
+def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
+    """Return the objects that compute the coefficients of rays for plans."""
+    tabulate([plan for plan in plans if not plan.by_points])
+    return [Polynomials(plan) if plan.by_points else RayCoefficients(plan, plan.table) for plan in plans]
+
+
+def tabulate(plans: Sequence[PhaseSpace]) -> None:
+    """Compute the tables of plans that are not cached.
+
+    Tables with the same places lie side by side, so that rays find the coefficients of all wavelengths in one place.
+    """
+    wanted = {plan.key: plan for plan in plans}
+    alike: dict[Any, list[tuple[Any, PhaseSpace]]] = {}
+    for key, plan in wanted.items():
+        if key not in _tables:
+            alike.setdefault(plan.layout, []).append((key, plan))
+    for some in alike.values():
+        tables = Table.side_by_side([plan.shapes for _, plan in some])
+        for key in [key for key in _tables if key not in wanted]:
+            if sum(table.size for table in (*tables, *_tables.values())) > _BYTES:
+                del _tables[key]
+        for (key, plan), table in zip(some, tables, strict=True):
+            _tables[key] = plan.tabulated(table)
 
 
 class TableNodes:
@@ -345,20 +385,40 @@ class TableNodes:
 
 
 class Table(list[NDArray[np.float32]]):
-    """Coefficient arrays of a table's nodes, stored in whole packets one after another in `flat`.
+    """Coefficient arrays of a table's nodes, one after another in `memory` (places, numbers), in whole packets.
 
-    Zeros follow the arrays, for rays outside all nodes.
+    Zeros follow the arrays, for rays outside all nodes. Other tables may fill other columns of the memory.
     """
 
-    def __init__(self, shapes: Sequence[tuple[int, ...]]) -> None:
-        wide = [(*shape[:-1], -(-shape[-1] // _PACKET) * _PACKET) for shape in shapes]
-        ends = np.cumsum([math.prod(shape) for shape in wide])
-        self.flat = empty_packets((int(ends[-1]) + wide[0][-1],), np.float32)
-        self.flat[:] = 0
-        parts = np.split(self.flat, ends)[:-1]
-        super().__init__(
-            part.reshape(padded)[..., : shape[-1]] for part, padded, shape in zip(parts, wide, shapes, strict=True)
-        )
+    def __init__(
+        self,
+        shapes: Sequence[tuple[int, ...]],
+        # Memory, and the table's first packet in each row; by default, memory for this table alone.
+        memory: NDArray[np.float32] | None = None,
+        first: int = 0,
+    ) -> None:
+        self.packets, self.first = -(-shapes[0][-1] // _PACKET), first
+        ends = np.cumsum([math.prod(shape[:-1]) for shape in shapes])
+        if memory is None:
+            memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float32)
+        self.memory, whole = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
+        own, whole[:, shapes[0][-1] :], whole[-1] = whole[:, : shapes[0][-1]], 0, 0
+        super().__init__(part.reshape(shape) for part, shape in zip(np.split(own, ends)[:-1], shapes, strict=True))
+
+    @classmethod
+    def side_by_side(cls, every: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
+        """Return zero tables of given shapes with the same places, in one memory."""
+        whole = [(*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in every)) for shape in every[0]]
+        memory, tables, first = cls(whole).memory, [], 0
+        for shapes in every:
+            tables.append(cls(shapes, memory, first))
+            first += tables[-1].packets
+        return tables
+
+    @property
+    def size(self) -> int:
+        """Bytes of the arrays."""
+        return sum(part.nbytes for part in self)
 
     @classmethod
     def of(cls, arrays: Sequence[NDArray[np.float32]]) -> Table:
@@ -376,8 +436,10 @@ class RayCoefficients:
 
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
-        self._packets = -(-plan.functions.count // _PACKET)
-        self._table = drjit_array(mi.Float, Table.of(table).flat)
+        self.layout, whole = plan.layout, Table.of(table)
+        self._table = drjit_array(mi.Float, whole.memory)
+        self._packets = range(whole.first, whole.first + whole.packets)
+        self._wide = whole.memory.shape[1] // _PACKET
         *first, self._nowhere = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table]).tolist()
         self._first = drjit_array(mi.Int, np.array(first))
         sides, counts = np.array([n.sides for n in plan.nodes]), np.array([n.counts for n in plan.nodes])
@@ -425,8 +487,8 @@ class RayCoefficients:
         """Return the coefficients at `places`."""
         values = [
             value
-            for packet in range(self._packets)
-            for value in dr.gather(mi.Vector4f, self._table, (place >> 2) * self._packets + packet)
+            for packet in self._packets
+            for value in dr.gather(mi.Vector4f, self._table, (place >> 2) * self._wide + packet)
         ]
         return self.plan.mirrored(values, (place & 1) != 0, (place & 2) != 0)
 
@@ -456,6 +518,7 @@ class Polynomials:
 
     def __init__(self, plan: PhaseSpace) -> None:
         self.plan = plan
+        self.layout: tuple[Any, ...] = (plan.functions.scale,)
 
     def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
         """Return the values of the polynomials at points of a lens."""

@@ -43,7 +43,7 @@ from .random_numbers import chances_of
 from .scene_light import require_finite
 from .signed_colours import mixed
 from .signed_draws import Drawn, Kept, Lot
-from .signed_rays import SignedRaySum
+from .signed_rays import NodeLight, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
@@ -128,20 +128,17 @@ class CameraTangents(_CameraSum):
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
         return tuple(drawn.kept)
 
+    def _alike(self, nodes: Sequence[int]) -> list[list[int]]:
+        return [[number] for number in nodes]
+
     def _bring(
-        self,
-        lot: Lot,
-        kept: tuple[Any, ...],
-        radiance: list[Any],
-        known: list[Pair],
-        weights: Sequence[Any],
-        lit: Any,
-        number: int,
-    ) -> list[list[Any]]:
-        """Return each cell's values for each kernel, their slopes and their changes, for each image of a node.
+        self, lot: Lot, kept: tuple[Any, ...], lights: list[NodeLight], lit: Any, numbers: Sequence[int]
+    ) -> list[list[list[Any]]]:
+        """Return each cell's values for each kernel, their slopes and their changes, for each image of one node.
 
         The changes of the direction cosines of the cells' light are returned as well.
         """
+        ((radiance, known, weights),), (number,) = lights, numbers
         (first, start), (drawn, _) = self._first(lot.pixels), self._drawn_rays(lot.pixels, lot.key)
         pixel, key = self._spread(lot.pixels.number), lot.key
         table, width = self._coefficients[number], self._by_width[number]
@@ -162,7 +159,7 @@ class CameraTangents(_CameraSum):
         dr.eval(changes)
         wider = dr.opaque(mi.Float, width_change(self._camera, self._changes))
 
-        def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
+        def bring(k: Any, brought: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
             ray, even = Kept(*kept).at(first + k), ((start + k) & 1) == 0
             du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
             means = [dr.select(ray.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
@@ -170,7 +167,7 @@ class CameraTangents(_CameraSum):
             nodes = ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), ray.open
             values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
             result = []
-            for row, before in zip(weights, brought, strict=True):
+            for row, before in zip(weights, brought[0], strict=True):
                 mean = mixed(row, means)
                 strength = dr.select(ray.open, (mixed(row, lights) - mean) * ray.weight, 0)
                 own = [strength * value for value in values]
@@ -182,11 +179,11 @@ class CameraTangents(_CameraSum):
                 change[0] += mean * density
                 parts = [*change, *(a * dx for a in own), *(a * dy for a in own), *own]
                 result.append([old + part for old, part in zip(before, parts, strict=True)])
-            return k + 1, result
+            return k + 1, [result]
 
         # All rays of a cell and a lens have nearly the same direction.
         bent = [dr.gather(mi.Float, change, first) for change in changes[6:]]
-        return [[*values, *bent] for values in self._mean_of(bring, lit, number)]
+        return [[[*values, *bent] for values in images] for images in self._mean_of(bring, lit, numbers)]
 
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int

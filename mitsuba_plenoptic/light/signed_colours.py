@@ -191,7 +191,7 @@ class SignedColours:
         """Return the nodes, with their plans."""
         found, fine = self.shared(camera, accuracy), accuracy < FINE
         return [
-            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0]), channels, weights)
+            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0], found[-1][0]), channels, weights)
             for place, channels, weights in found
         ]
 

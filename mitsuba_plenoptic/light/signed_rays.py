@@ -38,7 +38,7 @@ from ..runtime.limits import single_threaded_blas
 from .array_kernels import REACH
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .noise import known_means
-from .phase_space import PhaseSpace, Polynomials, RayCoefficients, coefficients_of
+from .phase_space import PhaseSpace, coefficients_of
 from .pixel_kernels import PixelKernels
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
@@ -75,6 +75,16 @@ class Brought(NamedTuple):
     values: list[list[list[Any]]]
     # Direction cosines of the light of pixels.
     cosines: Pair
+
+
+class NodeLight(NamedTuple):
+    """The light of rays that a node uses."""
+
+    # Radiance values of each ray, and their known means in each cell.
+    radiance: list[Any]
+    means: list[Pair]
+    # Weights that mix the values for each image.
+    weights: Sequence[Any]
 
 
 class SignedRaySum:
@@ -122,7 +132,8 @@ class SignedRaySum:
         self.channels = max(self._channels) + 1
         rows, columns = camera.shape
         self.box = Box(0, 0, columns, rows)
-        # Kernels are computed before the images, so that the peaks of their memory do not add up.
+        # Tables and kernels are computed before the images, so that the peaks of their memory do not add up.
+        self._coefficients = coefficients_of(plans)
         self._bins = box_of(camera, max(map(margin_of, self._flat_kernels)))
         values = sum(len(each) * len(node.channels) for each, node in zip(self._flat_kernels, nodes, strict=True))
         self._blocks = blocks_of(self._bins, _BLOCK_BYTES // (4 * values))
@@ -187,10 +198,6 @@ class SignedRaySum:
         make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
         made = [make(self._camera, tuple(itertools.chain(*kinds)), size) for kinds in self._kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
-
-    @cached_property
-    def _coefficients(self) -> list[RayCoefficients | Polynomials]:
-        return [coefficients_of(node.plan) for node in self._nodes]
 
     def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[NDArray[np.float32]]:
         """Return the images (kernels, pixels) of each channel of each node, from traced rays of the pixels of a box."""
@@ -345,8 +352,7 @@ class SignedRaySum:
                 self._trace(self._bins, pixels, np.random.SeedSequence(seed))
                 dr.sync_thread()
                 seconds.append((time.perf_counter() - start) / dr.width(pixels))
-        plans = [node.plan for node in self._nodes if not node.plan.by_points]
-        tables = sum(part.nbytes for plan in plans for part in plan.table)
+        tables = sum(node.plan.table.size for node in self._nodes if not node.plan.by_points)
         # The first run compiles the kernels, and is left out.
         return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
 
@@ -372,24 +378,34 @@ class SignedRaySum:
         count = dr.width(lot.some)
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
-        sums: list[list[list[Any]]] = []
+        sums: dict[int, list[list[Any]]] = {}
         for (walk, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
-            kept = [self._kept(drawn, number) for number in nodes]
+            alike = self._alike(nodes)
+            kept = [self._kept(drawn, numbers[0]) for numbers in alike]
             require_finite(radiance, counted, kept)
             # Any function may be the light; derivatives and band-limited light may be negative.
             if getattr(self._light, "is_radiance", False):
                 require_light(radiance)
             known, lit = known_means(radiance, counted, count, self._together)
-            for number, own in zip(nodes, kept, strict=True):
-                used, weights = self._nodes[number].mixture(lanes)
-                lights, means = [radiance[i] for i in used], [self._spread(known[i]) for i in used]
-                weights = weights if lanes is None else self._spread(weights)
-                sums.append(self._bring(lot, own, lights, means, weights, lit, number))
+            for numbers, each in zip(alike, kept, strict=True):
+                lights = []
+                for used, weights in (self._nodes[number].mixture(lanes) for number in numbers):
+                    means = [self._spread(known[i]) for i in used]
+                    weights = weights if lanes is None else self._spread(weights)
+                    lights.append(NodeLight([radiance[i] for i in used], means, weights))
+                sums |= dict(zip(numbers, self._bring(lot, each, lights, lit, numbers), strict=True))
         cosines = self._draws.cosines(lot.pixels)
         dr.eval(sums, cosines)
-        return Brought(sums, cosines)
+        return Brought([sums[number] for number in range(len(self._nodes))], cosines)
+
+    def _alike(self, nodes: Sequence[int]) -> list[list[int]]:
+        """Return nodes divided into those that have the coefficients of a ray at the same place of their tables."""
+        found: dict[Any, list[int]] = {}
+        for number in nodes:
+            found.setdefault(self._coefficients[number].layout, []).append(number)
+        return list(found.values())
 
     def _drawn_rays(self, pixels: Pixels, key: Any) -> tuple[Drawn, Any]:
         """Return all rays of pixels, one per lane, and the index of each ray's pixel."""
@@ -422,38 +438,33 @@ class SignedRaySum:
         return places, dr.select(drawn.open, drawn.weight, 0)
 
     def _bring(
-        self,
-        lot: Lot,
-        kept: tuple[Any, ...],
-        radiance: list[Any],
-        known: list[Pair],
-        weights: Sequence[Any],
-        lit: Any,
-        number: int,
-    ) -> list[list[Any]]:
-        """Return, for each image of a node, the mean coefficients of the rays of each cell.
-
-        `weights` mix the radiances of rays, and their known means in cells, for each image.
-        """
+        self, lot: Lot, kept: tuple[Any, ...], lights: list[NodeLight], lit: Any, numbers: Sequence[int]
+    ) -> list[list[list[Any]]]:
+        """Return, for each image of each of several nodes, the mean coefficients of the rays of each cell."""
         # Computed before the recorded loop, so as not to become a part of it.
-        (first, start), (places, weight), coefficients = self._first(lot.pixels), kept, self._coefficients[number]
+        (first, start), (places, weight) = self._first(lot.pixels), kept
+        coefficients = [self._coefficients[number] for number in numbers]
 
-        def bring(k: Any, brought: list[list[Any]]) -> tuple[Any, list[list[Any]]]:
+        def bring(k: Any, brought: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
             own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
-            others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in known]
-            changes = [
-                dr.gather(mi.Float, light, first + k) - other for light, other in zip(radiance, others, strict=True)
-            ]
-            values = coefficients.read(*(dr.gather(type(place), place, first + k) for place in places))
+            at = [dr.gather(type(place), place, first + k) for place in places]
             result = []
-            for row, before in zip(weights, brought, strict=True):
-                change = own * mixed(row, changes)
-                after = [dr.fma(value, change, old) for old, value in zip(before, values, strict=True)]
-                after[0] += dr.select(own > 0, mixed(row, others), 0)
-                result.append(after)
+            for light, table, images in zip(lights, coefficients, brought, strict=True):
+                others = [dr.select(even, pair[1], pair[0]) * self._known_part for pair in light.means]
+                changes = [
+                    dr.gather(mi.Float, each, first + k) - other
+                    for each, other in zip(light.radiance, others, strict=True)
+                ]
+                values, made = table.read(*at), []
+                for row, before in zip(light.weights, images, strict=True):
+                    change = own * mixed(row, changes)
+                    after = [dr.fma(value, change, old) for old, value in zip(before, values, strict=True)]
+                    after[0] += dr.select(own > 0, mixed(row, others), 0)
+                    made.append(after)
+                result.append(made)
             return k + 1, result
 
-        return self._mean_of(bring, lit, number)
+        return self._mean_of(bring, lit, numbers)
 
     def _first(self, pixels: Pixels) -> Pair:
         """Return the index of each cell's first ray, among the rays of all pixels and of the cell's pixel alone."""
@@ -470,14 +481,17 @@ class SignedRaySum:
         places = self._parts**2
         return dr.gather(type(values), values, quotient(dr.arange(mi.UInt32, dr.width(values) * places), places))
 
-    def _mean_of(self, bring: Callable[..., Any], lit: Any, number: int) -> list[list[Any]]:
-        """Return the mean values over the rays of each cell of lit pixels, in a loop, for each image of a node."""
-        node, functions = self._nodes[number], self._nodes[number].plan.functions.count
-        nothing = [[mi.Float(0) for _ in range(self._sets * functions)] for _ in node.channels]
+    def _mean_of(self, bring: Callable[..., Any], lit: Any, numbers: Sequence[int]) -> list[list[list[Any]]]:
+        """Return the mean values over the rays of each cell of lit pixels, in a loop, for each image of some nodes."""
+        nodes = [self._nodes[number] for number in numbers]
+        nothing = [
+            [[mi.Float(0) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
+            for node in nodes
+        ]
         end = dr.select(self._spread(lit), dr.opaque(mi.UInt32, self._spp), 0)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
-        return [[part / rays for part in parts] for parts in brought]
+        return [[[part / rays for part in parts] for parts in images] for images in brought]
 
 
 class _Grid(NamedTuple):

@@ -3,6 +3,7 @@
 import math
 import weakref
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from scipy.special import j0, j1
 
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.light.phase_space import PhaseSpace
+from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
 from mitsuba_plenoptic.light.walk import Walk
+from mitsuba_plenoptic.runtime.backend import drjit_array
 from tools.bench.cases import phase_space
 from tools.bench.measures import relative
 
@@ -159,19 +161,40 @@ def test_openings_of_a_few_wavelengths_are_refused():
     assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
 
 
-def test_plans_of_many_cameras_keep_a_bounded_number_of_tables(monkeypatch):
+def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
     """As those of the steps of a fit, of which other caches keep the plans."""
     made = []
 
-    def tabulated(plan):
-        table = np.zeros(1)
-        made.append(weakref.ref(table))
-        return [table]
+    def tabulated(plan, table):
+        made.append(weakref.ref(table.memory))
+        return table
 
     monkeypatch.setattr("mitsuba_plenoptic.light.phase_space._tables", {})
     monkeypatch.setattr(PhaseSpace, "tabulated", tabulated)
-    plans = [PhaseSpace(PlenopticCamera(), 500.0 + k, degree=1, radial=2) for k in range(20)]
+    plans = [PhaseSpace(PlenopticCamera(), 500.0, degree=1, radial=2, window=9 + k) for k in range(20)]
+    sizes = [sum(math.prod(shape) for shape in plan.shapes) * 4 for plan in plans]
+    monkeypatch.setattr("mitsuba_plenoptic.light.phase_space._BYTES", sum(sizes[-4:]))
     for plan in plans:
         assert plan.table is plan.table
     assert len(made) == 20
-    assert sum(each() is not None for each in made) == 16
+    assert [each() is not None for each in made] == [False] * 16 + [True] * 4
+    # A capture gets all of its tables, however large they are.
+    coefficients_of(plans[:8])
+    assert len(made) == 28
+    assert all(each() is not None for each in made[20:])
+
+
+def test_wavelengths_find_coefficients_at_the_same_places(monkeypatch):
+    monkeypatch.setattr("mitsuba_plenoptic.light.phase_space._tables", {})
+    plans = [PhaseSpace(PlenopticCamera(), each, shortest=460.0, longest=610.0) for each in (460.0, 550.0, 610.0)]
+    together = coefficients_of(plans)
+    assert len({each.layout for each in together}) == 1
+    rng = np.random.default_rng(3)
+    point, pupil = ([drjit_array(mi.Float, size * rng.uniform(-1, 1, 500)) for _ in range(2)] for size in (0.05, 4.0))
+    chances = [drjit_array(mi.Float, rng.uniform(size=500)) for _ in range(4)]
+    ray = point, pupil, chances, mi.Bool(True)
+    for plan, own in zip(plans, together, strict=True):
+        alone = type(own)(plan, plan.tabulated())
+        assert dr.all(alone.places(*ray)[0] == together[0].places(*ray)[0])
+        assert np.array_equal(alone(*ray), own(*ray))
+        assert np.abs(own(*ray)).max() > 0.1

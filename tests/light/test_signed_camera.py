@@ -75,7 +75,7 @@ class HeldRays(CameraTangents):
 
     def figure(self, camera):
         plan = self._nodes[0].plan
-        self.other, self.table, self.total = camera, coefficients_of(plan.moved(camera)), 0.0
+        self.other, self.table, self.total = camera, coefficients_of([plan.moved(camera)])[0], 0.0
         samples = plan.kernel_samples(self._step, REACH * max(camera.mla_pitches))
         step = self._step * camera.detector_width / self._camera.detector_width
         kernels = plan.moved(camera).sampled_kernels(step, samples, 0) / self._draws.enlargements[0] ** 2
@@ -89,7 +89,8 @@ class HeldRays(CameraTangents):
             pass
         return self.total
 
-    def _bring(self, lot, drawn, radiance, known, lit, number, lanes):
+    def _bring(self, lot, kept, lights, lit, numbers):
+        ((radiance, known, _),), (number,) = lights, numbers
         lane = dr.arange(mi.UInt32, dr.width(radiance[0]))
         own, sample = lane // self._spp, lane % self._spp
         index, box = dr.gather(mi.UInt32, lot.pixels.index, own), lot.pixels.box
@@ -128,7 +129,7 @@ class HeldRays(CameraTangents):
             self.total += (
                 np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
             )
-        return super()._bring(lot, drawn, radiance, known, dr.zeros(mi.Bool, dr.width(lot.some)), number, lanes)
+        return super()._bring(lot, kept, lights, dr.zeros(mi.Bool, dr.width(lot.some)), numbers)
 
     def interpolated(self, point, drawn):
         """Return coefficients that are interpolated linearly in the point."""
