@@ -113,8 +113,9 @@ class HeldRays(CameraTangents):
         values[0] += np.asarray(mean * dr.exp(there.density - here.density), float)
         # Light meets the lenses of the other camera in another direction.
         oblique = self._nodes[number].plan.oblique
-        bent = oblique.terms(np.array([np.asarray(cosine) for cosine in there.cosines]))
-        values += list(np.einsum("rnk,kx,nx->rx", oblique.factors, bent, np.array(values)))
+        if oblique.count:
+            bent = oblique.terms(np.array([np.asarray(cosine) for cosine in there.cosines]))
+            values += list(np.einsum("rnk,kx,nx->rx", oblique.factors, bent, np.array(values)))
         place = [
             np.asarray(whole, float) + first + self.margin + np.asarray(after - before, float)
             for whole, first, after, before in zip(
