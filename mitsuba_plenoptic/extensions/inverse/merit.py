@@ -225,6 +225,8 @@ class DepthInformation:
         everything.
     wavelength, accuracy, method
         As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
+        Derivatives of a small change of the figure are less exact: by the focal length of one camera 12 % too small
+        by default, and 3 % with the accuracy 0.
 
     Raises
     ------

@@ -146,7 +146,8 @@ def _reach(
     camera = camera.replace(mla_cra=())
     lens, farthest = OpticalSystem(camera, wavelength).lens, 0.0
     for x, y in positions * camera.mla_distance / (camera.mla_distance + camera.reduced_distance):
-        landing = footprint(lens, _points(camera, (x, y), distances))
+        points = _points(camera, (x, y), distances)
+        landing = footprint(lens.waves_of(points), points)
         farthest = max(farthest, float((abs(landing.centre - (x, y)) + landing.half_width).max()))
     return farthest
 

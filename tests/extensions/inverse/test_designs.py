@@ -45,14 +45,22 @@ def test_gradient_of_contrast_against_differences(name):
     assert found == pytest.approx(difference(figure, **{name: step}), rel=0.06)
 
 
-@pytest.mark.parametrize("name", [pytest.param("focal_length", marks=pytest.mark.slow), "wavefront"])
-def test_gradient_of_depth_against_differences(name):
-    figure = DepthInformation(POINT, 3000.0)
-    step = 4e-3 if name == "focal_length" else spherical(0.02)
-    value, gradient = figure.gradient(CAMERA, [name])
+def test_gradient_of_depth_against_differences():
+    figure, step = DepthInformation(POINT, 3000.0), spherical(0.02)
+    value, gradient = figure.gradient(CAMERA, ["wavefront"])
     assert value == pytest.approx(figure.value(CAMERA), rel=1e-6)
-    found = np.vdot(gradient[name][: np.size(step)], step)
-    assert found == pytest.approx(difference(figure, **{name: step}), rel=0.05)
+    found = np.vdot(gradient["wavefront"][: np.size(step)], step)
+    assert found == pytest.approx(difference(figure, wavefront=step), rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("accuracy", "limit"), [(0.02, 0.13), (0.0, 0.04)])
+def test_gradient_of_depth_against_differences_of_full_fields(accuracy, limit):
+    """The focal length changes this figure little, so that light beyond the patches weighs more than elsewhere."""
+    step = 4e-3
+    found = DepthInformation(POINT, 3000.0, accuracy=accuracy).gradient(CAMERA, ["focal_length"])[1]["focal_length"]
+    full = DepthInformation(POINT, 3000.0, method="full_field")
+    assert found * step == pytest.approx(difference(full, focal_length=step), rel=limit)
 
 
 def test_deviation_is_that_of_estimates_from_noise():
