@@ -51,6 +51,8 @@ class PixelKernels:
         # Covariance of the values in random light, and the part of images of such light that may be missing.
         covariance: NDArray[np.float64],
         tolerance: float,
+        # Whether light that patterns lack is added to the first. Derivatives of kernels have hardly any light in sum.
+        keeps_light: bool,
     ) -> None:
         own = _by_places(_sharpened(kernels, order), parts)
         responses = own.reshape(-1, own.shape[2] * own.shape[3])
@@ -59,7 +61,8 @@ class PixelKernels:
         else:
             patterns = _patterns(own, covariance, tolerance)
             factors = responses @ patterns.T
-            factors[:, 0] += (responses - factors @ patterns).sum(1) / patterns[0].sum()
+            if keeps_light:
+                factors[:, 0] += (responses - factors @ patterns).sum(1) / patterns[0].sum()
         self.kernels = patterns.reshape(-1, *own.shape[2:]).astype(np.float32)
         functions = len(kernels) - oblique.count
         factors = factors.reshape(*own.shape[:2], -1)
@@ -128,7 +131,8 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
     """
     # Light that is the same for all cells of a pixel.
     even = kernels[0].sum(0).ravel()
-    first = (even / np.linalg.norm(even))[None]
+    # Kernels do not change with the focal length of other lenses.
+    first = (even / (np.linalg.norm(even) or 1.0))[None]
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0))).T
     # Of all light, that which differs from cell to cell needs the most patterns.

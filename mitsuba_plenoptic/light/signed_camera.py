@@ -97,11 +97,27 @@ def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points:
 
 
 class _CameraSum(SignedRaySum):
-    """The sum of signed rays, with tables for derivatives with respect to the camera's parameters."""
+    """The sum of signed rays, with tables and kernels for derivatives with respect to the camera's parameters."""
+
+    def __init__(self, *arguments: Any, names: Iterable[str], **options: Any) -> None:
+        self._names = tuple(names)
+        super().__init__(*arguments, **options)
 
     @cached_property
     def _by_width(self) -> list[RayCoefficients]:
         return [width_slopes(node.plan) for node in self._nodes]
+
+    @cached_property
+    def _of_kernels(self) -> list[tuple[str, int]]:
+        """The parameter components on which kernels depend."""
+        start = parameters_of(self._camera)
+        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
+
+    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
+        # One set for each component, so that forward and reverse approximate the same kernels.
+        slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
+        return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
 
 class CameraTangents(_CameraSum):
@@ -111,19 +127,7 @@ class CameraTangents(_CameraSum):
 
     def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
         self._changes = changes
-        super().__init__(*arguments, **options)
-
-    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
-        change = sum(
-            (
-                part * slope
-                for name, parts in self._changes.items()
-                for part, slope in zip(parts, kernel_slopes(plan, name, self._step, kind), strict=True)
-            ),
-            np.zeros_like(own),
-        )
-        return [*displaced(own), change]
+        super().__init__(*arguments, names=changes, **options)
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
         return tuple(drawn.kept)
@@ -190,8 +194,9 @@ class CameraTangents(_CameraSum):
     ) -> NDArray[np.float32]:
         """Return the images made from all sets of values; see `_bring`."""
         parts, bent = values[:-2], values[-2:]
-        images = super()._combined(kernels, parts, cosines, number)
-        own = np.split(parts, self._sets)[-1]
+        *held, own = np.split(parts, self._sets)
+        changed = (float(self._changes[name][i]) * own for name, i in self._of_kernels)
+        images = super()._combined(kernels, np.concatenate([*held, *changed]), cosines, number)
         turned = np.einsum("atx,ax->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
         images[: len(kernels[0].kernels)] += kernels[0].turned(own, turned)
         return images
@@ -201,20 +206,8 @@ class CameraAdjoint(_CameraSum):
     """Gradient of a function of a capture with respect to its camera's `PARAMETERS`."""
 
     def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
-        self._names = names
-        super().__init__(*arguments, **options)
+        super().__init__(*arguments, names=names, **options)
         self._sets = 3 + len(self._of_kernels)
-
-    @cached_property
-    def _of_kernels(self) -> list[tuple[str, int]]:
-        """The parameter components on which kernels depend."""
-        start = parameters_of(self._camera)
-        return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
-
-    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
-        slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
-        return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
@@ -382,11 +375,9 @@ def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
 
 @functools.lru_cache(maxsize=32)
 def kernel_slopes(plan: PhaseSpace, name: str, step: float, kind: int) -> list[NDArray[np.float64]]:
-    """Return the derivatives of kernels with respect to each component of a parameter."""
+    """Return the derivatives of kernels with respect to each component of a parameter on which they depend."""
     camera, start = plan.camera, parameters_of(plan.camera)[name]
     samples = plan.kernel_samples(step, REACH * max(camera.mla_pitches), kind)
-    if name not in _OF_KERNELS:
-        return [np.zeros(1)] * len(start)
     slopes = []
     for part in range(len(start)):
         sides = []

@@ -168,7 +168,7 @@ class SignedRaySum:
             [
                 [
                     _kernels_of(plan, grid, kind),
-                    *(grid.for_pixels(plan, kernels) for kernels in self._further_kernels(plan, kind)),
+                    *(grid.for_pixels(plan, each, keeps_light=False) for each in self._further_kernels(plan, kind)),
                 ]
                 for kind, grid in enumerate(grids)
             ]
@@ -504,19 +504,21 @@ class _Grid(NamedTuple):
     turns: tuple[tuple[float, ...], ...]
     order: int
 
-    def for_pixels(self, plan: PhaseSpace, kernels: NDArray[np.float64]) -> PixelKernels:
+    def for_pixels(self, plan: PhaseSpace, kernels: NDArray[np.float64], keeps_light: bool) -> PixelKernels:
         """Return the kernels of pixel images from kernels (values, k, k) of cells."""
         turns = np.array(self.turns) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.
         mean = kernels / (self.parts * self.larger) ** 2
-        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, plan.covariance, plan.tolerance)
+        noise = plan.covariance, plan.tolerance
+        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, *noise, keeps_light)
 
 
 @functools.lru_cache(maxsize=16)
 def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     camera = plan.camera
-    return grid.for_pixels(plan, plan.kernels(camera.pixel_size / grid.parts, REACH * max(camera.mla_pitches), kind))
+    kernels = plan.kernels(camera.pixel_size / grid.parts, REACH * max(camera.mla_pitches), kind)
+    return grid.for_pixels(plan, kernels, keeps_light=True)
 
 
 @functools.lru_cache(maxsize=4)

@@ -156,8 +156,8 @@ def node(request):
 
 
 def image(work):
-    items = int(work.items.sum())
-    return Job().run([SumTask(items, lambda: work, lambda image: image)], (PIXELS, PIXELS, 1), items)[..., 0]
+    items, shape = int(work.items.sum()), (*work._camera.shape, 1)
+    return Job().run([SumTask(items, lambda: work, lambda image: image)], shape, items)[..., 0]
 
 
 def unit(name):
@@ -180,14 +180,39 @@ def test_against_differences_of_held_rays(node, name):
     assert found == pytest.approx(expected, rel=0.05 if moves else 0.015, abs=1.0 if name == "detector_width" else None)
 
 
-def test_reverse_is_the_transpose_of_forward():
+@pytest.mark.parametrize("name", ["mla_offset", "detector_distance", "detector_width"])
+def test_coarse_pixels_are_the_means_of_fine_ones(name):
+    fine, parts = MODELS["ideal"], 3
+    found = []
+    with dr.suspend_grad():
+        for camera, cells in ((fine, 1), (fine.replace(resolution=(PIXELS // parts, PIXELS // parts)), parts)):
+            node = Node(PhaseSpace(camera, 633.0), (0,), np.ones((1, 1)))
+            options = {"parts": cells, "spp": 32 * cells**2, "seed": cells, "changes": {name: unit(name)}}
+            found.append(image(CameraTangents(camera, light, [node], **options)))
+    expected = found[0].reshape(PIXELS // parts, parts, PIXELS // parts, parts).mean((1, 3))
+    # Noise of the rays.
+    assert np.linalg.norm(found[1] - expected) < 0.08 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    ("array", "changes"),
+    [
+        ({}, {"focal_length": np.ones(1)}),
+        (
+            {"mla_lattice": "hexagonal", "mla_focal_length": (0.48, 0.512, 0.55)},
+            {"mla_focal_length": np.array([0.1, -0.2, 0.3])},
+        ),
+        ({}, {"focal_length": np.ones(1), "mla_distance": np.ones(1), "mla_offset": np.array([0.01, -0.02])}),
+    ],
+    ids=["no kernels", "three focal lengths", "several"],
+)
+def test_reverse_is_the_transpose_of_forward(array, changes):
     generator = np.random.default_rng(1)
-    camera = PlenopticCamera(detector_width=2 * 0.064, resolution=(32, 32))
+    camera = PlenopticCamera(detector_width=2 * 0.064, resolution=(16, 16), **array)
     plans = [PhaseSpace(camera, wavelength, degree=1, window=3, radial=4) for wavelength in (500.0, 633.0)]
     # Two nodes of light of two values.
     nodes = [Node(plan, (0, 1), weights) for plan, weights in zip(plans, generator.normal(size=(2, 2, 2)), strict=True)]
-    changes = {"focal_length": np.ones(1), "mla_distance": np.ones(1), "mla_offset": np.array([0.01, -0.02])}
-    gradient = generator.normal(size=(32, 32, 2)).astype(np.float32)
+    gradient = generator.normal(size=(16, 16, 2)).astype(np.float32)
     options = {"parts": 2, "spp": 4, "seed": 5}
 
     def two_values(*ray):
@@ -197,7 +222,7 @@ def test_reverse_is_the_transpose_of_forward():
     with dr.suspend_grad():
         work = CameraTangents(camera, two_values, nodes, **options, changes=changes)
         items = int(work.items.sum())
-        change = Job().run([SumTask(items, lambda: work, lambda image: image)], (32, 32, 2), items)
+        change = Job().run([SumTask(items, lambda: work, lambda image: image)], (16, 16, 2), items)
         found = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes)).backward(
             np.moveaxis(gradient, -1, 0)
         )
