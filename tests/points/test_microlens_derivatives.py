@@ -42,7 +42,8 @@ def test_tables_of_derivatives_against_differences_of_orders(name, change):
     derivative = dr.grad(found)
     derivative = derivative.real.numpy() + 1j * derivative.imag.numpy()
     expected = _difference(camera, key, value, step, places)
-    assert np.linalg.norm(derivative - expected) < 0.015 * np.linalg.norm(expected)
+    # By the fill, samples of the edges make differences inexact: with half the step 1.4 % (hexagons).
+    assert np.linalg.norm(derivative - expected) < 0.02 * np.linalg.norm(expected)
 
 
 def _difference(camera, key, value, step, places):
