@@ -102,6 +102,8 @@ class _CameraSum(SignedRaySum):
     def __init__(self, *arguments: Any, names: Iterable[str], **options: Any) -> None:
         self._names = tuple(names)
         super().__init__(*arguments, **options)
+        # Light by its displacements and by each change of the kernels.
+        self._sets = 3 + len(self._of_kernels)
 
     @cached_property
     def _by_width(self) -> list[RayCoefficients]:
@@ -123,11 +125,11 @@ class _CameraSum(SignedRaySum):
 class CameraTangents(_CameraSum):
     """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
 
-    _sets = 4
-
     def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
         self._changes = changes
         super().__init__(*arguments, names=changes, **options)
+        # Images of all kernels' changes are made from one set of values.
+        self._sets = 4
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:
         return tuple(drawn.kept)
@@ -204,10 +206,6 @@ class CameraTangents(_CameraSum):
 
 class CameraAdjoint(_CameraSum):
     """Gradient of a function of a capture with respect to its camera's `PARAMETERS`."""
-
-    def __init__(self, *arguments: Any, names: Sequence[str], **options: Any) -> None:
-        super().__init__(*arguments, names=names, **options)
-        self._sets = 3 + len(self._of_kernels)
 
     def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
         """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
