@@ -509,8 +509,8 @@ class _Grid(NamedTuple):
         turns = np.array(self.turns) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.
         mean = kernels / (self.parts * self.larger) ** 2
-        noise = plan.covariance, plan.tolerance
-        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, *noise, keeps_light)
+        random_light = plan.covariance, plan.tolerance
+        return PixelKernels(mean, plan.oblique, self.parts, turns, self.order, *random_light, keeps_light)
 
 
 @functools.lru_cache(maxsize=16)
