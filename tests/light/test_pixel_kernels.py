@@ -18,7 +18,8 @@ def made(tolerance: float = 0.0) -> tuple[PixelKernels, np.ndarray, Oblique, np.
     kernels = np.stack([spot, x * spot, y * spot, x * y * spot, (x * x - y * y) * spot])
     oblique = Oblique(LARGEST, rng.normal(size=(COMBINATIONS, FUNCTIONS, 5)), np.zeros((COMBINATIONS, FUNCTIONS, 5)))
     steps = 0.1 * np.array([(-1, -1), (1, -1), (-1, 1), (1, 1)])
-    return PixelKernels(kernels, oblique, PARTS, steps, 0, np.eye(len(kernels)), tolerance), kernels, oblique, steps
+    found = PixelKernels(kernels, oblique, PARTS, steps, 0, np.eye(len(kernels)), tolerance, keeps_light=True)
+    return found, kernels, oblique, steps
 
 
 def lit(seed: int) -> tuple[np.ndarray, np.ndarray]:
