@@ -131,7 +131,7 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
     """
     # Light that is the same for all cells of a pixel.
     even = kernels[0].sum(0).ravel()
-    # Kernels do not change with the focal length of other lenses.
+    # Derivatives of kernels by the focal length of another kind of lenses are 0.
     first = (even / (np.linalg.norm(even) or 1.0))[None]
     values, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(values, 0))).T

@@ -102,7 +102,7 @@ class _CameraSum(SignedRaySum):
     def __init__(self, *arguments: Any, names: Iterable[str], **options: Any) -> None:
         self._names = tuple(names)
         super().__init__(*arguments, **options)
-        # Light by its displacements and by each change of the kernels.
+        # Kernels themselves, displaced along x and along y, and each of their changes.
         self._sets = 3 + len(self._of_kernels)
 
     @cached_property
@@ -128,7 +128,7 @@ class CameraTangents(_CameraSum):
     def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
         self._changes = changes
         super().__init__(*arguments, names=changes, **options)
-        # Images of all kernels' changes are made from one set of values.
+        # All changes of the kernels share one set of values.
         self._sets = 4
 
     def _kept(self, drawn: Drawn, number: int) -> tuple[Any, ...]:

@@ -95,7 +95,7 @@ def test_spectra_of_a_wall_agree_with_rays_and_with_colours():
 
 @pytest.mark.slow
 def test_a_white_capture_of_drawn_wavelengths_is_more_even_than_that_of_rays():
-    """Where micro-images are lit evenly the wavelengths alone are noisy: in the median of the channels by much less."""
+    """Where micro-images are lit evenly, only the wavelengths are noisy."""
     mi.set_variant("llvm_ad_spectral")
     scene = wall({"type": "uniform", "value": 1.0})
     deviations = []

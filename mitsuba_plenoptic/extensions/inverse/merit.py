@@ -225,8 +225,8 @@ class DepthInformation:
         everything.
     wavelength, accuracy, method
         As for `CaptureOperator`; the default accuracy of the method "patch" is 0.02.
-        Derivatives of a small change of the figure are less exact: by the focal length of one camera 12 % too small
-        by default, and 3 % with the accuracy 0.
+        Derivatives by parameters that hardly change the figure are the least exact: by the focal length of a test
+        camera, 12 % too small by default and 3 % too small with the accuracy 0.
 
     Raises
     ------
