@@ -31,6 +31,7 @@ Apertures that fill their cells can only shrink, so that their derivative is one
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -52,10 +53,7 @@ from .microlenses import from_centre, is_separable, transmission
 _FLAT = 1e4
 """Focal length, in millimetres, of a lens without noticeable phase."""
 
-_TABLE_LENGTH = 2**14
-"""Smallest number of samples of the table of a factor of one coordinate."""
-
-_PER_ORDER = 64, 16
+_PER_ORDER = 64, 20
 """Samples of a table per period of its highest order, for factors of one and of two coordinates."""
 
 _FINE = 2048
@@ -111,33 +109,33 @@ class ArrayFactor(ABC):
         if len(places) == 2 and camera.mla_rotation != 0:
             places = turn(*places, dr.opaque(types.Float64, -camera.mla_rotation))
         nodes = [_node(*each) for each in zip(places, self.periods, self._shape[::-1], strict=True)]
-        corners: list[Any] = [0]
-        for (node, _), count in zip(nodes[::-1], self._shape, strict=True):
-            row_length = dr.opaque(types.UInt32, count + 1)
-            corners = [corner * row_length + node + step for corner in corners for step in (0, 1)]
-        values = [unpack(dr.gather(types.UInt64, table, corner)) for corner in corners]
-        for _, part in nodes:
-            values = [
-                types.Complex2f(dr.lerp(low.real, high.real, part), dr.lerp(low.imag, high.imag, part))
-                for low, high in zip(values[::2], values[1::2], strict=True)
+        terms: list[Any] = [(0, 1)]
+        for (node, part), count in zip(nodes[::-1], self._shape, strict=True):
+            row_length, rest = dr.opaque(types.UInt32, count + 2), 1 - part
+            weights = enumerate((rest**2 / 2, 0.5 + part * rest, part**2 / 2))
+            terms = [
+                (place * row_length + node + step, share * weight)
+                for (place, share), (step, weight) in itertools.product(terms, weights)
             ]
-        return values[0]
+        return sum(unpack(dr.gather(types.UInt64, table, place)) * share for place, share in terms)
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
-        """Return one period of a sum of orders as 64-bit words, with its first samples repeated at the end.
+        """Return one period of a sum of orders as 64-bit words, with its last sample before it and its first after it.
 
-        Linear interpolation between samples multiplies order q of n by sinc^2(q / n); orders are first divided by it.
+        Quadratic splines, shifted by half a sample, multiply order q of n by a power of a sinc and a phase; orders are
+        first divided by these.
         """
         orders = [np.arange(-(size // 2), size // 2 + 1) for size in amplitudes.shape]
-        kept = [np.sinc(order / size) ** 2 for order, size in zip(orders, self._shape, strict=True)]
+        parts = [order / size for order, size in zip(orders, self._shape, strict=True)]
+        kept = [np.sinc(part) ** 3 * np.exp(-1j * math.pi * part) for part in parts]
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, kept)
         table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
-        padded = empty_packets(tuple(size + 1 for size in table.shape), np.complex64)
-        padded[tuple(map(slice, table.shape))] = table
+        padded = empty_packets(tuple(size + 2 for size in table.shape), np.complex64)
+        padded[(slice(1, -1),) * table.ndim] = table
         for axis in range(table.ndim):
             lines = np.moveaxis(padded, axis, 0)
-            lines[-1] = lines[0]
+            lines[0], lines[-1] = lines[-2], lines[1]
         return drjit_array(array_module().UInt64, as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
@@ -154,9 +152,9 @@ class AxisFactor(ArrayFactor):
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, axis: int) -> None:
         highest = cosine / in_millimetres(wavelength)
-        samples = _PER_ORDER[0] * max(highest * max(camera.mla_pitches), 1)
-        super().__init__(camera, (axis,), (max(_TABLE_LENGTH, 2 ** math.ceil(math.log2(samples))),))
-        self._orders = axis_orders(camera, wavelength, int(highest * camera.mla_pitches[axis]), axis)
+        count = int(highest * camera.mla_pitches[axis])
+        super().__init__(camera, (axis,), (fast_length(_PER_ORDER[0] * max(count, 1)),))
+        self._orders = axis_orders(camera, wavelength, count, axis)
 
     def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
         """Return the amplitudes of the orders, or their derivatives."""
