@@ -9,12 +9,7 @@ from scipy.special import j1
 from wave_cases import LATTICES, WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.light.microlens_orders import (
-    AxisFactor,
-    MicrolensArray,
-    PlaneFactor,
-    axis_orders,
-)
+from mitsuba_plenoptic.light.microlens_orders import AxisFactor, MicrolensArray, PlaneFactor, axis_orders
 from mitsuba_plenoptic.light.microlenses import transmission, upright
 from mitsuba_plenoptic.optics.waves import propagate
 
