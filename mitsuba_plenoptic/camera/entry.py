@@ -68,6 +68,7 @@ class Parameter(Generic[Given, Kept]):
     unseen: int = 0  # count of leading components that affect no capture: fits leave them out
     room: int = 0  # least count of components with derivatives, also if a camera has fewer
     shortest: Callable[[Kept], Any] | None = None  # converts to the form in files, if it is not the stored one
+    of_array: bool = False  # whether only a camera with a microlens array has it: None for one without
     instead_of: str = ""  # the parameter that follows from this one and is written to files instead
     in_first_files: bool = False  # whether all files have it; other parameters may be missing from old files
     fit: Callable[[Any], None] | None = None  # refuses cameras that a value other than the default does not fit
@@ -82,7 +83,7 @@ class Parameter(Generic[Given, Kept]):
 
     def plain(self, value: Kept) -> Any:
         """Return a value in its shortest form, as in files."""
-        return self.shortest(value) if self.shortest else value
+        return value if value is None or self.shortest is None else self.shortest(value)
 
     @property
     def is_exposed(self) -> bool:

@@ -7,12 +7,15 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError, refuse_if
-from ..lattice import Lattice, make_lattice
+from ..lattice import NO_LATTICE, Lattice, make_lattice
 from ..prescription import Prescription
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
 from .entry import record
 from .parameters import CameraParameters
+
+NO_ARRAY_HERE = f"mla_lattice = {NO_LATTICE}: the camera has no microlens array"
+"""Beginning of the messages about what a camera without an array has not or cannot do."""
 
 
 @record
@@ -85,9 +88,19 @@ class CameraGeometry(CameraParameters):
 
     # -- detector and lattice ------------------------------------------------------------------------
 
+    @property
+    def has_array(self) -> bool:
+        """Whether the camera has a microlens array; otherwise its detector is at `mla_distance`."""
+        return self.mla_lattice != NO_LATTICE
+
+    def require_array(self, what: str) -> None:
+        """Refuse a camera without a microlens array, for a function or quantity, `what`, that needs one."""
+        refuse_if(not self.has_array, f"{what}: {NO_ARRAY_HERE}")
+
     @cached_property
     def lattice(self) -> Lattice:
         """The microlens lattice: positions of the lenses' centres and shape of their apertures."""
+        self.require_array("lattice")
         return make_lattice(
             self.mla_lattice,
             self.mla_pitches,
@@ -111,11 +124,13 @@ class CameraGeometry(CameraParameters):
     @property
     def mla_pitch(self) -> float:
         """Pitch :math:`D_2` of the microlenses along their rows in mm, and width of a bin of reconstructions."""
+        self.require_array("mla_pitch")
         return self.mla_pitches[0]
 
     @property
     def mla_focal_length(self) -> float:
         """Focal length :math:`f_2` of a microlens in millimetres; the first one if there are three."""
+        self.require_array("mla_focal_length")
         return self.mla_focal_lengths[0]
 
     @property
@@ -124,15 +139,18 @@ class CameraGeometry(CameraParameters):
 
         Light near the axis passes the medium as it passes this distance of air.
         """
+        self.require_array("reduced_distance")
         return self.detector_distance / self.mla_medium
 
     @property
     def reduced_focal_lengths(self) -> tuple[float, ...]:
         """Focal lengths :math:`f_2 / n` in mm of the microlenses in air, the reciprocals of their powers."""
+        self.require_array("reduced_focal_lengths")
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
 
     def medium_wavelength(self, wavelength: float) -> float:
         """Return the wavelength between the MLA and the detector of light with this wavelength in air."""
+        self.require_array("medium_wavelength")
         return wavelength / self.mla_medium
 
     @property
@@ -185,6 +203,7 @@ class CameraGeometry(CameraParameters):
     @property
     def pixels_per_lens(self) -> float:
         """Microlens pitch in pixels, the shorter one if there are two; it need not be an integer."""
+        self.require_array("pixels_per_lens")
         return min(self.mla_pitches) / self.pixel_size
 
     def require_resolved(self) -> None:

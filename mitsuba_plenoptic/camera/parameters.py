@@ -32,7 +32,7 @@ from ..errors import (
     require_wavefront,
 )
 from ..extension import entries, place
-from ..lattice import APERTURES, LATTICES
+from ..lattice import APERTURES, LATTICES, NO_LATTICE
 from ..microlens.shape import MicrolensShape, known_shape
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
@@ -141,6 +141,7 @@ class CoreParameters:
         shortest=one_if_single,
         in_first_files=True,
         alias="mla_focal_length",
+        of_array=True,
     )
     mla_pitches: Parameter[float | Sequence[float], tuple[float, float]] = Parameter(
         default=0.064,
@@ -158,17 +159,19 @@ class CoreParameters:
         shortest=one_if_equal,
         in_first_files=True,
         alias="mla_pitch",
+        of_array=True,
     )
     mla_lattice: Parameter[str, str] = Parameter(
         default="square",
-        check=partial(require_choice, choices=LATTICES),
+        check=lambda name, value: require_choice(name, value, (*LATTICES, NO_LATTICE)),
         words=(
             "Arrangement of the microlenses, see `mitsuba_plenoptic.lattice`. ``square``: the corner of four lenses "
             "is on the axis. ``hexagonal``: rows along x, every second one offset by half a pitch; the centre of a "
-            "lens is on the axis. Either covers the whole plane."
+            "lens is on the axis. Either covers the whole plane. ``none``: an ordinary camera without an array, whose "
+            "detector is at `mla_distance`; it takes no parameter of an array or of its pixels' optics."
         ),
         form=Form.WORD,
-        takes='{"square", "hexagonal"}',
+        takes='{"square", "hexagonal", "none"}',
         known_to=Captures.ALL,
     )
     mla_rotation: Parameter[float, float] = Parameter(
@@ -182,6 +185,7 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         scale=one,
+        of_array=True,
     )
     mla_offset: Parameter[tuple[float, float], tuple[float, float]] = Parameter(
         default=(0.0, 0.0),
@@ -193,6 +197,7 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.ALL,
         scale=lambda camera: min(camera.mla_pitches),
+        of_array=True,
     )
     mla_tilt: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0, 0.0),
@@ -205,6 +210,7 @@ class CoreParameters:
         unit="degrees",
         parts=("tilt_x", "tilt_y"),
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
     )
     mla_aperture: Parameter[str, str] = Parameter(
         default="cell",
@@ -216,6 +222,7 @@ class CoreParameters:
         form=Form.WORD,
         takes='{"cell", "circle"}',
         known_to=Captures.ALL,
+        of_array=True,
     )
     mla_fill: Parameter[float, float] = Parameter(
         default=1.0,
@@ -224,6 +231,7 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
+        of_array=True,
     )
     mla_medium: Parameter[float, float] = Parameter(
         default=1.0,
@@ -235,6 +243,7 @@ class CoreParameters:
         ),
         scale=one,
         known_to=Captures.ALL,
+        of_array=True,
     )
     mla_absorption: Parameter[float, float] = Parameter(
         default=0.0,
@@ -245,6 +254,7 @@ class CoreParameters:
             "light loses more. Decoding and reconstructions assume a clear medium."
         ),
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
     )
     mla_shape: Parameter[MicrolensShape | str | Path | dict[str, Any] | None, MicrolensShape | None] = Parameter(
         default=None,
@@ -258,6 +268,7 @@ class CoreParameters:
         otherwise="a parabolic phase of the focal length",
         shortest=lambda shape: shape and shape.to_plain(),
         known_to=Captures.ALL,
+        of_array=True,
     )
     detector_distance: Parameter[float | None, float] = Parameter(
         default=None,
@@ -268,6 +279,7 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.ALL,
         in_first_files=True,
+        of_array=True,
     )
     detector_width: Parameter[float, float] = Parameter(
         default=8.192,
@@ -371,6 +383,7 @@ class CoreParameters:
         ),
         form=Form.PLACE,
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
     )
     mla_figure_error: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(0.0, 0.0),
@@ -381,6 +394,7 @@ class CoreParameters:
             "For rays, and for waves of points by method ``full_field``."
         ),
         form=Form.PLACE,
+        of_array=True,
     )
     mla_seed: Parameter[int, int] = Parameter(
         default=0,
@@ -388,6 +402,7 @@ class CoreParameters:
         words="Seed, up to 4294967295, that chooses one of all arrays with this `mla_jitter` and `mla_figure_error`.",
         form=Form.COUNT,
         known_to=Captures.ALL,
+        of_array=True,
     )
     mla_cra: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
@@ -403,6 +418,7 @@ class CoreParameters:
         form=Form.NUMBERS,
         otherwise="no shift",
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
     )
     pixel_crosstalk: Parameter[float, float] = Parameter(
         default=0.0,
@@ -413,6 +429,7 @@ class CoreParameters:
             "Decoding and reconstructions assume pixels without it."
         ),
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
     )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
@@ -424,6 +441,7 @@ class CoreParameters:
         form=Form.NUMBERS,
         otherwise="1 at all angles",
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
     )
     main_lens: Parameter[LensData | str | Path | dict[str, Any] | None, LensData | None] = Parameter(
         default=None,
@@ -464,6 +482,7 @@ class CoreParameters:
         otherwise="the same focal length for all wavelengths",
         shortest=lambda glass: glass and glass.to_plain(),
         known_to=Captures.ALL,
+        of_array=True,
     )
 
 

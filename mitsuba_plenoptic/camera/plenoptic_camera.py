@@ -28,13 +28,13 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, missing
-from ..lattice import LATTICES
+from ..lattice import LATTICES, NO_LATTICE
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
 from .documentation import numpy_section, signature
 from .entry import Captures, record
-from .geometry import CameraGeometry
+from .geometry import NO_ARRAY_HERE, CameraGeometry
 from .matched import MATCHED, behind_pupil, require_enough
 from .parameters import PARAMETERS
 
@@ -42,9 +42,13 @@ from .parameters import PARAMETERS
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
     """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
     values: dict[str, Any] = {}
+    has_array = given.get("mla_lattice") != NO_LATTICE
     for name, entry in PARAMETERS.items():
-        value = given.get(name, entry.default)
-        missing = value is None and entry.default is None
+        without = entry.of_array and not has_array
+        value = given.get(name, None if without else entry.default)
+        if without and value is not None:
+            raise InputError(f"{name} = {short_repr(value)}: {NO_ARRAY_HERE}; leave it out")
+        missing = value is None and (without or entry.default is None)
         values[entry.attribute] = None if missing else entry.check(name, value)
 
     # The main lens, and the distance of the array from it.
@@ -66,27 +70,8 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
     # It is what follows from the others, whatever digits it was given with.
     values["focus_distance"] = data.focus_distance(values["focal_length"], values["mla_distance"])
 
-    # The microlenses.
-    if values["mla_shape"] is not None:
-        own = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
-        values["mla_focal_lengths"] = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
-        refuse_if(values["mla_glass"] is not None, "mla_glass: an mla_shape brings its own material; leave it out")
-    elif values["mla_focal_lengths"] is None:
-        values["mla_focal_lengths"] = (0.512,)
-    types, focal_lengths = LATTICES[values["mla_lattice"]].lens_types, values["mla_focal_lengths"]
-    if len(focal_lengths) not in (1, types):
-        several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
-        rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
-        raise InputError(f"mla_focal_length = {short_repr(focal_lengths)}: it must be {rule}")
-    size, length = values["mla_figure_error"]
-    refuse_if(
-        size > 0 and length == 0, f"mla_figure_error = {(size, length)}: its correlation length must be greater than 0"
-    )
-    bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
-    for value, most in zip(values["mla_jitter"], bounds, strict=True):
-        require_number("mla_jitter", value, maximum=most)
-    if values["detector_distance"] is None:
-        values["detector_distance"] = values["mla_focal_lengths"][0]
+    if has_array:
+        values |= _settled_array(values)
 
     # The crop window, by default the part of the detector beyond its offset.
     resolution, offset, size = values["resolution"], values["crop_offset"], values["crop_size"]
@@ -100,11 +85,32 @@ def checked_values(given: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
+def _settled_array(values: dict[str, Any]) -> dict[str, Any]:
+    """Return a camera's focal lengths and detector distance of the microlenses; refuse a contradictory array."""
+    focal_lengths = values["mla_focal_lengths"] or (0.512,)
+    if values["mla_shape"] is not None:
+        own = focal_length_of(values["mla_shape"], values["mla_medium"], values["mla_focal_lengths"])
+        focal_lengths = PARAMETERS["mla_focal_length"].check("mla_focal_length", own)
+        refuse_if(values["mla_glass"] is not None, "mla_glass: an mla_shape brings its own material; leave it out")
+    types = LATTICES[values["mla_lattice"]].lens_types
+    if len(focal_lengths) not in (1, types):
+        several = ", ".join(name for name, each in LATTICES.items() if each.lens_types > 1)
+        rule = f"one number or {types}" if types > 1 else f"one number; several need mla_lattice = {several}"
+        raise InputError(f"mla_focal_length = {short_repr(focal_lengths)}: it must be {rule}")
+    size, length = values["mla_figure_error"]
+    refuse_if(
+        size > 0 and length == 0, f"mla_figure_error = {(size, length)}: its correlation length must be greater than 0"
+    )
+    bounds = MOST_JITTER * min(values["mla_pitches"]), MOST_JITTER
+    for value, most in zip(values["mla_jitter"], bounds, strict=True):
+        require_number("mla_jitter", value, maximum=most)
+    distance = focal_lengths[0] if values["detector_distance"] is None else values["detector_distance"]
+    return {"mla_focal_lengths": focal_lengths, "detector_distance": distance}
+
+
 def require_whole(camera: CameraGeometry) -> None:
     """Refuse parameters that are valid one by one but not in combination."""
     camera.lens_data.require_fit(camera)
-    if camera.mla_shape is not None:
-        require_cover(camera.mla_shape, camera.lattice)
     if camera.phase_screen is not None and camera.phase_screen.reach < camera.aperture_radius * (1 - SINGLE):
         raise InputError(
             f"phase_screen = {camera.phase_screen}: it covers pupils of a radius up to {camera.phase_screen.reach:.6g} "
@@ -114,11 +120,14 @@ def require_whole(camera: CameraGeometry) -> None:
         if entry.fit is not None and getattr(camera, entry.attribute) != entry.default:
             entry.fit(camera)
     reach = np.hypot(*(np.abs(camera.pixel_coordinates(axis)[[0, -1]]).max() for axis in (0, 1)))
-    rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
-    refuse_if(
-        rise >= min(camera.detector_distance, camera.mla_distance),
-        f"mla_tilt = {camera.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens",
-    )
+    if camera.has_array:
+        if camera.mla_shape is not None:
+            require_cover(camera.mla_shape, camera.lattice)
+        rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
+        refuse_if(
+            rise >= min(camera.detector_distance, camera.mla_distance),
+            f"mla_tilt = {camera.mla_tilt}: the array rises by {rise:.3g}: it touches detector or lens",
+        )
     radius, (k1, k2, k3) = np.linspace(0, reach, 64) ** 2, camera.distortion[:3]
     refuse_if(
         np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0,
@@ -130,6 +139,7 @@ def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
     """Refuse a camera with parameters that one kind of capture would ignore, except those named in `besides`."""
+    camera.require_array("captures of points" if captures is Captures.POINTS else "wave captures")
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
         if name not in besides and captures not in entry.known_to and value != entry.default:
@@ -279,6 +289,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         with naming(f"f_number = {number:g}"):
             behind = behind.replace(aperture_radius=behind.focal_length / (2 * number))
         kinds = cls(**{name: others[name] for name in ("mla_lattice", "mla_medium") if name in others})
+        kinds.require_array("matched")
         found = behind_pupil(
             behind.pupil_distance, behind.pupil_radius, **sheet, lattice=kinds.mla_lattice, medium=kinds.mla_medium
         )
@@ -322,9 +333,11 @@ class PlenopticCamera(CameraGeometry, Displayed):
             If a name is unknown or missing, or a value is out of range.
         """
         if isinstance(values, dict):
+            has_array = values.get("mla_lattice") != NO_LATTICE
             for name, entry in sorted(PARAMETERS.items()):
                 refuse_if(
-                    entry.in_first_files and name not in values, f"{name}: it is missing from the camera parameters"
+                    entry.in_first_files and (has_array or not entry.of_array) and name not in values,
+                    f"{name}: it is missing from the camera parameters",
                 )
         return cls._from_names(values)
 
@@ -453,10 +466,12 @@ class PlenopticCamera(CameraGeometry, Displayed):
         InputError
             If a name is unknown or a value is out of range.
         """
-        values = self.arguments()
+        values = {name: value for name, value in self.arguments().items() if value is not None}
+        if changes.get("mla_lattice") == NO_LATTICE:
+            values = {name: value for name, value in values.items() if not PARAMETERS[name].of_array}
         if changes.get("mla_shape", self.mla_shape) is not None:
             # It follows from the shape.
-            values.pop("mla_focal_length")
+            values.pop("mla_focal_length", None)
         if "resolution" in changes and not self.is_cropped:
             values.pop("crop_size")
         for name in changes:

@@ -86,7 +86,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
     """Yield the faults of a camera's design, with remedies."""
-    if isinstance(camera.main_lens, Collimator):
+    if isinstance(camera.main_lens, Collimator) or not camera.has_array:
         return
     if not camera.lens_data.converges:
         yield from microscope_findings(camera, wavelength)

@@ -8,6 +8,6 @@ under the name that the camera's ``mla_lattice`` takes. To add a lattice, write 
 from ..runtime.backend import turn
 from . import hexagonal as hexagonal
 from . import square as square
-from .arrangement import APERTURES, LATTICES, Lattice, make_lattice, register
+from .arrangement import APERTURES, LATTICES, NO_LATTICE, Lattice, make_lattice, register
 
-__all__ = ["APERTURES", "LATTICES", "Lattice", "make_lattice", "register", "turn"]
+__all__ = ["APERTURES", "LATTICES", "NO_LATTICE", "Lattice", "make_lattice", "register", "turn"]

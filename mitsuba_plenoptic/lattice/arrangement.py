@@ -36,6 +36,9 @@ AIRY_ZERO = 1.21967
 APERTURES = ("cell", "circle")
 """Shapes of apertures, as `mla_aperture` names them."""
 
+NO_LATTICE = "none"
+"""The camera's ``mla_lattice`` without a microlens array."""
+
 
 @dataclass(frozen=True)
 class Lattice(abc.ABC):

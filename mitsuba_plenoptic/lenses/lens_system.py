@@ -186,8 +186,10 @@ class LensSystem(FiniteDistance):
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
         return self.trace(position, (tx, ty))
 
-    def beside(self, point: tuple[Any, Any, Any], slope: Pair, change: Pair) -> tuple[tuple[Any, Any, Any], Pair]:
-        """Return the ray that leaves the MLA from the same position with slightly changed slopes.
+    def beside(
+        self, point: tuple[Any, Any, Any], slope: Pair, change: Pair, step: Pair = (0.0, 0.0)
+    ) -> tuple[tuple[Any, Any, Any], Pair]:
+        """Return the ray that leaves the MLA from a slightly changed position with slightly changed slopes.
 
         The change is paraxial: the height is the same on both principal planes. Ray differentials need no more.
 
@@ -195,12 +197,12 @@ class LensSystem(FiniteDistance):
         ----------
         point, slope : tuple of array
             The ray in the form that `trace` returns.
-        change : (array, array)
-            Differences of the slopes on the MLA.
+        change, step : (array, array)
+            Differences of the slopes and of the positions on the MLA.
         """
         moved, turned = [], []
-        for x, t, d in zip(point[:2], slope, change, strict=True):
-            height = self.mla_distance * d
+        for x, t, d, s in zip(point[:2], slope, change, step, strict=True):
+            height = s + self.mla_distance * d
             turn = d - height / self.focal_length
             moved.append(x + height + point[2] * turn)
             turned.append(t + turn)

@@ -152,7 +152,8 @@ def render_capture(
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
-            guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
+            if camera.has_array:
+                guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
             image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
             if checkpoint:

@@ -245,7 +245,8 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     farthest = float((corners @ to_camera[2]).max())
     if farthest <= 0:
         return
-    sharp = min((found[0] for found in depth_ranges(camera) if found), default=0.0)
+    ranges = depth_ranges(camera) if camera.has_array else ()
+    sharp = min((found[0] for found in ranges if found), default=0.0)
     if farthest < camera.focal_length:
         where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"
     elif farthest < _FAR_TOO_NEAR * sharp:

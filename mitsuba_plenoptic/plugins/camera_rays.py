@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -22,7 +22,7 @@ from ..design.quantities import (
 )
 from ..lattice import make_lattice
 from ..lenses.common import main_lens
-from ..lenses.main_lens import Pair
+from ..lenses.main_lens import MainLens, Pair, Traced
 from ..light.lens_kinds import MOST_DEVIATIONS, irregularities
 from ..light.walk import Passage, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
@@ -40,6 +40,9 @@ _MOST_CHECKED = 64
 """Largest number of lenses of which those that can light a point are counted for each ray."""
 
 
+Rays = TypeVar("Rays", "CameraRays", "PupilRays")
+
+
 @dataclass(frozen=True)
 class RayColours:
     """Focal lengths and refractive indices for single rays, each with its own wavelength."""
@@ -50,12 +53,12 @@ class RayColours:
     # Refractive indices behind each surface of a real main lens.
     indices: list[Any] | None
 
-    def of(self, walk: CameraRays) -> CameraRays:
-        """Return the walk through the main lens for rays with these focal lengths and indices."""
-        lens: Any = walk.lens
+    def of(self, rays: Rays) -> Rays:
+        """Return the path through the main lens for rays with these focal lengths and indices."""
+        lens: Any = rays.lens
         if self.indices is not None:
-            return replace(walk, lens=replace(lens, indices=self.indices))
-        return replace(walk, lens=replace(lens, focal_length=lens.focal_length * self.ratio))
+            return replace(rays, lens=replace(lens, indices=self.indices))
+        return replace(rays, lens=replace(lens, focal_length=lens.focal_length * self.ratio))
 
 
 @dataclass(frozen=True)
@@ -156,6 +159,48 @@ class Candidates:
         return dr.gather(mi.Float, self.limits, mi.UInt32(row * SECTORS + sector))
 
 
+def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> MainLens:
+    """Return the main lens of a camera whose exposed parameters are given as Dr.Jit arrays."""
+    wavefront = numbers.get("wavefront", mi.Float())
+    aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
+    lens: MainLens = main_lens(camera, varying=numbers | {"wavefront": aberrations})
+    return lens
+
+
+@dataclass(frozen=True)
+class PupilRays:
+    """The rays of a camera without a microlens array: from detector points through random points of the pupil."""
+
+    lens: MainLens
+    # Dispersion of the glasses, if the paths of rays depend on colour.
+    dispersion: Dispersion | None
+    # Radius of the disc that the points are drawn from, and its area over that of the exit pupil.
+    reach: Any
+    share: Any
+
+    @classmethod
+    def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> PupilRays:
+        """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
+        plain = main_lens(camera)
+        reach = plain.reach
+        disc = dr.opaque(mi.Float, reach), dr.opaque(mi.Float, (reach / plain.pupil_radius) ** 2)
+        return cls(_varying_lens(camera, numbers), Dispersion.of(camera), *disc)
+
+    def draw(self, sample: Any) -> Pair:
+        """Return random points of the pupil."""
+        x, y = self.reach * mi.warp.square_to_uniform_disk(sample)
+        return x, y
+
+    def trace(self, pixel: Pair, pupil: Pair) -> Traced:
+        """Return traced rays from detector points through points of the pupil."""
+        x, y = (self.lens.slope_to(P, p) for P, p in zip(pupil, pixel, strict=True))
+        return self.lens.trace(pixel, (x, y))
+
+    def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
+        """Return the changes of slope and place, at the detector, of rays from a step beside through a pupil point."""
+        return (self.lens.slope_to(0.0, x), self.lens.slope_to(0.0, y)), (x, y)
+
+
 @dataclass(frozen=True)
 class CameraRays(Walk):
     """The walk of the sensor's rays, with the random draws of lenses and lens points."""
@@ -177,17 +222,20 @@ class CameraRays(Walk):
             aperture=camera.mla_aperture,
             fill=numbers["mla_fill"],
         )
-        wavefront = numbers.get("wavefront", mi.Float())
-        aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
         return cls(
             camera,
-            main_lens(camera, varying=numbers | {"wavefront": aberrations}),
+            _varying_lens(camera, numbers),
             lattice,
             numbers["mla_focal_length"],
             numbers["detector_distance"],
             camera.mla_medium,
             Dispersion.of(camera),
         )
+
+    def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
+        """Return the changes of slope and place, at the array, of rays from a step beside through a lens point."""
+        z = self.detector_distance / self.medium
+        return (-x / z, -y / z), (0.0, 0.0)
 
     def candidates(self, beyond: float = 0.0) -> Candidates:
         """Return the lenses from which the lenses of rays are drawn, at the wavelength that needs the most."""

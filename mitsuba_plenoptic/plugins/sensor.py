@@ -22,7 +22,7 @@ from ..lenses.main_lens import Pair
 from ..lenses.real_lens import RealLens
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
-from .camera_rays import CameraRays, Candidates
+from .camera_rays import CameraRays, Candidates, PupilRays
 from .properties import read_camera, require_read
 
 NAME = "plenoptic"
@@ -128,8 +128,10 @@ def make_class() -> type:
             camera = self._given = read_camera(props, NAME, film)
             require_read(props, NAME)
             own = _parameters_of(camera)
-            # Parameters whose value is an empty tuple are not exposed.
-            self._numbers = [name for name, value in own.items() if PARAMETERS[name].is_exposed and value != ()]
+            # Parameters that are empty, or of an array that is not there, are not exposed.
+            self._numbers = [
+                name for name, value in own.items() if PARAMETERS[name].is_exposed and value not in ((), None)
+            ]
             for name, value in own.items():
                 if name in self._numbers:
                     # In its shortest form, as an array that can carry gradients.
@@ -167,6 +169,9 @@ def make_class() -> type:
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())
+            if not self._given.has_array:
+                self._rays = PupilRays.varying(self.camera, numbers)
+                return
             self._rays = CameraRays.varying(self.camera, numbers)
             self._response = pixel_response(self.pixel_response, self.mla_absorption)
             tables = (
@@ -244,7 +249,11 @@ def make_class() -> type:
             px, py = self._on_detector(film_sample)
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
-            if self._table is not None:
+            if not self._given.has_array:
+                passage = rays.draw(lens_sample)
+                point, slope, open_ = rays.trace((px, py), passage)
+                weight = weight * rays.share
+            elif self._table is not None:
                 # Rays go from the whole pupil to the pixels' lenses.
                 position, slope, side = rays.pass_pixel_lens((px, py), width, lens_sample)
                 # A pixel sees this square of the pupil through an ideal lens.
@@ -274,8 +283,7 @@ def make_class() -> type:
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
                     if self.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
-                        z = self.detector_distance / self.camera.mla_medium
-                        beside, turned = cast(RealLens, rays.lens).beside(point, slope, (-dx / z, -dy / z))
+                        beside, turned = cast(RealLens, rays.lens).beside(point, slope, *rays.steps(dx, dy))
                     else:
                         beside, turned, _ = rays.trace((px + dx, py + dy), passage)
                     setattr(ray, f"o_{name}", to_world @ mi.Point3f(*beside))
@@ -319,7 +327,7 @@ def make_class() -> type:
             """Return the bounds of the main lens, or of its first surface, where all rays start."""
             to_world = self.world_transform()
             camera = self.camera
-            field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches)
+            field = math.hypot(camera.detector_width, camera.detector_height) / 2 + max(camera.mla_pitches or (0.0,))
             radius, depths = main_lens(camera).start_bounds(field)
             box = mi.ScalarBoundingBox3f()
             for x, y, z in itertools.product((-radius, radius), (-radius, radius), depths):

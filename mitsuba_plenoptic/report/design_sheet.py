@@ -60,14 +60,15 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
         groups = {"Main lens": _main_lens(camera)}
         if camera.prescription is not None:
             groups["Surfaces of the main lens"] = _surfaces(camera, camera.prescription)
-        groups |= {
-            "Microlenses": _microlenses(camera),
-            "Detector": _detector(camera),
-            "Micro-images": _micro_images(camera),
-            "Resolution": _resolution(camera, wavelength),
-            "Refocusing": _refocusing(camera, wavelength),
-        }
-        if wavelength is not None:
+        groups |= {"Detector": _detector(camera)}
+        if camera.has_array:
+            groups |= {
+                "Microlenses": _microlenses(camera),
+                "Micro-images": _micro_images(camera),
+                "Resolution": _resolution(camera, wavelength),
+                "Refocusing": _refocusing(camera, wavelength),
+            }
+        if camera.has_array and wavelength is not None:
             groups[f"Diffraction at {wavelength:g} nm"] = _diffraction(camera, wavelength)
     return [Row(group, *line) for group, lines in groups.items() for line in lines]
 

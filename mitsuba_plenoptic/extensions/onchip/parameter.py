@@ -41,4 +41,5 @@ PHOTODIODE_RESPONSE: PhotodiodeParameter = Parameter(
     otherwise="that of the microlenses",
     shortest=lambda response: response and response.to_plain(),
     known_to=Captures.RAYS,
+    of_array=True,
 )
