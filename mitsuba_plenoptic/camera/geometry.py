@@ -298,4 +298,4 @@ _MM_PER_NM = 1e-6
 
 def has_small_lenses(camera: CameraGeometry, wavelength: float) -> bool:
     """Return whether a camera's lenses are so small that captures need the responses of photodiodes."""
-    return min(camera.mla_pitches) < _SMALLEST * wavelength * _MM_PER_NM
+    return camera.has_array and min(camera.mla_pitches) < _SMALLEST * wavelength * _MM_PER_NM

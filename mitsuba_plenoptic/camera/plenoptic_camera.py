@@ -139,10 +139,11 @@ def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
     """Refuse a camera with parameters that one kind of capture would ignore, except those named in `besides`."""
-    camera.require_array("captures of points" if captures is Captures.POINTS else "wave captures")
+    if captures is Captures.POINTS:
+        camera.require_array("captures of points")
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
-        if name not in besides and captures not in entry.known_to and value != entry.default:
+        if name not in besides and captures not in entry.known_to and value not in (None, entry.default):
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
 
 

@@ -314,6 +314,11 @@ class ArrayKernels(LensWaves):
             for (i, j), value in zip(self.functions.odd, values, strict=False)
         ]
 
+    @property
+    def reach(self) -> float:
+        """Distance in mm to which captures need kernels."""
+        return REACH * max(self.camera.mla_pitches)
+
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) of one kind of lenses on a grid of width `step`, times the area of a grid cell.
 

@@ -301,6 +301,23 @@ class PhaseSpace(ArrayKernels):
                 scale += area * share
         return np.asarray(total / np.float32(scale))
 
+    @property
+    def widths(self) -> tuple[float, float]:
+        """Widths in mm of a lens's diffraction on the detector, and of a lens."""
+        extent = in_millimetres(self.wavelength) * self.camera.reduced_distance
+        return extent / float(self.lattice.aperture_width), min(self.camera.mla_pitches)
+
+    def parts(self, fine: bool) -> int:
+        """Return the number of cells of the grid across a pixel, for usual or finer plans."""
+        if self.by_points:
+            return 1  # kernels are integrated over pixels
+        highest = self.camera.pixel_size / self.widths[0]
+        return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
+
+    def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
+        """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
+        return [place / self.functions.scale for place in self.lattice.to_frame(*point)]
+
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
         plan = replace(self, camera=camera)
@@ -331,13 +348,6 @@ def plan_of(
         longest=longest,
     )
     return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
-
-
-def parts_of(camera: PlenopticCamera, wavelength: float, fine: bool) -> int:
-    """Return the number of cells of the grid across a pixel, for usual or finer plans."""
-    extent = in_millimetres(wavelength) * camera.reduced_distance
-    highest = float(camera.lattice.aperture_width) / extent * camera.pixel_size
-    return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
 
 
 def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
@@ -514,19 +524,19 @@ class RayCoefficients:
 
 
 class Polynomials:
-    """Coefficients of rays whose landing points depend on their points on a lens: the polynomials of a `PhaseSpace`."""
+    """Coefficients of rays that land by their own points: the polynomials of a plan."""
 
-    def __init__(self, plan: PhaseSpace) -> None:
+    def __init__(self, plan: Any) -> None:
         self.plan = plan
         self.layout: tuple[Any, ...] = (plan.functions.scale,)
 
     def __call__(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
-        """Return the values of the polynomials at points of a lens."""
+        """Return the values of the polynomials."""
         return self.read(*self.places(point, pupil, jitter, active))
 
     def places(self, point: tuple[Any, Any], pupil: Any, jitter: Any, active: Any) -> list[Any]:
-        """Return points of a lens in the frame of the lattice, for `read`."""
-        return [place / self.plan.functions.scale for place in self.plan.lattice.to_frame(*point)]
+        """Return the arguments of the polynomials, for `read`."""
+        return list(self.plan.arguments(point, pupil))
 
     def read(self, u: Any, v: Any) -> list[Any]:
         """Return the values of the polynomials at `places`."""

@@ -13,7 +13,9 @@ capture is a ray capture of a few values per ray followed by one convolution for
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, a_n(P), \qquad \varphi_n(x) = \int a_n(P)\, K_p(P, x)\, d^2P .
 
 The first kernel is the point spread function in focus, which is therefore exact. Light from other distances varies with
-P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change.
+P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. Small
+aberrations are in t, and rays are traced without them; large ones are in the rays, where third differences of the path
+are neglected.
 
 As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
 sums of products of the transforms of t times powers.
@@ -21,22 +23,23 @@ sums of products of the transforms of t times powers.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..errors import refuse_if
+from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
-from ..runtime.limits import require_memory, single_threaded_blas
+from ..runtime.limits import single_threaded_blas
 from .lens_functions import LensFunctions
-from .lens_kinds import Kind
 from .oblique import Oblique
 from .optical_system import OpticalSystem
 
@@ -46,47 +49,174 @@ _DEGREES = 4, 6
 _SAMPLES = 256
 """Samples of the transmission across the pupil."""
 
-_HIGHEST = 2.0
-"""Highest frequency of an image on the detector, the cut-off, in cycles per lambda b / R."""
+_REACH, _COARSE_REACH = 24.0, 12.0
+"""Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
+For coarse pixels kernels are differences from the Airy pattern, which are narrower."""
 
-_REACH = 24.0
-"""Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel."""
+_CELL, _MOST_CELLS = 0.25, 4
+"""Widest cells of the grid in lambda b / R, which resolve the highest frequency, and the most cells across a pixel.
+Coarser pixels do without."""
+
+_FINEST = 0.04
+"""Narrowest pixels in lambda b / R, a fifteenth of the Airy disc's radius, for which kernels fit into memory."""
+
+_EVERY = 37
+"""One of so many points of the pupil serves for the covariance."""
+
+_MOST_WAVES = 0.5
+"""Largest aberration, in waves of 633 nm root mean square, that is in the kernels instead of in the rays."""
 
 
 @dataclass(frozen=True)
 class PupilDiffraction:
     """Diffraction of one ordinary camera at one wavelength, as functions over the pupil and kernels of images."""
 
+    # One with glass is taken `at_wavelength`.
     camera: PlenopticCamera
     wavelength: float
     fine: bool = False
+    # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
+    shortest: float | None = None
+
+    by_points = True
+    """Every ray lands by its own point, and its coefficients are polynomials."""
+
+    tolerance = 0.005
+    """Part of images of random light that may be missing for want of images of the places in a pixel."""
+
+    def __post_init__(self) -> None:
+        refuse_if(
+            self._pixel < _FINEST,
+            f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm are too fine "
+            f"for the pupil's diffraction, which is {self.unit:.3g} mm wide: waves of scenes need pixels of "
+            f"{_FINEST * self.unit:.2g} mm or more",
+        )
 
     @cached_property
     def system(self) -> OpticalSystem:
-        return OpticalSystem(self.camera, self.wavelength)
+        """Optical system that refracts the rays, at the wavelength."""
+        return OpticalSystem(self.camera.replace(wavefront=()) if self._has_path else self.camera, self.wavelength)
+
+    @property
+    def _has_path(self) -> bool:
+        """Whether the kernels contain the aberrations."""
+        size = math.hypot(*self.camera.wavefront[1:])
+        return 0 < size <= _MOST_WAVES
 
     @property
     def unit(self) -> float:
-        """Width of the pupil's diffraction on the detector, lambda b / R, in millimetres: 1.64 radii of the Airy disc."""
+        """Width of the pupil's diffraction on the detector, lambda b / R, in mm: 1.64 radii of the Airy disc."""
         return in_millimetres(self.wavelength) * self.camera.pupil_distance / self.camera.pupil_radius
+
+    @property
+    def _pixel(self) -> float:
+        """Width of a pixel over the diffraction of the shortest wavelength."""
+        return self.camera.pixel_size / (self.unit * (self.shortest or self.wavelength) / self.wavelength)
+
+    @property
+    def _cells(self) -> int:
+        """Number of cells across a pixel that resolve the diffraction."""
+        return math.ceil(self._pixel / _CELL)
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether rays themselves are displaced by the point spread function, as pixels are much wider."""
+        return self._cells > _MOST_CELLS
+
+    @property
+    def widths(self) -> tuple[float, float]:
+        """Widths in mm of the pupil's diffraction on the detector, and of blur that may differ between wavelengths."""
+        return self.unit / 2, self.unit
+
+    def parts(self, fine: bool) -> int:
+        """Return the number of cells of the grid across a pixel."""
+        return 1 if self.is_coarse else self._cells
 
     @cached_property
     def _pupil(self) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
         """Coordinates along the pupil over its radius, and its transmission, on a square around it."""
         along = (np.arange(_SAMPLES) + 0.5) * (2 / _SAMPLES) - 1
         y, x = np.meshgrid(along, along, indexing="ij")
-        return along, np.where(np.hypot(x, y) <= 1, 1 + 0j, 0)
+        waves: Any = 0.0
+        if self._has_path:
+            radius = self.camera.pupil_radius
+            lens: Any = OpticalSystem(self.camera, self.wavelength).lens
+            waves = lens.aberration((x * radius, y * radius), self.wavelength)
+        return along, np.where(np.hypot(x, y) <= 1, np.exp(2j * np.pi * waves), 0)
 
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
         """Polynomials of a ray's pupil point over the pupil's radius."""
-        along, transmission = self._pupil
-        v, u = (each[transmission != 0] for each in np.meshgrid(along, along, indexing="ij"))
+        u, v = self._inside
         return LensFunctions.polynomials(u, v, _DEGREES[self.fine], 1.0)
 
+    @property
+    def _inside(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Coordinates of the points of the pupil over its radius."""
+        along, transmission = self._pupil
+        v, u = (each[transmission != 0] for each in np.meshgrid(along, along, indexing="ij"))
+        return u, v
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return _DEGREES[self.fine]
+
+    @property
+    def oblique(self) -> Oblique:
+        """Changes of the kernels with the direction of light, of which there are none."""
+        return Oblique.nothing(self.functions.count)
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the values of an image's rays, for light with random edges over the pupil."""
+        u, v = (each[::_EVERY] for each in self._inside)
+        return self.functions.light(u, v)
+
+    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
+        """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius."""
+        return [place / self.camera.pupil_radius for place in pupil]
+
+    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the point spread function in focus (1, n, n), at detector positions in mm along both axes."""
+        field = self._fields(along / self.unit)[0, 0]
+        return (np.abs(field) ** 2)[None] / np.abs(field).max() ** 2
+
+    def spread(self) -> tuple[NDArray[np.float64], float]:
+        """Return the point spread function in focus on a grid, and the width of a cell of the grid in mm."""
+        step = _CELL / 2
+        return np.maximum(self._sampled(step, math.ceil(_REACH / step))[0], 0), step * self.unit
+
+    @property
+    def reach(self) -> float:
+        """Distance in mm to which captures need kernels."""
+        return _REACH * self.unit
+
+    def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
+        """Return the kernels (n, k, k) on a grid of width `step` in mm, times the area of a grid cell."""
+        if not self.is_coarse:
+            return self._sampled(step / self.unit, math.ceil(reach / step))
+        return self._of_displaced(step)
+
+    def _of_displaced(self, step: float) -> NDArray[np.float64]:
+        """Return kernels between coarse pixels for rays that are displaced by the spread of the shortest wavelength."""
+        parts = self._cells + 1 - self._cells % 2
+        count = 2 * math.ceil(_COARSE_REACH * self.unit / step) + 1
+        fine = step / parts
+        shortest = replace(self, wavelength=self.shortest or self.wavelength, shortest=None)
+        spectra, known = (
+            scipy.fft.fft2(scipy.fft.ifftshift(each, (1, 2)))
+            for each in (plan._sampled(fine / plan.unit, count * parts // 2) for plan in (self, shortest))
+        )
+        # The lowest frequencies, which the grid of pixels can represent.
+        order = scipy.fft.ifftshift(np.arange(count) - count // 2)
+        low = np.ix_(order, order)
+        ratio = np.stack([spectrum[low] for spectrum in spectra]) / known[0][low]
+        return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
+
     @single_threaded_blas()
-    def fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
+    def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
         along, transmission = self._pupil
         waves = np.exp(-2j * np.pi * np.outer(places, along))
@@ -95,9 +225,9 @@ class PupilDiffraction:
             for a, b in self.functions.exponents
         }
 
-    def sampled(self, step: float, count: int) -> NDArray[np.float64]:
+    def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
-        fields, products = self.fields(np.arange(-count, count + 1) * step), []
+        fields, products = self._fields(np.arange(-count, count + 1) * step), []
         for i, j in self.functions.exponents:
             both = np.zeros((2 * count + 1,) * 2)
             for a, b in itertools.product(range(i + 1), range(j + 1)):
@@ -106,7 +236,15 @@ class PupilDiffraction:
             products.append(both)
         spacing = 2 / _SAMPLES
         power = (np.abs(self._pupil[1]) ** 2).sum() * spacing**2
-        # P = (x1 + x2) / 2 has the density of x1 and x2 eightfold
         kernels = np.einsum("mn,myx->nyx", self.functions.combined, products) * (spacing**4 * step**2 / power)
-        whole = np.eye(len(kernels))[0]
-        return kernels + ((whole - kernels.sum((1, 2))) / (2 * count + 1) ** 2)[:, None, None]
+        # What is beyond is spread evenly, which conserves the energy.
+        beyond = np.eye(len(kernels))[0] - kernels.sum((1, 2))
+        return kernels + (beyond / (2 * count + 1) ** 2)[:, None, None]
+
+
+@functools.lru_cache(maxsize=16)
+def pupil_plan_of(
+    camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
+) -> PupilDiffraction:
+    """Return a usual or a finer plan of an ordinary camera, cached for further captures; see `phase_space.plan_of`."""
+    return PupilDiffraction(camera, wavelength, fine, shortest)

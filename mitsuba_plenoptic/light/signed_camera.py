@@ -116,7 +116,7 @@ class _CameraSum(SignedRaySum):
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
     def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
-        own = plan.kernels(self._step, REACH * max(self._camera.mla_pitches), kind)
+        own = plan.kernels(self._step, plan.reach, kind)
         # One set for each component, so that forward and reverse approximate the same kernels.
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}
         return [*displaced(own), *(slopes[name][i] for name, i in self._of_kernels)]

@@ -29,7 +29,7 @@ from ..errors import warn
 from ..io.checkpoints import digest
 from ..runtime.batches import Cost, Job, SumTask
 from .noise import PARTS, Mended, halves, keep_spread, with_spread
-from .phase_space import FINE, parts_of
+from .phase_space import FINE
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_colours import Lanes, Node, SignedColours, mixed
@@ -64,9 +64,8 @@ class SignedCapture:
     @property
     def _parts(self) -> int:
         """The number of grid cells across a pixel."""
-        if any(node.plan.by_points for node in self.nodes):
-            return 1  # the kernels of these plans are integrated over pixels
-        return parts_of(self.camera, min(node.plan.wavelength for node in self.nodes), self.accuracy < FINE)
+        shortest = min((node.plan for node in self.nodes), key=lambda plan: plan.wavelength)
+        return shortest.parts(self.accuracy < FINE)
 
     def sums(
         self,

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.spectrum import Responses, Spectrum
-from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
 from .optical_system import OpticalSystem
 from .phase_space import FINE, PhaseSpace, plan_of
+from .pupil_diffraction import PupilDiffraction, pupil_plan_of
 from .random_numbers import even_words
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
@@ -190,8 +190,9 @@ class SignedColours:
     def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
         """Return the nodes, with their plans."""
         found, fine = self.shared(camera, accuracy), accuracy < FINE
+        make = plan_of if camera.has_array else pupil_plan_of
         return [
-            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0], found[-1][0]), channels, weights)
+            Node(make(camera.at_wavelength(place), place, fine, found[0][0], found[-1][0]), channels, weights)
             for place, channels, weights in found
         ]
 
@@ -240,10 +241,11 @@ def _enough(
     if wavelengths[0] == wavelengths[-1]:
         return [float(wavelengths[0])]
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
-    width = in_millimetres(dense[-1]) * camera.reduced_distance / float(camera.lattice.aperture_width)
+    make = PhaseSpace if camera.has_array else PupilDiffraction
+    width, coarse = make(camera, dense[-1]).widths
     step = width * dense[0] / dense[-1] / _SPOTS[1]
     along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step
-    spots = np.stack([PhaseSpace(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)
+    spots = np.stack([make(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)
     true = weights @ _hats(wavelengths, dense.tolist()).T @ spots
     places: list[float] = []
     for count in range(1, _MOST_NODES + 1):
@@ -253,7 +255,7 @@ def _enough(
         apart = places if count > 1 else _divided(wavelengths, weights, 2)
         powers = [_power(camera, place) for place in apart]
         blur = 2 * camera.aperture_radius * camera.mla_distance * np.abs(np.diff(powers)).max()
-        if wrong.max() <= _PROBED * error and blur <= _BLUR * math.sqrt(error) * min(camera.mla_pitches):
+        if wrong.max() <= _PROBED * error and blur <= _BLUR * math.sqrt(error) * coarse:
             break
     return places
 

@@ -174,6 +174,8 @@ class Draws:
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
+        # Order of the B-splines by which rays are collected in addition to cells.
+        self.order = 0 if self.by_points else ORDER - 1
         self._turns = mi.Float([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
         # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
         # Where rays land by their own points, the aberrations of a lens widen its spots, too.
@@ -233,8 +235,8 @@ class Draws:
         """Width of a cell in millimetres."""
         return self._camera.pixel_size / self._parts
 
-    def aims(self, pixels: Pixels) -> Aims:
-        """Return the centres of pixels and of the lenses through which they are lit."""
+    def _middle(self, pixels: Pixels) -> Pair:
+        """Return the centres of pixels."""
         camera = self._camera
         # Opaque values are kernel inputs, so that other values do not compile the kernels again.
         columns = dr.opaque(mi.UInt32, pixels.box.columns)
@@ -244,6 +246,11 @@ class Draws:
             (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
             for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
         )
+        return x, y
+
+    def aims(self, pixels: Pixels) -> Aims:
+        """Return the centres of pixels and of the lenses through which they are lit."""
+        x, y = self._middle(pixels)
         _, cell = self.walk.chief_cell((x, y))
         i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
         centre, _ = self.walk.lens_at(i, j)

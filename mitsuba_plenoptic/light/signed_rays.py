@@ -35,14 +35,14 @@ from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..runtime.limits import single_threaded_blas
-from .array_kernels import REACH
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .noise import known_means
 from .phase_space import PhaseSpace, coefficients_of
+from .pixel_draws import PixelDraws
 from .pixel_kernels import PixelKernels
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import ORDER, Drawn, Draws, Lot, Pixels
+from .signed_draws import Drawn, Draws, Lot, Pixels
 from .walk import Walk, walks_of
 
 _BLOCK_BYTES = 2**27
@@ -117,10 +117,10 @@ class SignedRaySum:
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
-        self._draws = Draws(camera, plans, parts)
+        self._draws = (Draws if camera.has_array else PixelDraws)(camera, plans, parts)
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
         self._known_part = 0.0 if self._draws.by_points else 1.0
-        self._response = pixel_response(camera.pixel_response, camera.mla_absorption)
+        self._response = pixel_response(camera.pixel_response or (), camera.mla_absorption or 0.0)
         least = -(-_LEAST // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
@@ -159,9 +159,9 @@ class SignedRaySum:
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
         """Kernels of each node, each kind of lenses and each set of values of a ray."""
-        draws, order = self._draws, 0 if self._draws.by_points else ORDER - 1
+        draws = self._draws
         grids = [
-            _Grid(self._parts, larger, tuple(map(tuple, draws.turns(kind).tolist())), order)
+            _Grid(self._parts, larger, tuple(map(tuple, draws.turns(kind).tolist())), draws.order)
             for kind, larger in enumerate(draws.enlargements)
         ]
         return [
@@ -259,7 +259,7 @@ class SignedRaySum:
             place = row % _THINNED * _THINNED + column % _THINNED
             held = ~far[row, column] | (drawn[row // _THINNED, column // _THINNED] == place)
             kept = drjit_array(mi.UInt32, held) != 0
-        found: list[list[Any]] = [[] for _ in self._draws.kinds.every]
+        found: list[list[Any]] = [[] for _ in self._draws.enlargements]
         for number in range(len(self._draws.candidates)):
             lens = dr.opaque(mi.UInt32, number)
             aims = self._draws.aims(Pixels(box, pixels, lens))
@@ -517,7 +517,7 @@ class _Grid(NamedTuple):
 def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     camera = plan.camera
-    kernels = plan.kernels(camera.pixel_size / grid.parts, REACH * max(camera.mla_pitches), kind)
+    kernels = plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind)
     return grid.for_pixels(plan, kernels, keeps_light=True)
 
 

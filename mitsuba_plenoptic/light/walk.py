@@ -43,12 +43,54 @@ class Passage(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Walk:
-    """The optical elements that rays of a camera pass; parameters that may carry gradients are Dr.Jit arrays."""
+class PupilWalk:
+    """The main lens that rays of a camera pass, from points of the plane behind it."""
 
     # The camera with plain values, for the parameters without gradients.
     camera: PlenopticCamera
     lens: MainLens
+
+    def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
+        """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
+        if not isinstance(height, float) or height:
+            position = position[0] - height * slope[0], position[1] - height * slope[1]
+        return self.lens.trace(position, slope)
+
+    def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
+        """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
+        x, y = (self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
+        return self.into_scene(position, (x, y), height)
+
+    def inner(self, pupil: Pair, centre: Pair) -> Pair:
+        """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
+        found = self.lens.round_map
+        if found is None:
+            return pupil
+        (x, y), (cx, cy) = pupil, centre
+        field = dr.sqrt(cx * cx + cy * cy)
+        # The map is defined for fields along x.
+        c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
+        fields, across, _, _ = found.points.shape
+        u, v = x * c + y * s, y * c - x * s
+        at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
+        # Outside its border the map continues with the border's values, which lie outside the pupil.
+        u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
+        return u * c - v * s, u * s + v * c
+
+    @functools.cached_property
+    def _round_pupil(self) -> Any:
+        assert self.lens.round_map is not None
+        return mi.Texture3f(
+            drjit_array(mi.TensorXf, self.lens.round_map.points),
+            filter_mode=dr.FilterMode.Linear,
+            wrap_mode=dr.WrapMode.Clamp,
+        )
+
+
+@dataclass(frozen=True)
+class Walk(PupilWalk):
+    """The optical elements that rays of a camera pass; parameters that may carry gradients are Dr.Jit arrays."""
+
     lattice: Lattice
     # Focal lengths of the microlenses in air, one for each type or one for all.
     focal_lengths: Any
@@ -142,17 +184,6 @@ class Walk:
         point, slope, is_open = self.into_scene(passage.point, slope, self.height(*passage.centre))
         return point, slope, is_open & emerges
 
-    def into_scene(self, position: Pair, slope: Pair, height: Any = 0.0) -> Traced:
-        """Return rays traced from array positions, at a height above the array's plane, through the main lens."""
-        if not isinstance(height, float) or height:
-            position = position[0] - height * slope[0], position[1] - height * slope[1]
-        return self.lens.trace(position, slope)
-
-    def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
-        """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
-        x, y = (self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
-        return self.into_scene(position, (x, y), height)
-
     def through_centre(self, offset: Pair, height: Any) -> tuple[Pair, Any]:
         """Return slopes before the array, and weights, of rays through lens centres at offsets from detector points.
 
@@ -172,39 +203,14 @@ class Walk:
         z = self.detector_distance
         return (mx - z * behind[0], my - z * behind[1]), rays.evenness(before, behind, chief, self.medium)
 
-    # -- the pupil -----------------------------------------------------------------------------------
 
-    def inner(self, pupil: Pair, centre: Pair) -> Pair:
-        """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
-        found = self.lens.round_map
-        if found is None:
-            return pupil
-        (x, y), (cx, cy) = pupil, centre
-        field = dr.sqrt(cx * cx + cy * cy)
-        # The map is defined for fields along x.
-        c, s = dr.select(field > 0, cx / field, 1), dr.select(field > 0, cy / field, 0)
-        fields, across, _, _ = found.points.shape
-        u, v = x * c + y * s, y * c - x * s
-        at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
-        # Outside its border the map continues with the border's values, which lie outside the pupil.
-        u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
-        return u * c - v * s, u * s + v * c
-
-    @functools.cached_property
-    def _round_pupil(self) -> Any:
-        assert self.lens.round_map is not None
-        return mi.Texture3f(
-            drjit_array(mi.TensorXf, self.lens.round_map.points),
-            filter_mode=dr.FilterMode.Linear,
-            wrap_mode=dr.WrapMode.Clamp,
-        )
-
-
-def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[Walk, list[int]]]:
+def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[PupilWalk, list[int]]]:
     """Return one walk for each group of systems whose rays follow the same paths, and the indices of its systems."""
-    found: dict[float, tuple[Walk, list[int]]] = {}
+    found: dict[float, tuple[PupilWalk, list[int]]] = {}
     for number, system in enumerate(systems):
-        found.setdefault(system.lens.refraction, (Walk.of(system.camera, system.lens), []))[1].append(number)
+        camera, lens = system.camera, system.lens
+        walk = Walk.of(camera, lens) if camera.has_array else PupilWalk(camera, lens)
+        found.setdefault(lens.refraction, (walk, []))[1].append(number)
     return list(found.values())
 
 
