@@ -89,6 +89,7 @@ def demosaic(
         certainty = np.ones((*camera.shape, 3), np.float32)
         lenses = np.zeros(camera.shape, np.int64)
     else:
+        camera.require_array(f"method = {method}")
         camera.require_resolved()
         certainty, lenses = _certainty(capture, white), lens_numbers(camera)
     image = _interpolate(capture.image, own, certainty, lenses, 1 if method == "plain" else _REACH)
