@@ -159,12 +159,11 @@ class Candidates:
         return dr.gather(mi.Float, self.limits, mi.UInt32(row * SECTORS + sector))
 
 
-def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> MainLens:
+def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> Any:
     """Return the main lens of a camera whose exposed parameters are given as Dr.Jit arrays."""
     wavefront = numbers.get("wavefront", mi.Float())
     aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
-    lens: MainLens = main_lens(camera, varying=numbers | {"wavefront": aberrations})
-    return lens
+    return main_lens(camera, varying=numbers | {"wavefront": aberrations})
 
 
 @dataclass(frozen=True)

@@ -169,18 +169,17 @@ def make_class() -> type:
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())
-            if not self._given.has_array:
-                self._rays = PupilRays.varying(self.camera, numbers)
-                return
-            self._rays = CameraRays.varying(self.camera, numbers)
-            self._response = pixel_response(self.pixel_response, self.mla_absorption)
-            tables = (
-                place(package, text)(getattr(self, name))
-                for package, name, text in entries("responses")
-                if getattr(self, name) is not None
-            )
-            self._table: Any = next(tables, None)
-            self._candidates = self._rays.candidates()
+            kind: Any = CameraRays if self._given.has_array else PupilRays
+            self._rays = kind.varying(self.camera, numbers)
+            if self._given.has_array:
+                self._response = pixel_response(self.pixel_response, self.mla_absorption)
+                tables = (
+                    place(package, text)(getattr(self, name))
+                    for package, name, text in entries("responses")
+                    if getattr(self, name) is not None
+                )
+                self._table: Any = next(tables, None)
+                self._candidates = self._rays.candidates()
 
         @property
         def camera(self) -> PlenopticCamera:
