@@ -129,7 +129,7 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     for figures in field_figures(camera, tuple(part * corner for part in _FIELDS)):
         at = f"{_four(figures.height)} mm from the axis"
         rows += [
-            ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius on the MLA, {at}"),
+            ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image, {at}"),
             ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
             ("distortion", f"{figures.distortion:+.3%}", "", at),
         ]
