@@ -190,7 +190,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
         tilted array touches detector or main lens, or the distortion folds the image; if a `main_lens` is unknown,
         cannot open so far, comes with aberrations, distortion or a glass, or reaches the array; if an objective
-        contradicts focal length, aperture or distance; or if a glass is unknown or has no index at the line d.
+        contradicts focal length, aperture or distance; if a glass is unknown or has no index at the line d; or if a
+        camera without an array has a parameter of one, an objective or a collimator.
 
     Examples
     --------
