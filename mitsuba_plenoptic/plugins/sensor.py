@@ -70,9 +70,9 @@ def make_class() -> type:
         distance whose image is :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix``
         are such cameras.
 
-        With ``mla_lattice`` ``none`` this is an ordinary camera: a ray starts at a detector point and meets the main lens
-        in a random point of its exit pupil. The value of a pixel is the mean radiance over the pupil, which vignetting
-        by a ``main_lens`` lessens.
+        With ``mla_lattice`` ``none`` this is an ordinary camera: a ray starts at a detector point and passes a random
+        point of the exit pupil. The value of a pixel is the mean radiance over the pupil, less what a ``main_lens``
+        vignettes.
 
         If a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows the
         path of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
