@@ -6,6 +6,7 @@ gradients and searches work with all read this table. A new parameter is one ent
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import fields
 from functools import partial
@@ -163,7 +164,7 @@ class CoreParameters:
     )
     mla_lattice: Parameter[str, str] = Parameter(
         default="square",
-        check=lambda name, value: require_choice(name, value, (*LATTICES, NO_LATTICE)),
+        check=partial(require_choice, choices=ChainMap[str, Any]({NO_LATTICE: None}, LATTICES)),
         words=(
             "Arrangement of the microlenses, see `mitsuba_plenoptic.lattice`. ``square``: the corner of four lenses "
             "is on the axis. ``hexagonal``: rows along x, every second one offset by half a pitch; the centre of a "

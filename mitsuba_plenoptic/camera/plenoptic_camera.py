@@ -42,7 +42,8 @@ from .parameters import PARAMETERS
 def checked_values(given: dict[str, Any]) -> dict[str, Any]:
     """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
     values: dict[str, Any] = {}
-    has_array = given.get("mla_lattice") != NO_LATTICE
+    lattice = PARAMETERS["mla_lattice"]
+    has_array = lattice.check(lattice.name, given.get(lattice.name, lattice.default)) != NO_LATTICE
     for name, entry in PARAMETERS.items():
         without = entry.of_array and not has_array
         value = given.get(name, None if without else entry.default)
@@ -190,7 +191,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         from 1 to 1048576 pixels, one pitch is more than ten times the other, the crop window leaves the detector, a
         tilted array touches detector or main lens, or the distortion folds the image; if a `main_lens` is unknown,
         cannot open so far, comes with aberrations, distortion or a glass, or reaches the array; if an objective
-        contradicts focal length, aperture or distance; or if a glass is unknown or has no index at the line d.
+        contradicts focal length, aperture or distance; if a glass is unknown or has no index at the line d; or if a
+        camera without an array has a parameter of one, an objective or a collimator.
 
     Examples
     --------
@@ -334,7 +336,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             If a name is unknown or missing, or a value is out of range.
         """
         if isinstance(values, dict):
-            has_array = values.get("mla_lattice") != NO_LATTICE
+            has_array = str(values.get("mla_lattice")) != NO_LATTICE
             for name, entry in sorted(PARAMETERS.items()):
                 refuse_if(
                     entry.in_first_files and (has_array or not entry.of_array) and name not in values,
@@ -468,7 +470,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             If a name is unknown or a value is out of range.
         """
         values = {name: value for name, value in self.arguments().items() if value is not None}
-        if changes.get("mla_lattice") == NO_LATTICE:
+        if str(changes.get("mla_lattice")) == NO_LATTICE:
             values = {name: value for name, value in values.items() if not PARAMETERS[name].of_array}
         if changes.get("mla_shape", self.mla_shape) is not None:
             # It follows from the shape.

@@ -215,6 +215,7 @@ def lenses_across(camera: PlenopticCamera, distance: float) -> float:
     distance : float
         Object distance from the main lens in millimetres.
     """
+    camera.require_array("lenses_across")
     return camera.blur_diameter(distance) / max(camera.mla_pitches)
 
 

@@ -42,6 +42,7 @@ def is_separable(camera: PlenopticCamera) -> bool:
 
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
     """Return the camera in the frame that is rotated with the lattice about the axis."""
+    camera.require_array("waves")
     if camera.mla_rotation == 0:
         return camera
     return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))

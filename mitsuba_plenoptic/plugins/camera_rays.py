@@ -40,7 +40,7 @@ _MOST_CHECKED = 64
 """Largest number of lenses of which those that can light a point are counted for each ray."""
 
 
-Rays = TypeVar("Rays", "CameraRays", "PupilRays")
+Rays = TypeVar("Rays", "CameraRays", "OrdinaryRays")
 
 
 @dataclass(frozen=True)
@@ -159,16 +159,15 @@ class Candidates:
         return dr.gather(mi.Float, self.limits, mi.UInt32(row * SECTORS + sector))
 
 
-def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> MainLens:
+def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> Any:
     """Return the main lens of a camera whose exposed parameters are given as Dr.Jit arrays."""
     wavefront = numbers.get("wavefront", mi.Float())
     aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))
-    lens: MainLens = main_lens(camera, varying=numbers | {"wavefront": aberrations})
-    return lens
+    return main_lens(camera, varying=numbers | {"wavefront": aberrations})
 
 
 @dataclass(frozen=True)
-class PupilRays:
+class OrdinaryRays:
     """The rays of a camera without a microlens array: from detector points through random points of the pupil."""
 
     lens: MainLens
@@ -179,17 +178,12 @@ class PupilRays:
     share: Any
 
     @classmethod
-    def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> PupilRays:
+    def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> OrdinaryRays:
         """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
         plain = main_lens(camera)
         reach = plain.reach
         disc = dr.opaque(mi.Float, reach), dr.opaque(mi.Float, (reach / plain.pupil_radius) ** 2)
         return cls(_varying_lens(camera, numbers), Dispersion.of(camera), *disc)
-
-    def draw(self, sample: Any) -> Pair:
-        """Return random points of the pupil."""
-        x, y = self.reach * mi.warp.square_to_uniform_disk(sample)
-        return x, y
 
     def trace(self, pixel: Pair, pupil: Pair) -> Traced:
         """Return traced rays from detector points through points of the pupil."""

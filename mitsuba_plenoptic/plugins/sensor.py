@@ -22,7 +22,7 @@ from ..lenses.main_lens import Pair
 from ..lenses.real_lens import RealLens
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
-from .camera_rays import CameraRays, Candidates, PupilRays
+from .camera_rays import CameraRays, Candidates, OrdinaryRays
 from .properties import read_camera, require_read
 
 NAME = "plenoptic"
@@ -69,6 +69,10 @@ def make_class() -> type:
         :math:`a` before the array, :math:`1/a + 1/z = 1/f_2`, or behind it. The capture is then sharp at the object
         distance whose image is :math:`b - a` from the main lens. The scenes ``keplerian``, ``galilean`` and ``raytrix``
         are such cameras.
+
+        With ``mla_lattice`` ``none`` this is an ordinary camera: a ray starts at a detector point and passes a random
+        point of the exit pupil. The value of a pixel is the mean radiance over the pupil, less what a ``main_lens``
+        vignettes.
 
         If a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows the
         path of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
@@ -169,18 +173,17 @@ def make_class() -> type:
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())
-            if not self._given.has_array:
-                self._rays = PupilRays.varying(self.camera, numbers)
-                return
-            self._rays = CameraRays.varying(self.camera, numbers)
-            self._response = pixel_response(self.pixel_response, self.mla_absorption)
-            tables = (
-                place(package, text)(getattr(self, name))
-                for package, name, text in entries("responses")
-                if getattr(self, name) is not None
-            )
-            self._table: Any = next(tables, None)
-            self._candidates = self._rays.candidates()
+            kind: Any = CameraRays if self._given.has_array else OrdinaryRays
+            self._rays = kind.varying(self.camera, numbers)
+            if self._given.has_array:
+                self._response = pixel_response(self.pixel_response, self.mla_absorption)
+                tables = (
+                    place(package, text)(getattr(self, name))
+                    for package, name, text in entries("responses")
+                    if getattr(self, name) is not None
+                )
+                self._table: Any = next(tables, None)
+                self._candidates = self._rays.candidates()
 
         @property
         def camera(self) -> PlenopticCamera:
@@ -250,7 +253,7 @@ def make_class() -> type:
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
             if not self._given.has_array:
-                passage = rays.draw(lens_sample)
+                passage = tuple(rays.reach * mi.warp.square_to_uniform_disk(lens_sample))
                 point, slope, open_ = rays.trace((px, py), passage)
                 weight = weight * rays.share
             elif self._table is not None:

@@ -88,7 +88,8 @@ class Collimator(LensData):
         return math.inf
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse distortion, glass and a tilted array."""
+        """Refuse distortion, glass, and no or a tilted array."""
+        camera.require_array(f"main_lens = {self.label}")
         for name, value in (("distortion", camera.distortion), ("mla_tilt", camera.mla_tilt)):
             refuse_if(any(value), f"{name} = {value}: behind a collimator it must be 0")
         refuse_if(

@@ -181,7 +181,8 @@ class Objective(LensData):
         )
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse further aberrations and a tilted array."""
+        """Refuse further aberrations, and no or a tilted array."""
+        camera.require_array(f"main_lens = {self.label}")
         require_alone(camera)
         refuse_if(any(camera.mla_tilt), f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
 

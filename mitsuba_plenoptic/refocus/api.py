@@ -179,6 +179,7 @@ def reconstruct(
     """
     recorded = capture
     capture = as_capture(capture, camera)
+    capture.camera.require_array("reconstruct")
     camera = regular_array(capture.camera)
     capture = dataclasses.replace(capture, camera=camera)
     chosen = registered(method)

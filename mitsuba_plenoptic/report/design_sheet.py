@@ -60,10 +60,11 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
         groups = {"Main lens": _main_lens(camera)}
         if camera.prescription is not None:
             groups["Surfaces of the main lens"] = _surfaces(camera, camera.prescription)
-        groups |= {"Detector": _detector(camera)}
+        if camera.has_array:
+            groups["Microlenses"] = _microlenses(camera)
+        groups["Detector"] = _detector(camera)
         if camera.has_array:
             groups |= {
-                "Microlenses": _microlenses(camera),
                 "Micro-images": _micro_images(camera),
                 "Resolution": _resolution(camera, wavelength),
                 "Refocusing": _refocusing(camera, wavelength),
@@ -74,20 +75,20 @@ def design_sheet(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
 
 def _main_lens(camera: PlenopticCamera) -> list[_Line]:
+    behind = "microlenses" if camera.has_array else "detector"
     rows = [
         ("focal length", _four(camera.focal_length), "mm", ""),
         ("diameter", _four(camera.aperture_diameter), "mm", f"f/{camera.f_number:.3g}"),
-        ("distance to microlenses", _four(camera.mla_distance), "mm", ""),
-        ("focused distance", *_distance(camera.focus_distance), "on the microlenses"),
+        (f"distance to {behind}", _four(camera.mla_distance), "mm", ""),
+        ("focused distance", *_distance(camera.focus_distance), f"on the {behind}"),
         ("field of view", f"{design.field_of_view(camera):.3g}", "deg", "horizontal, full angle"),
     ]
     if 0 < camera.focus_distance < math.inf:
         width = design.field_width(camera, camera.focus_distance)
         rows.append(("field width", _four(width), "mm", "in the focused plane"))
     if not camera.lens_data.is_thin:
-        rows.append(
-            ("kind", "real", "", "below, resolution and refocusing are those of a thin lens of this focal length")
-        )
+        note = "below, resolution and refocusing are those of a thin lens of this focal length"
+        rows.append(("kind", "real", "", note if camera.has_array else ""))
     for name, glass in (("glass", camera.glass), ("glass of the microlenses", camera.mla_glass)):
         if glass is not None:
             rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
@@ -128,7 +129,7 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     for figures in field_figures(camera, tuple(part * corner for part in _FIELDS)):
         at = f"{_four(figures.height)} mm from the axis"
         rows += [
-            ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius on the MLA, {at}"),
+            ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image, {at}"),
             ("light", f"{figures.light:.1%}", "", f"of that on the axis, {at}"),
             ("distortion", f"{figures.distortion:+.3%}", "", at),
         ]
@@ -189,8 +190,9 @@ def _detector(camera: PlenopticCamera) -> list[_Line]:
         ("size", size, "mm", ""),
         ("pixels", f"{columns} x {rows}", "", ""),
         ("pixel size", _four(1e3 * camera.pixel_size), "um", ""),
-        ("pixels per lens", _four(camera.pixels_per_lens), "", "across its pitch"),
     ]
+    if camera.has_array:
+        sheet.append(("pixels per lens", _four(camera.pixels_per_lens), "", "across its pitch"))
     if camera.is_cropped:
         window, offset = camera.crop_size, camera.crop_offset
         note = f"from column {offset[0]}, row {offset[1]}"

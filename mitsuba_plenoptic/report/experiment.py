@@ -213,6 +213,7 @@ def run_experiment(settings: Settings, store: Stages) -> Experiment:
     scene = load_with_sensor(settings.scene, settings.parameters, settings.camera, settings.unit)
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
+    camera.require_array("compare")
     refuse_if(
         camera.is_cropped, f"{settings.scene}: a comparison needs the full detector; remove the film's crop window"
     )

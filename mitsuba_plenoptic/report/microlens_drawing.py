@@ -42,6 +42,7 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     InputError
         If the file is no PNG by its name, or it cannot be written.
     """
+    camera.require_array(str(path))
     require_writable(path, ".png")
     wavelength = LINE_D if wavelength is None else require_wavelength(wavelength)
     reach = float(camera.lattice.cell_reach)

@@ -151,6 +151,8 @@ def checked_images(
     known = regular_array(require_camera(cameras[0])) if cameras else None
     if known is not None and image.shape[:2] != known.shape:
         raise InputError(f"capture of shape {image.shape[:2]}: the camera records {known.shape}")
+    if known is not None:
+        known.require_array("decode")
     refuse_if(
         known is None and white is None, "white = None: without a camera the pupil is known from a white image only"
     )

@@ -159,6 +159,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     names = require_quantities([names] if isinstance(names, str) else names)
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
+    camera.require_array("ground_truth")
     regular = regular_array(camera)
     bins = bin_grid(regular)
     half, _ = view_window(regular, lens_grid(regular))

@@ -139,6 +139,7 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     InputError
         If no micro-image is centred in the recorded window.
     """
+    camera.require_array("lens_grid")
     lattice = camera.lattice
     if lattice.axis_aligned and lattice.aspect == 1 and lattice.offset == (0, 0):
         return bin_grid(camera)

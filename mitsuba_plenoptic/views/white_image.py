@@ -154,6 +154,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     InputError
         If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
     """
+    camera.require_array("white_image")
     camera = regular_array(camera)
     if grid is None and not camera.lens_data.is_thin:
         return _traced(camera)

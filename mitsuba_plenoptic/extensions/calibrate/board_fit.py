@@ -82,7 +82,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         If the data cannot determine what a camera predicts; the message says what is lacking. Parameters that the data
         leave open have wide deviations (`Calibration.open_direction`).
     """
-    require_camera(start, "start").require_thin("cameras are calibrated")
+    require_camera(start, "start").require_array("calibrate")
+    start.require_thin("cameras are calibrated")
     require_no_shape(start, "cameras are calibrated")
     refuse_if(start.mla_medium != 1, f"mla_medium = {start.mla_medium:g}: cameras are calibrated with 1 only")
     size = np.array(start.crop_size)
@@ -172,6 +173,7 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     InputError
         If the corners cannot determine the poses.
     """
+    camera.require_array("evaluate")
     require_on_detector(corners, camera.crop_size)
     numbers, lattice = numbers_of(camera), camera.lattice
     principal = numbers[[AT["principal_u"], AT["principal_v"]]]

@@ -89,6 +89,8 @@ def detect_corners(
     InputError
         If OpenCV is missing, the picture and the white picture do not match, or no board is seen.
     """
+    if camera is not None:
+        camera.require_array("detect_corners")
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
     picture = _picture(image, white, centres, name)
@@ -113,6 +115,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     index : LensIndex, optional
         Indexing of lenses in the table. Default: that of the camera's lattice.
     """
+    camera.require_array("camera_centres")
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
     lattice, size = camera.lattice, np.array(camera.crop_size)

@@ -160,6 +160,8 @@ class Recipe:
             camera = PlenopticCamera.from_json(json.dumps(PRESETS[numbers.pop("preset", "paper")] | numbers))
             if self.photodiodes:
                 require_pixel_pairs(camera)
+            if self.truth:
+                camera.require_array("truth")
         maker, parameters = None, {}
         if source.generator:
             with naming(f"scenes: generator {source.generator}"):

@@ -35,6 +35,7 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
     InputError
         If the image shows no lattice.
     """
+    camera.require_array("lattice_from_white")
     centres = estimate_lens_grid(white).centres().reshape(-1, 2)
     shrunk = camera.pupil_distance / (camera.pupil_distance + camera.reduced_distance)
     position = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * (camera.pixel_size * shrunk)

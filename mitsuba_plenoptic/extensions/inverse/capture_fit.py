@@ -101,6 +101,7 @@ def fit(
     """
     from scipy.optimize import least_squares
 
+    camera.require_array("fit")
     if not camera.lens_data.converges:
         camera.require_thin("cameras are fitted", "fit one behind a prescription")
     camera = regular_array(camera)

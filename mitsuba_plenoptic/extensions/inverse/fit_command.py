@@ -122,6 +122,7 @@ def fit(
     if saturation is not None:
         require_number("saturation", saturation, positive=True)
     first = named_camera(camera) or read[0].camera
+    first.require_array("fit")
     if start:
         first = fitting.lattice_from_white(first, read[0].image)
     known = wavelength or read[0].wavelength or 633.0

@@ -58,7 +58,7 @@ def demosaic(
         camera, which real main lenses do not allow.
     method : {"micro-images", "plain"}
         ``micro-images`` keeps micro-images apart, and knows how they darken towards their rims. ``plain`` does not:
-        bilinear interpolation, as for photographs, to compare with.
+        bilinear interpolation, as for photographs, to compare with, and for cameras without microlenses.
 
     Returns
     -------
@@ -84,6 +84,8 @@ def demosaic(
     )
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
     camera, own = capture.camera, filters(capture.camera, mosaic)
+    if not camera.has_array:
+        method = "plain"
     if method == "plain":
         refuse_if(white is not None, "white: method plain does not take it; it is for micro-images")
         certainty = np.ones((*camera.shape, 3), np.float32)

@@ -111,6 +111,7 @@ def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None)
 
     Instead of the scene, the camera is scaled.
     """
+    camera.require_array("preview")
     scale, pose = (fit.scale, fit.pose) if fit else (1.0, None)
     if fit and fit.mla_distance != camera.mla_distance:
         camera = camera.replace(mla_distance=fit.mla_distance)

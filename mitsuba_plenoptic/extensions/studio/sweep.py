@@ -171,7 +171,7 @@ class Points:
             if not is_wave_capture(scene, self.settings.model):
                 refuse_by_rays(resume=self.store.resume or None, **for_waves)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
-            sizes[key] = camera.shape + camera.bin_count * bool(self.distances)
+            sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
             for distance in self.distances:
                 image_distance(camera.focal_length, distance, name=DISTANCE)
             first = next(iter(sizes.values()))
@@ -244,9 +244,9 @@ class SweepFile:
         # A grid of distances alone has one capture, without an axis.
         self._scalar = not axes
         rows, columns = first.camera.shape
-        bin_columns, bin_rows = first.camera.bin_count
         sizes = {name: len(values) for name, values in grid.items()} | {"row": rows, "column": columns}
         if DISTANCE in grid:
+            bin_columns, bin_rows = first.camera.bin_count
             sizes |= {"bin_row": bin_rows, "bin_column": bin_columns}
         channels = ("channel",) if first.image.ndim == 3 else ()
         file.dimensions = sizes | dict.fromkeys(channels, 3)

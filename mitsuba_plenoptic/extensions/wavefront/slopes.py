@@ -76,6 +76,7 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
     InputError
         If an input has a wrong shape or value, or the capture is black.
     """
+    camera.require_array("view_slopes")
     camera.require_thin("slopes of views are measured", "use an InteractionMatrix")
     seen = _known_image(image, camera)
     place = main_lens(camera).images(check_positions([point], camera))[0]

@@ -268,7 +268,8 @@ def known_zones(zones: Any) -> list[Zone]:
 
 def require_fitted(camera: Any) -> None:
     """Refuse a camera whose ``wavefront`` cannot be fitted."""
-    lens = require_camera(camera).lens_data
+    require_camera(camera).require_array("wavefronts")
+    lens = camera.lens_data
     refuse_if(not lens.is_thin, f"main_lens = {lens.label}: wavefronts are fitted behind thin main lenses only")
 
 

@@ -1,0 +1,484 @@
+"""An ordinary camera, without a microlens array, by rays: against Mitsuba's thin lens and rays traced here."""
+
+import json
+import math
+import pickle
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture, views
+from mitsuba_plenoptic.camera.parameters import PARAMETERS
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
+from tools.bench.scenes.light_paths import facing, radiating, scene_of
+
+OPTILAND = json.loads((Path(__file__).parents[1] / "optiland_records" / "results.json").read_text())["lenses"]
+
+THIN_LENS = {"focal_length": 50.0, "focus_distance": 300.0}
+THIN = THIN_LENS | {"aperture_radius": 8.0, "detector_width": 12.0}
+FILM = {"resolution": (24, 16)}
+WHITE = {"sky": {"type": "constant"}}
+
+
+def ordinary(**given):
+    return PlenopticCamera(mla_lattice="none", **(THIN | FILM | given))
+
+
+def chequers(distance, half, count, place=(0.0, 0.0)):
+    """A radiating wall of squares that faces the camera."""
+    texture = np.indices((count, count)).sum(0)[..., None] % 2 + 0.1
+    radiance = {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True, "filter_type": "nearest"}
+    return facing(distance, half, place, emitter={"type": "area", "radiance": radiance})
+
+
+def depths():
+    """Squares in focus and beyond it, partly hidden by a nearer bar that is out of focus, off the axis."""
+    return {
+        "focused": chequers(300.0, 16.0, 7, (-14.0, 4.0)),
+        "far": chequers(600.0, 80.0, 17),
+        "near": facing(200.0, (3.0, 40.0), (10.0, 0.0), **radiating(2.0)),
+    }
+
+
+def rendered(sensor, first, seeds=12, spp=1024, **objects):
+    """Mean and its variance over seeds, which begin with `first`, of a sensor's pictures."""
+    scene = scene_of(sensor, "direct", **(objects or depths()))
+    images = np.array([np.array(mi.render(scene, spp=spp, seed=first + seed)) for seed in range(seeds)], np.float64)
+    return images.mean(0), images.var(0, ddof=1) / seeds
+
+
+def disagreement(one, other):
+    """Squared differences over those that the noise makes: about 1 for equal pictures."""
+    return ((one[0] - other[0]) ** 2).sum() / (one[1] + other[1]).sum()
+
+
+def thinlens(camera, **changes):
+    """Mitsuba's sensor with a camera's aperture, field, plane in focus and film."""
+    values = {
+        "type": "thinlens",
+        "fov": math.degrees(2 * math.atan(camera.detector_width / (2 * camera.mla_distance))),
+        "fov_axis": "x",
+        "aperture_radius": camera.aperture_radius,
+        "focus_distance": camera.focus_distance,
+        "near_clip": 1.0,
+        "film": camera.to_sensor()["film"],
+    }
+    return values | changes
+
+
+# -- against Mitsuba's thin lens ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"resolution": (20, 28), "focus_distance": 500.0},
+        {"resolution": (96, 64), "crop_offset": (70, 40), "crop_size": (20, 16)},
+        {"focus_distance": math.inf},
+    ],
+    ids=["focused", "upright film", "crop", "infinity"],
+)
+def test_pictures_are_those_of_the_thin_lens(given):
+    camera = ordinary(**given)
+    far = {"focus_distance": 1e6} if given.get("focus_distance") == math.inf else {}
+    assert disagreement(rendered(camera.to_sensor(), 0), rendered(thinlens(camera, **far), 100)) < 1.3
+
+
+@pytest.mark.parametrize("changed", ["aperture_radius", "focus_distance", "fov"])
+def test_the_comparison_tells_other_lenses_apart(changed):
+    camera = ordinary()
+    other = thinlens(camera)
+    other[changed] *= 1.05 if changed == "aperture_radius" else 1.02
+    assert disagreement(rendered(camera.to_sensor(), 0), rendered(other, 100)) > 2
+
+
+def test_a_white_scene_reads_one():
+    for given in ({}, {"lens_model": "parabolic"}, {"wavefront": (0, 0, 0, 2.0)}, {"distortion": (1e-4, 0, 0, 0, 0)}):
+        image = render_capture(scene_of(ordinary(**given).to_sensor(), **WHITE), spp=4).image
+        np.testing.assert_allclose(image, 1, atol=1e-5)
+
+
+def test_colours_are_those_of_lenses_at_their_wavelengths():
+    camera = ordinary(glass={"index": 1.5, "abbe": 8.0})
+    mi.set_variant("llvm_ad_rgb")
+    sensor = camera.to_sensor()
+    sensor["film"]["pixel_format"] = "rgb"
+    mean, variance = rendered(sensor, 0)
+    mi.set_variant("llvm_ad_mono")
+    for channel, wavelength in enumerate((611.4, 549.1, 464.3)):
+        colour = mean[..., [channel]], variance[..., [channel]]
+        own = rendered(camera.at_wavelength(wavelength).to_sensor(), 100)
+        assert disagreement(colour, own) < 1.4
+        if channel != 1:
+            # Green is next to the line d, whose focal length is that without the glass.
+            assert disagreement(colour, rendered(camera.replace(glass=None).to_sensor(), 100)) > 1.6
+
+
+@pytest.mark.parametrize("lens", [{}, {"main_lens": "double_gauss"}], ids=["thin", "prescription"])
+def test_differentials_are_the_rays_of_the_next_pixels(lens):
+    sensor = mi.load_dict(ordinary(**lens).to_sensor())
+    place, lens_sample = mi.Point2f([0.3, 0.7], [0.4, 0.6]), mi.Point2f([0.2, 0.5], [0.5, 0.4])
+    ray, _ = sensor.sample_ray_differential(0.0, 0.5, place, lens_sample)
+    for name, step in (("x", mi.Point2f(1 / 24, 0)), ("y", mi.Point2f(0, 1 / 16))):
+        beside, _ = sensor.sample_ray(0.0, 0.5, place + step, lens_sample)
+        o, d = getattr(ray, f"o_{name}"), getattr(ray, f"d_{name}")
+        found, expected = (np.array(p + 300 / v.z * v) for p, v in ((o, d), (beside.o, beside.d)))
+        moved = np.abs(expected - np.array(ray.o + 300 / ray.d.z * ray.d)).max()
+        assert np.abs(found - expected)[:2].max() < (0.05 if lens else 1e-4) * moved
+
+
+@pytest.mark.parametrize("name", ["focal_length", "mla_distance", "detector_width"])
+def test_gradients_are_differences(name):
+    y, x = np.mgrid[0:64, 0:64] / 64
+    texture = (0.5 + 0.3 * np.sin(17 * x + 1) * np.cos(9 * y))[..., None]
+    radiance = {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True}
+    wall = facing(380.0, 60.0, emitter={"type": "area", "radiance": radiance})
+    scene = scene_of(ordinary().to_sensor(), "direct", wall=wall)
+    params = mi.traverse(scene)
+    key = f"camera.{name}"
+    start = float(params[key][0])
+
+    def image(value, seed):
+        params[key] = value
+        params.update()
+        # Gradients are drawn with the second seed.
+        return mi.render(scene, params, spp=64, seed=seed, seed_grad=seed + 1)
+
+    number = mi.Float(start)
+    dr.enable_grad(number)
+    made = image(number, 1)
+    dr.set_grad(number, 1.0)
+    found = np.array(dr.forward_to(made))
+    more, less = (np.array(image(mi.Float(start * (1 + step)), 2)) for step in (1e-3, -1e-3))
+    expected = (more - less) / (2e-3 * start)
+    assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
+
+
+# -- prescriptions -----------------------------------------------------------------------------------
+
+
+def through(lens, detector, position, pupil, exit_pupil):
+    """Which rays from detector positions through points of the exit pupil pass all spheres of a lens."""
+    z = np.cumsum([0.0, *(surface.thickness for surface in lens.surfaces[:-1])])
+    indices = [1.0, *lens.indices(lens.wavelength)]
+    start = np.array([*np.broadcast_arrays(*position, z[-1] + detector)])
+    towards = np.array([*np.broadcast_arrays(*pupil, z[-1] + exit_pupil)]) - start
+    direction = towards * np.sign(-towards[2]) / np.linalg.norm(towards, axis=0)
+    is_open = np.ones(start.shape[1:], bool)
+    for number in reversed(range(len(lens.surfaces))):
+        surface = lens.surfaces[number]
+        vertex = np.array([0.0, 0.0, z[number]])[:, None]
+        start = start + direction * (vertex[2] - start[2]) / direction[2]
+        if not math.isinf(surface.radius):
+            centre = vertex + np.array([0.0, 0.0, surface.radius])[:, None]
+            along, square = ((start - centre) * direction).sum(0), ((start - centre) ** 2).sum(0) - surface.radius**2
+            with np.errstate(invalid="ignore"):
+                root = np.sqrt(along**2 - square)
+            # Light goes towards -z; the sphere is met on the side of its vertex.
+            start = start + direction * (-along + np.sign(surface.radius) * root)
+            normal = (start - centre) / surface.radius
+        else:
+            normal = np.array([0.0, 0.0, -1.0])[:, None] + 0 * start
+        eta, cosine = indices[number + 1] / indices[number], (normal * direction).sum(0)
+        with np.errstate(invalid="ignore"):
+            direction = eta * direction + normal * (
+                np.sign(cosine) * np.sqrt(1 - eta**2 * (1 - cosine**2)) - eta * cosine
+            )
+            is_open &= np.hypot(*start[:2]) <= surface.semi_aperture
+    return is_open
+
+
+def behind(name, **given):
+    """An ordinary camera whose detector is where Optiland's image is."""
+    lens = bundled_prescription(name)
+    distance = OPTILAND[name]["image_distance"] - paraxial(lens).rear_principal
+    own = {"focal_length": None, "aperture_radius": None, "focus_distance": None, "mla_distance": distance}
+    return ordinary(main_lens=name, **(own | given)), lens
+
+
+def test_a_prescription_vignettes_as_rays_traced_one_by_one():
+    camera, lens = behind("double_gauss", detector_width=60.0, resolution=(30, 20))
+    image = render_capture(scene_of(camera.to_sensor(), **WHITE), spp=1024).image
+    random, numbers, count = np.random.default_rng(2), paraxial(lens), 100_000
+    reach, read, traced = 2 * numbers.exit_radius, [], []
+    for row in range(10):
+        column = 3 * row // 2
+        place = (column + random.random(count) - 15) * 2, (row + random.random(count) - 10) * 2
+        radius, angle = reach * np.sqrt(random.random(count)), 2 * np.pi * random.random(count)
+        pupil = radius * np.cos(angle), radius * np.sin(angle)
+        is_open = through(lens, OPTILAND["double_gauss"]["image_distance"], place, pupil, numbers.exit_pupil)
+        # Mean over the exit pupil near the axis.
+        traced.append(4 * is_open.mean())
+        read.append(image[row, column])
+    assert traced[0] < 0.4 * traced[-1]
+    assert traced[-1] == pytest.approx(1, abs=0.05)
+    assert read == pytest.approx(traced, abs=0.05)
+    assert np.mean(read) == pytest.approx(np.mean(traced), rel=0.02)
+
+
+def test_rays_through_given_pupil_points_are_those_of_another_program():
+    """The ray from where Optiland's meets the image, through the same place before the lens, has its direction."""
+    record = OPTILAND["double_gauss"]
+    camera, lens = behind("double_gauss", detector_width=60.0, resolution=(60, 60))
+    sensor = mi.load_dict(camera.to_sensor())
+    place, slope, image = (
+        np.array(values) for values in (record["places"], record["slopes"], record["rays"]["587.5618"]["image"])
+    )
+    # Places are in the plane of the first vertex, slopes point to the detector.
+    vertex = paraxial(lens).front_principal
+    detector = mi.Point2f(*(mi.Float(coordinate / 60 + 0.5) for coordinate in image))
+
+    def traced(pupil):
+        sample = mi.warp.uniform_disk_to_square(mi.Point2f(*(mi.Float(coordinate) for coordinate in pupil)))
+        ray, _ = sensor.sample_ray(0.0, 0.5, detector, sample)
+        start, direction = np.array(ray.o, np.float64), np.array(ray.d, np.float64)
+        slopes = direction[:2] / direction[2]
+        return start[:2] + (vertex - start[2]) * slopes, slopes
+
+    # Parts of the disc from which points of the pupil are drawn, by a secant step and then corrections.
+    pupil = np.zeros_like(place)
+    scale = np.median(traced(pupil + 0.05)[0] - traced(pupil)[0]) / 0.05
+    for _ in range(12):
+        pupil = pupil - 0.9 * (traced(pupil)[0] - place) / scale
+    found, direction = traced(pupil)
+    assert found == pytest.approx(place, abs=1e-3)
+    assert direction == pytest.approx(-slope, abs=2e-5)
+
+
+# -- the parameters of an array are absent -----------------------------------------------------------
+
+OF_ARRAY = [name for name, entry in PARAMETERS.items() if entry.of_array]
+LENSES = {
+    "thin": {},
+    "glass": {"glass": {"index": 1.5, "abbe": 60.0}},
+    "prescription": {"main_lens": "double_gauss", "focus_distance": 1000.0},
+    "aberrated": {"wavefront": (0, 0, 0, 1.0), "distortion": (1e-4, 0, 0, 0, 0), "crop_size": (8, 8)},
+    "screen": {"phase_screen": {"waves": np.outer(*[[0.0, 1.0, 0.0, 1.0]] * 2).tolist(), "width": 20.0}},
+}
+
+
+def test_every_parameter_of_an_array_is_one():
+    others = {name for name in PARAMETERS if name not in OF_ARRAY}
+    assert {name for name in others if name.startswith(("mla", "detector", "pixel", "photo"))} == {
+        "mla_distance",
+        "mla_lattice",
+        "detector_width",
+    }
+
+
+@pytest.mark.parametrize("name", OF_ARRAY)
+def test_a_parameter_of_an_array_is_refused_and_absent(name):
+    camera = ordinary()
+    with pytest.raises(InputError, match=rf"^{name} = .*: mla_lattice = none: the camera has no microlens array"):
+        ordinary(**{name: PlenopticCamera().arguments()[name] or 1.0})
+    with pytest.raises(InputError, match=f"{name} = "):
+        camera.replace(**{name: 1.0})
+    assert getattr(camera, PARAMETERS[name].attribute) is None
+    assert name not in camera.to_dict() and f"{name}=" not in repr(camera) and name not in camera.to_sensor()
+    assert f"{name} =" not in str(mi.load_dict(camera.to_sensor()))
+
+
+@pytest.mark.parametrize("given", LENSES.values(), ids=LENSES)
+def test_files_and_sensors_keep_the_camera(given):
+    camera = ordinary(**given)
+    sensor = mi.load_dict(camera.to_sensor())
+    scene = mi.load_string(f"<scene version='3.0.0'>{camera.to_xml()}</scene>")
+    copies = [
+        PlenopticCamera.from_dict(camera.to_dict()),
+        PlenopticCamera.from_json(camera.to_json()),
+        pickle.loads(pickle.dumps(camera)),
+        sensor.camera,
+        scene.sensors()[0].camera,
+        camera.replace(aperture_radius=1.0).replace(aperture_radius=camera.aperture_radius),
+    ]
+    assert all(copy == camera and hash(copy) == hash(camera) for copy in copies)
+    exposed = {key for key in mi.traverse(sensor).keys() if key in PARAMETERS}  # noqa: SIM118
+    lens = {"focal_length", "aperture_radius", "mla_distance", "detector_width"}
+    assert exposed == lens | ({"wavefront"} if camera.wavefront else set())
+
+
+def test_cameras_are_replaced_both_ways():
+    thin = {name: value for name, value in ordinary().to_dict().items() if name != "mla_lattice"}
+    array = PlenopticCamera(**thin, mla_pitch=0.1, pixel_crosstalk=0.1)
+    assert array.replace(mla_lattice="none") == ordinary()
+    assert ordinary().replace(mla_lattice="square") == PlenopticCamera(**thin)
+    assert ordinary().replace(mla_lattice="hexagonal", mla_pitch=0.2).mla_pitches == (0.2, 0.2)
+    truncated = ordinary().to_dict()
+    del truncated["mla_distance"]
+    with pytest.raises(InputError, match="mla_distance: it is missing"):
+        PlenopticCamera.from_dict(truncated)
+
+
+def test_changed_parameters_apply():
+    scene = scene_of(ordinary().to_sensor(), "direct", **depths())
+    params = mi.traverse(scene)
+    params["camera.aperture_radius"], params["camera.mla_distance"] = 4.0, 70.0
+    params.update()
+    camera = scene.sensors()[0].camera
+    assert camera == ordinary(aperture_radius=4.0, focus_distance=None, mla_distance=70.0)
+    changed = np.array(mi.render(scene, spp=16, seed=1))
+    made = scene_of(camera.to_sensor(), "direct", **depths())
+    np.testing.assert_allclose(changed, np.array(mi.render(made, spp=16, seed=1)), atol=1e-4)
+
+
+# -- what a capture is for ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def capture():
+    mi.set_variant("llvm_ad_mono")
+    return render_capture(scene_of(ordinary().to_sensor(), **depths()), spp=16, noise=True)
+
+
+def test_captures_are_made_written_exposed_and_shown(capture, tmp_path):
+    assert capture.model == "ray" and capture.noise.shape == capture.image.shape == (16, 24)
+    mp.write_capture(tmp_path / "raw.exr", capture)
+    again = mp.read_capture(tmp_path / "raw.exr")
+    assert again.camera == ordinary() and np.array_equal(again.image, capture.image)
+    assert mp.expose(capture, mp.Detector(), photons=1000).camera == ordinary()
+    assert mp.estimate_capture(scene_of(ordinary().to_sensor(), **WHITE), spp=16).seconds < 60
+    assert design.design_warnings(ordinary(), 550.0) == []
+
+
+@pytest.mark.needs_extension("studio")
+def test_notebooks_show_it():
+    shown = ordinary()._repr_html_()
+    assert "focal length" in shown and "micro" not in shown
+
+
+@pytest.mark.needs_extension("raw")
+def test_a_photograph_through_a_mosaic_is_demosaiced():
+    mi.set_variant("llvm_ad_rgb")
+    sensor = ordinary().to_sensor()
+    sensor["film"]["pixel_format"] = "rgb"
+    grey = render_capture(scene_of(sensor, **WHITE), spp=4)
+    exposed = mp.expose(grey, mp.Detector(mosaic="RGGB", read_noise=0.0), photons=5000)
+    assert mp.demosaic(exposed).image == pytest.approx(1, abs=0.2)
+
+
+POINTS = np.array([[0.0, 0.0, 300.0]])
+SHEET = {"f_number": 4, "lenses": 10, "pixels_per_lens": 10, "pixel_size": 0.01}
+QUANTITIES = (
+    "lattice", "lens_count", "bin_count", "mla_pitch", "mla_focal_length", "reduced_distance", "pixels_per_lens",
+    "micro_image_pitch", "micro_image_diameter", "pupil_step",
+)  # fmt: skip
+CALLS = {
+    "": {
+        "decode": lambda made, camera: mp.decode(made),
+        "micro_images": lambda made, camera: views.micro_images(made),
+        "white_image": lambda made, camera: views.white_image(camera),
+        "lens_grid": lambda made, camera: views.lens_grid(camera),
+        "ground_truth": lambda made, camera: mp.ground_truth(scene_of(camera.to_sensor(), **depths())),
+        "reconstruct": lambda made, camera: mp.reconstruct(made, 280.0),
+        "coherent": lambda made, camera: mp.reconstruct(made, 280.0, method="coherent", wavelength=550.0),
+        "estimate": lambda made, camera: mp.estimate_reconstruction(made, 280.0),
+        "waves": lambda made, camera: render_capture(scene_of(camera.to_sensor(), **depths()), model="wave", spp=4),
+        "CaptureOperator": lambda made, camera: mp.CaptureOperator(camera, POINTS, wavelength=550.0),
+        "full field": lambda made, camera: mp.CaptureOperator(camera, POINTS, wavelength=550.0, method="full_field"),
+        "spread": lambda made, camera: mp.point_spread_function(camera, POINTS[0], wavelength=550.0),
+        "matched": lambda made, camera: PlenopticCamera.matched(**SHEET, **THIN_LENS, mla_lattice="none"),
+        "objective": lambda made, camera: PlenopticCamera(mla_lattice="none", main_lens=mp.Objective(40, 0.9)),
+        "lenses_across": lambda made, camera: design.lenses_across(camera, 280.0),
+        "focus_types": lambda made, camera: design.focus_types(camera),
+        **{name: lambda made, camera, name=name: getattr(camera, name) for name in QUANTITIES},
+    },
+    "inverse": {
+        "StoredOperator": lambda made, camera: mp.StoredOperator(camera, POINTS, wavelength=550.0),
+        "RayRefocus": lambda made, camera: mp.refocus.RayRefocus(camera, 280.0),
+        "CoherentRefocus": lambda made, camera: mp.refocus.CoherentRefocus(camera, 280.0, 550.0),
+        "DeconvolvedRefocus": lambda made, camera: mp.refocus.DeconvolvedRefocus(camera, 280.0),
+        "fit": lambda made, camera: mp.fit(camera, [], ["focal_length"]),
+        "lattice_from_white": lambda made, camera: mp.fitting.lattice_from_white(camera, made.image),
+        "maximise": lambda made, camera: mp.optimisation.maximise(
+            mp.optimisation.DepthInformation(POINTS, photons=100.0), camera, {"focal_length": (45.0, 55.0)}
+        ),
+        "contrast": lambda made, camera: mp.optimisation.RefocusedContrast(camera, POINTS, [1.0], wavelength=550.0),
+    },
+    "calibrate": {
+        "calibrate": lambda made, camera: mp.calibrate(None, mp.calibration.Board(9, 5, 10.0), camera),
+        "evaluate": lambda made, camera: mp.calibration.evaluate(None, mp.calibration.Board(9, 5, 10.0), camera),
+        "camera_centres": lambda made, camera: mp.calibration.camera_centres(camera),
+    },
+    "onchip": {
+        "dual_pixel": lambda made, camera: mp.dual_pixel(made),
+        "half_disparity": lambda made, camera: mp.half_disparity(camera, 280.0),
+        "psf_bank": lambda made, camera: mp.psf_bank(camera, [280.0]),
+    },
+    "wavefront": {
+        "view_slopes": lambda made, camera: mp.wavefront.view_slopes(camera, made.image, POINTS[0]),
+        "fit_wavefronts": lambda made, camera: mp.wavefront.fit_wavefronts(
+            camera, made.image, mp.wavefront.Zone(POINTS)
+        ),
+    },
+    "studio": {"view": lambda made, camera: mp.view(made)},
+}
+"""Calls, with a capture and its camera, that need an array, by the extension that they need."""
+
+COMMANDS = {
+    "": (
+        "reconstruct CAPTURE -o out.png --distance 280",
+        "stack CAPTURE -o out.png --distance 280",
+        "views CAPTURE -o out.png",
+        "epi CAPTURE -o out.png",
+        "depth CAPTURE -o out.exr",
+        "convert CAPTURE -o out.nc",
+        "compare letters -o out --camera CAMERA --distance 280",
+        "render letters -o out.exr --camera CAMERA --model wave --spp 1",
+        "render letters -o out.exr --camera CAMERA --aov depth --spp 1",
+        "info CAMERA --microlens out.png",
+    ),
+    "inverse": ("fit CAPTURE -o out.json --scene letters --photons 9 --parameter focal_length",),
+    "onchip": ("dual CAPTURE -o out.png",),
+    "studio": ("preview letters -o out.png --camera CAMERA", "view CAPTURE -o out.html"),
+}
+
+
+def needing(extension):
+    """The mark of a test that needs an extension; none for the core."""
+    return [pytest.mark.needs_extension(extension)] if extension else []
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pytest.param(call, id=name, marks=needing(extension))
+        for extension, calls in CALLS.items()
+        for name, call in calls.items()
+    ],
+)
+def test_what_needs_an_array_refuses_by_name(call, capture):
+    with pytest.raises(InputError, match=r"^[\w =/.]+: mla_lattice = none: the camera has no microlens array$"):
+        call(capture, capture.camera)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        pytest.param(words, id=words.partition(" -o")[0], marks=needing(extension))
+        for extension, lines in COMMANDS.items()
+        for words in lines
+    ],
+)
+def test_commands_that_need_an_array_write_nothing(words, capture, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    mp.write_capture("raw.exr", capture)
+    Path("camera.json").write_text(capture.camera.to_json())
+    before = sorted(tmp_path.rglob("*"))
+    assert main(words.replace("CAPTURE", "raw.exr").replace("CAMERA", "camera.json").split()) == 2
+    assert "mla_lattice = none: the camera has no microlens array" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_commands_render_and_describe_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    camera = "mla_lattice=none,focal_length=50,focus_distance=300,resolution=24,16"
+    assert main(["render", "letters", "-o", "raw.exr", "--spp", "1", "--camera", camera]) == 0
+    assert main(["info", "raw.exr"]) == 0
+    shown = capsys.readouterr().out
+    assert "distance to detector" in shown and "icrolens" not in shown and "Warning" not in shown
