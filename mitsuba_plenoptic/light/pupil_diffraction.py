@@ -53,9 +53,9 @@ _REACH, _COARSE_REACH = 24.0, 12.0
 """Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
 For coarse pixels kernels are differences from the Airy pattern, which are narrower."""
 
-_CELL, _MOST_CELLS = 0.25, 4
+_CELL, _MOST_CELLS, _COARSE_CELLS = 0.25, 4, 2
 """Widest cells of the grid in lambda b / R, which resolve the highest frequency, and the most cells across a pixel.
-Coarser pixels do without."""
+Coarser pixels have a few larger ones."""
 
 _FINEST = 0.04
 """Narrowest pixels in lambda b / R, a fifteenth of the Airy disc's radius, for which kernels fit into memory."""
@@ -81,7 +81,7 @@ class PupilDiffraction:
     by_points = True
     """Every ray lands by its own point, and its coefficients are polynomials."""
 
-    tolerance = 0.005
+    tolerance = 0.001
     """Part of images of random light that may be missing for want of images of the places in a pixel."""
 
     def __post_init__(self) -> None:
@@ -130,7 +130,7 @@ class PupilDiffraction:
 
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel."""
-        return 1 if self.is_coarse else self._cells
+        return _COARSE_CELLS if self.is_coarse else self._cells
 
     @cached_property
     def _pupil(self) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
@@ -201,7 +201,7 @@ class PupilDiffraction:
 
     def _of_displaced(self, step: float) -> NDArray[np.float64]:
         """Return kernels between coarse pixels for rays that are displaced by the spread of the shortest wavelength."""
-        parts = self._cells + 1 - self._cells % 2
+        parts = 2 * math.ceil(step / (2 * _CELL * self.unit)) + 1
         count = 2 * math.ceil(_COARSE_REACH * self.unit / step) + 1
         fine = step / parts
         shortest = replace(self, wavelength=self.shortest or self.wavelength, shortest=None)
