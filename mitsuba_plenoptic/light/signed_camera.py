@@ -79,6 +79,7 @@ def parameters_of(camera: PlenopticCamera) -> Values:
 def require_parameters(camera: PlenopticCamera, names: Iterable[str], by_points: bool) -> None:
     """Refuse parameters with respect to which a signed-ray capture of this camera has no derivative."""
     for name in names:
+        camera.require_array(f"{name}: derivatives of wave captures by the camera")
         if name not in PARAMETERS:
             raise InputError(f"{name}: captures by signed rays have derivatives by {', '.join(PARAMETERS)} alone")
         refuse_if(

@@ -239,11 +239,9 @@ def make_class() -> type:
             )
             names, others = numbers_and_others(params, sensor)
             capture = self._signed(scene, sensor)
-            refuse_if(
-                not capture.has_gradients,
-                f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}: captures behind lenses of a few wavelengths have "
-                "no gradients",
-            )
+            if not capture.has_gradients:
+                pitch = f"{NAME}: mla_pitch = {capture.camera.mla_pitch:g}"
+                raise InputError(f"{pitch}: captures behind lenses of a few wavelengths have no gradients")
             with naming(NAME):
                 require_parameters(capture.camera, names, any(node.plan.by_points for node in capture.nodes))
                 light = LightDerivatives.of(capture.light, forward) if others or not names else None

@@ -22,7 +22,7 @@ from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.light.array_kernels import REACH
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.light.phase_space import PhaseSpace, parts_of, plan_of
+from mitsuba_plenoptic.light.phase_space import PhaseSpace, plan_of
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.light.signed_rays import SignedRaySum
 from mitsuba_plenoptic.points.units import brightness_at, brightness_of, radiance_weight
@@ -151,7 +151,7 @@ def walls(
     many points and cells across a pixel (``parts``) as a camera needs are taken where none are given.
     """
     for name, camera in pick(CAMERAS, cameras).items():
-        per_lens, cells = points or points_of(camera), parts or parts_of(camera, WAVELENGTH, finer)
+        per_lens, cells = points or points_of(camera), parts or PhaseSpace(camera, WAVELENGTH).parts(finer)
         plan, planning, _ = once(lambda c=camera, n=cells: planned(c, finer, n))
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mitsuba_plenoptic import Cluster, Job, PlenopticCamera, cli, estimate_capture, load_scene, render_capture
-from mitsuba_plenoptic.light import array_kernels, phase_space, signed_capture, signed_rays
+from mitsuba_plenoptic.light import array_kernels, phase_space, signed_rays
 from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY, find_patterns
 from mitsuba_plenoptic.points.patch import PatchBatch
 from mitsuba_plenoptic.points.recorder import Recorder
@@ -429,17 +429,17 @@ def accuracy(
             camera = camera_of(number, lenses=lenses)
             scene = scene_of(camera, distance_of(camera, blur))
             with mock.patch.object(phase_space, "_MOST_CELLS", 10**6):
-                every = phase_space.parts_of(camera, WAVELENGTH, False)
+                every = phase_space.PhaseSpace(camera, WAVELENGTH).parts(False)
             # Of a finer plan, without tolerance for missing functions.
             with (
                 mock.patch.object(array_kernels, "_FUNCTIONS", 0.0),
-                mock.patch.object(signed_capture, "parts_of", lambda *_, every=every: every),
+                mock.patch.object(phase_space.PhaseSpace, "parts", lambda *_, every=every: every),
             ):
                 _forget_plans()
                 reference, noise = _taken(scene, spp, True)
             _forget_plans()
             for finer, limit in ((False, 0.01), (True, 0.005)):
-                cells = phase_space.parts_of(camera, WAVELENGTH, finer)
+                cells = phase_space.PhaseSpace(camera, WAVELENGTH).parts(finer)
                 image, own = _taken(scene, spp, finer)
                 yield {
                     "f_number": number, "blur": blur, "kind": "finer" if finer else "usual", "cells": cells,

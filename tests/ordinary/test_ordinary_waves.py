@@ -1,0 +1,211 @@
+"""An ordinary camera, without a microlens array, by waves: against sums over the pupil that are computed here."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+from scipy.special import j0, j1
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError
+from tools.bench.scenes.light_paths import facing, radiating, scene_of
+from tools.bench.scenes.ordinary import WAVELENGTH, blurred, camera_of, diffracted, unit_of, wall
+
+
+def by_waves(scene, spp=512, seeds=1, **options):
+    options = {"wavelength": WAVELENGTH} | options
+    images = [mp.render_capture(scene, model="wave", spp=spp, seed=seed, **options).image for seed in range(seeds)]
+    return np.mean(images, axis=0, dtype=np.float64)
+
+
+def difference(found, expected):
+    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
+
+
+# Path in waves of 550 nm, with Noll's coefficients in waves of 633 nm: coma, spherical aberration, astigmatism.
+COMA = (0.0,) * 7 + (0.15,)
+SPHERICAL = (0.0,) * 10 + (0.12,)
+ASTIGMATISM = (0.0,) * 5 + (0.06,)
+PATHS = {
+    COMA: lambda x, y: 0.15 * 633 / 550 * np.sqrt(8) * (3 * (x * x + y * y) - 2) * x,
+    SPHERICAL: lambda x, y: 0.12 * 633 / 550 * np.sqrt(5) * (6 * (x * x + y * y) ** 2 - 6 * (x * x + y * y) + 1),
+    ASTIGMATISM: lambda x, y: 0.06 * 633 / 550 * np.sqrt(6) * (x * x - y * y),
+    (): None,
+}
+
+
+@pytest.mark.parametrize(
+    ("airy", "blur", "texel", "wavefront", "limit"),
+    [
+        (0.5, 1, 8, (), 0.01),
+        (1, 0, 4, (), 0.008),
+        (1, 4, 4, (), 0.012),
+        (2, 1, 2, (), 0.012),
+        (10, 1, 2, (), 0.012),
+        (0.5, 0, 8, COMA, 0.006),
+        (0.5, 2, 8, COMA, 0.012),
+        (0.5, 0, 8, SPHERICAL, 0.006),
+        (1, -1, 4, ASTIGMATISM, 0.012),
+    ],
+)
+def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit):
+    """Rays alone differ by two to fifty times the limit; what noise there is is included in it."""
+    camera = camera_of(airy, 32, wavefront=wavefront)
+    scene, picture = wall(camera, texel, blur)
+    expected = diffracted(camera, picture, texel, blur, PATHS[wavefront])
+    found = by_waves(scene, 1024)
+    assert difference(found, expected) < limit
+    assert found.sum() == pytest.approx(expected.sum(), rel=3e-3)
+
+
+@pytest.mark.parametrize(("airy", "size"), [(0.5, 20), (1.0, 24), (4.0, 12), (10.0, 8)])
+def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
+    """A lamp of one pixel, off the pixels' centres; the closed form is of Born and Wolf, section 8.5.2."""
+    camera = camera_of(airy, size)
+    unit, pixel = unit_of(camera), camera.pixel_size
+    distance, _ = blurred(camera, 0.0)
+    off, half = 0.3 * pixel, pixel / 2
+    place = (-off * distance / camera.mla_distance, 0.0)
+    lamp = facing(distance, half * distance / camera.mla_distance, place, **radiating())
+    found = by_waves(scene_of(camera.to_sensor(), "direct", lamp=lamp), 4096 if airy <= 1 else 2**16)
+    # The pattern on a grid that divides pixels, and its mean over the lamp's points.
+    fine = 2 * int(np.ceil(pixel / (unit / 24) / 2)) + 1
+    step = pixel / fine
+    along = (np.arange(-(size + 2) * fine, (size + 2) * fine + 1)) * step
+    v = 2 * np.pi * np.maximum(np.hypot(*np.meshgrid(along, along)), 1e-9) / unit
+    airy_pattern = (2 * j1(v) / v) ** 2 * np.pi * (step / unit) ** 2
+    cells = (np.arange(size * fine + 1)) * step - size * pixel / 2
+    lit = [np.diff(np.clip(cells, shift - half, shift + half)) / step for shift in (0.0, off)]
+    whole = fftconvolve(np.outer(*lit), airy_pattern, mode="same")
+    expected = whole.reshape(size, fine, size, fine).sum((1, 3)) / fine**2
+    middle = (np.arange(size) + 0.5 - size / 2) * pixel
+    radius = np.hypot(middle - off, middle[:, None])
+    for circle in np.array([1.5, 3, size / 2]) * pixel:
+        assert found[radius < circle].sum() == pytest.approx(expected[radius < circle].sum(), abs=6e-3), circle / pixel
+    # The pattern that serves as the reference has the encircled energy of the closed form.
+    edge = 2 * np.pi * 3
+    assert airy_pattern[v < edge].sum() == pytest.approx(1 - j0(edge) ** 2 - j1(edge) ** 2, abs=2e-3)
+
+
+@pytest.mark.parametrize("airy", [0.4, 1.0])
+def test_slanted_edges_have_the_transfer_function_of_a_disc(airy):
+    """Both sides of an edge at 5 degrees, whose oversampled profile gives the transfer function (ISO 12233)."""
+    camera = camera_of(airy, 64)
+    distance, _ = blurred(camera, 0.0)
+    T = mi.ScalarTransform4f()
+    wide = 200 * camera.pixel_size * distance / camera.mla_distance
+    to_world = T.translate([0, 0, distance]) @ T.rotate([0, 0, 1], 5) @ T.translate([wide, 0, 0])
+    edge = {"type": "rectangle", "to_world": to_world @ T.rotate([0, 1, 0], 180) @ T.scale(wide), **radiating()}
+    image = by_waves(scene_of(camera.to_sensor(), "direct", edge=edge), 1024)
+    middle = (np.arange(64) + 0.5 - 32) * camera.pixel_size
+    across = (middle * np.cos(np.radians(5)) + middle[:, None] * np.sin(np.radians(5))).ravel()
+    frequencies = np.array([0.25, 0.5, 0.75, 0.9]) * 2 / unit_of(camera)
+    frequencies = frequencies[frequencies < 0.5 / camera.pixel_size]
+    order = np.argsort(across)
+    step = camera.pixel_size / 8
+    bins = np.arange(across.min(), across.max(), step)
+    place = np.digitize(across[order], bins) - 1
+    profile = np.bincount(place, image.ravel()[order], len(bins)) / np.maximum(
+        np.bincount(place, minlength=len(bins)), 1
+    )
+    inner = slice(len(bins) // 6, -len(bins) // 6)
+    line, at = np.diff(profile[inner]), (bins[inner][1:] + bins[inner][:-1]) / 2
+    found = np.abs(np.exp(-2j * np.pi * np.outer(frequencies, at)) @ line)
+    s = frequencies * unit_of(camera) / 2
+    disc = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    # Pixels are squares, and so are the bins and differences of the profile.
+    pixel = np.sinc(frequencies * camera.pixel_size * np.cos(np.radians(5)))
+    pixel *= np.sinc(frequencies * camera.pixel_size * np.sin(np.radians(5))) * np.sinc(frequencies * step) ** 2
+    assert found == pytest.approx(disc * pixel, abs=0.01)
+
+
+def test_white_has_hardly_any_noise():
+    """Every coefficient but the first is of light less its mean; far beyond the film some pixels stand for others."""
+    camera = camera_of(1.0, 16)
+    image = by_waves(scene_of(camera.to_sensor(), "path", sky={"type": "constant"}), 8)
+    assert np.allclose(image, 1, atol=1e-3)
+
+
+def textured(camera, **film):
+    """A matte, textured wall in the light of a sky."""
+    texture = mi.Bitmap(np.random.default_rng(0).random((8, 8, 3)).astype(np.float32))
+    reflectance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest"}
+    sensor = camera.to_sensor()
+    sensor["film"] |= film
+    card = facing(250.0, 3.0, bsdf={"type": "diffuse", "reflectance": reflectance})
+    return scene_of(sensor, "path", wall=card, sky={"type": "constant"})
+
+
+SMALL = {"mla_lattice": "none", "resolution": (24, 16), "detector_width": 24 * 0.008}
+F10 = SMALL | {"focal_length": 80, "aperture_radius": 4, "focus_distance": 240}
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"crop_offset": (8, 4), "crop_size": (12, 8)},
+        {"lens_model": "parabolic", "distortion": (1e-3, 0, 0, 0, 0)},
+        {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, "focus_distance": 2000},
+    ],
+    ids=lambda changes: "-".join(changes) or "thin",
+)
+def test_waves_keep_the_light_of_rays(variant, changes):
+    mi.set_variant(variant)
+    pixels = {} if "mono" in variant else {"pixel_format": "rgb"}
+    scene = textured(mp.PlenopticCamera(**F10 | changes), **pixels)
+    rays = mp.render_capture(scene, model="ray", spp=512).image.mean((0, 1))
+    waves = mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1))
+    assert waves == pytest.approx(rays, rel=0.015)
+
+
+def test_noise_is_no_larger_than_that_of_rays():
+    """Neighbours share rays, where diffraction blurs."""
+    camera = camera_of(1.0, 24)
+    scene, _ = wall(camera, 3, 0.5)
+    spread = {}
+    for model, options in (("ray", {}), ("wave", {"wavelength": WAVELENGTH})):
+        images = [mp.render_capture(scene, model=model, spp=32, seed=seed, **options).image for seed in range(6)]
+        spread[model] = np.var(images, axis=0, ddof=1).mean()
+    assert spread["wave"] < 1.2 * spread["ray"]
+
+
+def test_gradients_by_the_scene_are_those_of_differences():
+    camera = mp.PlenopticCamera(**F10)
+    scene = textured(camera)
+    integrator = mi.load_dict({"type": "plenoptic_wave", "child": {"type": "prb"}})
+    parameters = mi.traverse(scene)
+    (key,) = (key for key in parameters.keys() if "reflectance" in key and "data" in key)  # noqa: SIM118
+    weights = mi.TensorXf(np.random.default_rng(1).random((16, 24, 1)).astype(np.float32))
+    before = np.array(parameters[key])
+    direction = np.random.default_rng(2).random(before.shape).astype(np.float32)
+
+    def merit(step):
+        parameters[key] = mi.TensorXf(before + np.float32(step) * direction)
+        parameters.update()
+        return float(dr.sum(mi.render(scene, integrator=integrator, spp=16, seed=1) * weights, axis=None).array[0])
+
+    expected = (merit(1e-2) - merit(-1e-2)) / 2e-2
+    parameters[key] = mi.TensorXf(before)
+    dr.enable_grad(parameters[key])
+    parameters.update()
+    dr.backward(dr.sum(mi.render(scene, parameters, integrator=integrator, spp=16, seed=1) * weights, axis=None))
+    assert (np.array(dr.grad(parameters[key])) * direction).sum() == pytest.approx(expected, rel=4e-3)
+
+
+def test_what_waves_refuse():
+    with pytest.raises(InputError, match=r"detector_width = 0.01: pixels of 0.000417 mm are too fine"):
+        by_waves(textured(mp.PlenopticCamera(**F10 | {"detector_width": 0.01})), 2)
+    with pytest.raises(InputError, match="mla_lattice = none"):
+        by_waves(textured(mp.PlenopticCamera(**F10)), 2, method="points")
+    scene = textured(mp.PlenopticCamera(**F10))
+    parameters = mi.traverse(scene)
+    (key,) = (key for key in parameters.keys() if key.endswith("focal_length"))  # noqa: SIM118
+    dr.enable_grad(parameters[key])
+    parameters.update()
+    integrator = mi.load_dict({"type": "plenoptic_wave"})
+    image = mi.render(scene, parameters, integrator=integrator, spp=2)
+    with pytest.raises(Exception, match="focal_length: derivatives of wave captures by the camera: mla_lattice = none"):
+        dr.backward(dr.sum(image, axis=None))
