@@ -21,15 +21,15 @@ from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from .pupil_diffraction import PupilDiffraction
 from .random_numbers import chances_of, even_steps
-from .signed_draws import ORDER, Aims, Drawn, Draws, Pixels, tent
+from .signed_draws import ORDER, Aims, Drawn, Grid, Pixels, tent
 from .walk import PupilWalk
 
 
-class PixelDraws(Draws):
+class PixelDraws(Grid):
     """Sampler of the rays of the pixels of a camera without a microlens array."""
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PupilDiffraction], parts: int = 1) -> None:
-        self._camera, self._parts = camera, parts
+        super().__init__(camera, parts)
         self._plan = min(plans, key=lambda plan: plan.wavelength)
         self.walk = PupilWalk(camera, self._plan.system.lens)
         self.by_points = False

@@ -144,13 +144,13 @@ class PupilDiffraction:
     @cached_property
     def _pupil(self) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
         """Coordinates along the pupil over its radius, and its transmission, on a square around it."""
-        along = (np.arange(_SAMPLES) + 0.5) * (2 / _SAMPLES) - 1
+        along = (np.arange(_SAMPLES, dtype=np.float64) + 0.5) * (2 / _SAMPLES) - 1
         y, x = np.meshgrid(along, along, indexing="ij")
         waves = 0.0
         if self._in_kernels.any():
             path = Wavefront(self._in_kernels, 1.0).path(x, y)
             waves = path / in_millimetres(self.wavelength)
-        return along, np.where(np.hypot(x, y) <= 1, np.exp(2j * np.pi * waves), 0)
+        return along, np.where(np.hypot(x, y) <= 1, np.exp(2j * np.pi * waves), 0).astype(np.complex128)
 
     @cached_property
     @single_threaded_blas()
@@ -238,7 +238,7 @@ class PupilDiffraction:
 
     def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
-        fields, products = self._fields(np.arange(-count, count + 1) * step), []
+        fields, products = self._fields(step * np.arange(-count, count + 1.0)), []
         for i, j in self.functions.exponents:
             both = np.zeros((2 * count + 1,) * 2)
             for a, b in itertools.product(range(i + 1), range(j + 1)):

@@ -155,7 +155,41 @@ class Aims(NamedTuple):
         return Aims(middle, centre, height, kind)
 
 
-class Draws:
+class Grid:
+    """The grid of pixels, and of their cells, from which rays are drawn."""
+
+    def __init__(self, camera: PlenopticCamera, parts: int) -> None:
+        self._camera, self._parts = camera, parts
+
+    @property
+    def _step(self) -> float:
+        """Width of a cell in millimetres."""
+        return self._camera.pixel_size / self._parts
+
+    def _middle(self, pixels: Pixels) -> Pair:
+        """Return the centres of pixels."""
+        camera = self._camera
+        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
+        columns = dr.opaque(mi.UInt32, pixels.box.columns)
+        left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
+        row = quotient(pixels.index, pixels.box.columns)
+        x, y = (
+            (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
+            for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
+        )
+        return x, y
+
+    def _cells(self, aims: Aims, place: Any) -> Aims:
+        """Return the aims of cells at given places in pixels, numbered row by row, from the pixels' aims."""
+        row = quotient(place, self._parts)
+        x, y = (
+            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
+            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
+        )
+        return aims._replace(middle=(x, y))
+
+
+class Draws(Grid):
     """Sampler of the rays of a camera's detector cells.
 
     The rays of a pixel and a lens are numbered, cell by cell. Rays of even numbers, and rays of odd numbers, each
@@ -169,7 +203,7 @@ class Draws:
         # Count of cells across a pixel.
         parts: int = 1,
     ) -> None:
-        self._camera, self._parts = camera, parts
+        super().__init__(camera, parts)
         self.walk = Walk.of(camera, plans[0].system.lens)
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
@@ -230,24 +264,6 @@ class Draws:
         """Mean number of lenses that light a pixel, counted in the middle of the detector."""
         return _lit_lenses(self._camera, self._longest, self._parts)
 
-    @property
-    def _step(self) -> float:
-        """Width of a cell in millimetres."""
-        return self._camera.pixel_size / self._parts
-
-    def _middle(self, pixels: Pixels) -> Pair:
-        """Return the centres of pixels."""
-        camera = self._camera
-        # Opaque values are kernel inputs, so that other values do not compile the kernels again.
-        columns = dr.opaque(mi.UInt32, pixels.box.columns)
-        left, top = (dr.opaque(mi.Int32, number) for number in (pixels.box.left, pixels.box.top))
-        row = quotient(pixels.index, pixels.box.columns)
-        x, y = (
-            (mi.Float(mi.Int32(index) + low) + 0.5 - 0.5 * camera.resolution[axis]) * camera.pixel_size
-            for axis, index, low in ((0, pixels.index - row * columns, left), (1, row, top))
-        )
-        return x, y
-
     def aims(self, pixels: Pixels) -> Aims:
         """Return the centres of pixels and of the lenses through which they are lit."""
         x, y = self._middle(pixels)
@@ -256,15 +272,6 @@ class Draws:
         centre, _ = self.walk.lens_at(i, j)
         height = self.walk.height(*centre)
         return Aims((x, y), centre, height, self.kinds.number(i, j, height))
-
-    def _cells(self, aims: Aims, place: Any) -> Aims:
-        """Return the aims of cells at given places in pixels, numbered row by row, from the pixels' aims."""
-        row = quotient(place, self._parts)
-        x, y = (
-            p + (mi.Float(index) + 0.5 - self._parts / 2) * self._step
-            for p, index in zip(aims.middle, (place - row * dr.opaque(mi.UInt32, self._parts), row), strict=True)
-        )
-        return aims._replace(middle=(x, y))
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands on detector points, as a mean over a lens."""

@@ -43,7 +43,7 @@ from .pixel_kernels import PixelKernels
 from .scene_light import require_finite, require_light
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import Drawn, Draws, Lot, Pixels
-from .walk import Walk, walks_of
+from .walk import PupilWalk, walks_of
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
@@ -117,7 +117,8 @@ class SignedRaySum:
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
-        self._draws = (Draws if camera.has_array else PixelDraws)(camera, plans, parts)
+        make: Any = Draws if camera.has_array else PixelDraws
+        self._draws: Draws | PixelDraws = make(camera, plans, parts)
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
         self._known_part = 0.0 if self._draws.by_points else 1.0
         self._response = pixel_response(camera.pixel_response or (), camera.mla_absorption or 0.0)
@@ -418,7 +419,7 @@ class SignedRaySum:
         """Return the index of each ray's cell among the cells of all pixels."""
         return own * dr.opaque(mi.UInt32, self._parts**2) + quotient(sample, self._spp)
 
-    def _asked(self, walk: Walk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
+    def _asked(self, walk: PupilWalk, drawn: Drawn, own: Any, lanes: Lanes | None, seed: int) -> tuple[Any, ...]:
         """Return the arguments of a call of the light: see `SceneLight`."""
         start, direction, _ = walk.through_pupil(drawn.pupil, drawn.place, drawn.height)
         # Outside the aperture, surfaces may reflect rays totally, whose values are not finite then.
