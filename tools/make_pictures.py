@@ -186,6 +186,21 @@ def waves() -> Image.Image:
 
 
 @picture
+def ordinary() -> Image.Image:
+    """Show the ball without an array: in focus at f/8, and where f/32 makes diffraction wide."""
+    size = {"mla_lattice": "none", "resolution": (2048, 2048), "crop_offset": (720, 760), "crop_size": (280, 280)}
+    shown = {}
+    for name, radius, model in (
+        ("f/8, waves", 5.0, "wave"),
+        ("f/32, rays", 1.25, "ray"),
+        ("f/32, waves", 1.25, "wave"),
+    ):
+        make = partial(in_colour, mp.PlenopticCamera(aperture_radius=radius, **size), 128, model)
+        shown[name] = stored(f"ordinary_{model}_{radius:g}", make).image
+    return sheet([list(shown.items())])
+
+
+@picture
 def laser() -> Image.Image:
     """Show a laser spot on a wall with one mode and several, and as if its light were incoherent."""
     size = {"detector_width": 0.256, "resolution": 128, "sky": 0.3}

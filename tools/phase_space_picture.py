@@ -10,7 +10,6 @@ import numpy as np
 from bench.cases import phase_space as walls
 
 from mitsuba_plenoptic.light.signed_colours import plan_of
-from mitsuba_plenoptic.light.signed_rays import REACH
 from mitsuba_plenoptic.report.images import to_bytes
 
 CAMERA, BLUR, OFF_AXIS, SAMPLES, POINTS = "keplerian", 2.0, 58.0, 1024, 12
@@ -31,7 +30,7 @@ def panels() -> list[list[tuple[str, np.ndarray]]]:
     mi.set_variant("llvm_ad_mono")
     camera = walls.CAMERAS["square"]
     plan = plan_of(camera, walls.WAVELENGTH, False, walls.WAVELENGTH)
-    kernels = plan.kernels(camera.pixel_size / 4, REACH * camera.mla_pitch)
+    kernels = plan.kernels(camera.pixel_size / 4, plan.reach)
     middle = slice(kernels.shape[1] // 2 - 40, kernels.shape[1] // 2 + 41)
     functions = plan.functions.count
     return [

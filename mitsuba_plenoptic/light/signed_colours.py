@@ -242,7 +242,7 @@ def _enough(
         return [float(wavelengths[0])]
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
     make = PhaseSpace if camera.has_array else PupilDiffraction
-    width, coarse = make(camera, dense[-1]).widths
+    width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
     step = width * dense[0] / dense[-1] / _SPOTS[1]
     along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step
     spots = np.stack([make(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)

@@ -11,7 +11,6 @@ from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.light.oblique import Oblique, phase, terms
 from mitsuba_plenoptic.light.signed_colours import plan_of
 from mitsuba_plenoptic.light.signed_draws import Draws, Pixels
-from mitsuba_plenoptic.light.signed_rays import REACH
 from mitsuba_plenoptic.runtime.batches import Box
 
 WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
@@ -47,7 +46,7 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
     distance = math.hypot(camera.mla_distance, *lens)
     cosines = [c / distance for c in lens]
     slopes = [c / camera.mla_distance for c in lens]
-    kernels = plan.kernels(0.001, REACH * camera.mla_pitch) / 0.001**2
+    kernels = plan.kernels(0.001, plan.reach) / 0.001**2
     factors = plan.oblique.factors[:, 0] @ np.array(terms(*(s / plan.oblique.largest for s in cosines)))
     place = (np.arange(kernels.shape[1]) - kernels.shape[1] // 2) * 0.001
     enlargement = Draws(camera, [plan]).enlargements[0]
@@ -93,7 +92,7 @@ def test_oblique_kernels_have_no_light_of_their_own():
     plan = plan_of(camera, 633.0, False, 633.0)
     assert plan.oblique.count > 0
     for kind in range(3):
-        kernels = plan.kernels(camera.pixel_size, REACH * camera.mla_pitch, kind)
+        kernels = plan.kernels(camera.pixel_size, plan.reach, kind)
         assert abs(kernels[plan.functions.count :].sum((1, 2))).max() < 1e-4 * abs(kernels[0]).sum()
 
 

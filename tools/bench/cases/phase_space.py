@@ -20,7 +20,6 @@ import numpy as np
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
-from mitsuba_plenoptic.light.array_kernels import REACH
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.phase_space import PhaseSpace, plan_of
 from mitsuba_plenoptic.light.signed_colours import Node
@@ -185,7 +184,7 @@ def points_of(camera: PlenopticCamera) -> int:
 def planned(camera: PlenopticCamera, finer: bool, parts: int) -> PhaseSpace:
     """Return the plan of captures by a camera, with its kernels."""
     plan = plan_of(camera, WAVELENGTH, finer, WAVELENGTH)
-    plan.kernels(camera.pixel_size / parts, REACH * max(camera.mla_pitches))
+    plan.kernels(camera.pixel_size / parts, plan.reach)
     return plan
 
 
