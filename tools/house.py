@@ -46,8 +46,8 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 43_810, 43_659, "0.662; symmetric transfers, one table for all colours"),
-    Limit("lines of the package", 66_151, 65_680, 61_520, "0.99; records of extensions, aliases of 1.0, docstrings"),
+    Limit("lines of the core", 66_151, 44_350, 43_659, "0.662 at the end of the move; ordinary cameras: 540"),
+    Limit("lines of the package", 66_151, 66_240, 61_520, "0.99; records of extensions, aliases of 1.0; ordinary cameras"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),
@@ -57,7 +57,7 @@ LIMITS = (
     Limit("private functions used once, of at most 3 statements", 174, 90),
     Limit("functions that only forward", 176, 151),
     Limit("parameters", 7_519, None),
-    Limit("parameters typed Any", 1_159, 1_053),
+    Limit("parameters typed Any", 1_159, 1_058, None, "Dr.Jit values of ordinary cameras: 5"),
     Limit("definitions of white in the core", 28, 4, 4),
     Limit("stores for going on after a stop", 5, 1, 1),
     Limit("lines that ask for the lens's kind", 106, 105),
@@ -70,7 +70,7 @@ LIMITS = (
     Limit("file names that stand twice", 24, 0, 0),
     Limit("internal names that tests import", 313, 247, 150, "steps of methods, and extensions"),
     Limit("modules of tools/bench/cases", 59, 30, 30),
-    Limit("words of the documentation", 91_870, 68_902, 68_902),
+    Limit("words of the documentation", 91_870, 70_110, 68_902, "three pages on ordinary cameras"),
     Limit("files visited by a ray capture", 24, 20, 20),
     Limit("files visited by a wave capture", 40, 38, 30, "signed rays: seven files of up to 450 lines, each a step"),
     Limit("files visited by a coherent reconstruction", 33, 28, 28),

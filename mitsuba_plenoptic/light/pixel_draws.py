@@ -21,11 +21,11 @@ from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from .pupil_diffraction import PupilDiffraction
 from .random_numbers import chances_of, even_steps
-from .signed_draws import ORDER, Aims, Drawn, Grid, Pixels, tent
+from .signed_draws import ORDER, Aims, Drawn, DetectorGrid, Pixels, tent
 from .walk import PupilWalk
 
 
-class PixelDraws(Grid):
+class PixelDraws(DetectorGrid):
     """Sampler of the rays of the pixels of a camera without a microlens array."""
 
     def __init__(self, camera: PlenopticCamera, plans: Sequence[PupilDiffraction], parts: int = 1) -> None:

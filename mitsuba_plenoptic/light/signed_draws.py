@@ -155,7 +155,7 @@ class Aims(NamedTuple):
         return Aims(middle, centre, height, kind)
 
 
-class Grid:
+class DetectorGrid:
     """The grid of pixels, and of their cells, from which rays are drawn."""
 
     def __init__(self, camera: PlenopticCamera, parts: int) -> None:
@@ -189,7 +189,7 @@ class Grid:
         return aims._replace(middle=(x, y))
 
 
-class Draws(Grid):
+class Draws(DetectorGrid):
     """Sampler of the rays of a camera's detector cells.
 
     The rays of a pixel and a lens are numbered, cell by cell. Rays of even numbers, and rays of odd numbers, each
