@@ -21,7 +21,7 @@ from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from .pupil_diffraction import PupilDiffraction
 from .random_numbers import chances_of, even_steps
-from .signed_draws import ORDER, Aims, Drawn, DetectorGrid, Pixels, tent
+from .signed_draws import ORDER, Aims, DetectorGrid, Drawn, Pixels, tent
 from .walk import PupilWalk
 
 
