@@ -141,6 +141,9 @@ SMALL = {"mla_lattice": "none", "resolution": (24, 16), "detector_width": 24 * 0
 F10 = SMALL | {"focal_length": 80, "aperture_radius": 4, "focus_distance": 240}
 
 
+GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, "focus_distance": 2000}
+
+
 @pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
 @pytest.mark.parametrize(
     "changes",
@@ -148,9 +151,11 @@ F10 = SMALL | {"focal_length": 80, "aperture_radius": 4, "focus_distance": 240}
         {},
         {"crop_offset": (8, 4), "crop_size": (12, 8)},
         {"lens_model": "parabolic", "distortion": (1e-3, 0, 0, 0, 0)},
-        {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, "focus_distance": 2000},
+        GAUSS,
+        # Wider than the field that the lens lights.
+        GAUSS | {"detector_width": 36},
     ],
-    ids=lambda changes: "-".join(changes) or "thin",
+    ids=["thin", "cropped", "parabolic", "real", "wide"],
 )
 def test_waves_keep_the_light_of_rays(variant, changes):
     mi.set_variant(variant)
