@@ -1,0 +1,163 @@
+"""The price of a microlens array: a scene with and without one, and the sharpness of both pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from scipy.ndimage import uniform_filter
+
+from ..optics.waves import in_millimetres
+from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
+from .framing import Canvas, annotate, scale_bar, show
+from .images import Brightness
+from .metrics import window_sharpness
+
+_TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
+
+_CYCLES = np.linspace(0, 1, 65)
+"""Frequencies in cycles per pixel at which transfer functions are stated."""
+
+_CLOSE = 8
+"""Bins across a close-up."""
+
+
+def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, Any]:
+    """Return the sharpness of an ordinary camera and of refocused images, in the plane in focus.
+
+    Frequencies are in cycles per millimetre of that plane; the cut-off is the pupil's. Transfer functions include the
+    pixels. Beyond half a cycle per pixel they rest on the slant of the edge: a picture cannot hold such detail.
+    """
+    camera, distance = ordinary.capture.camera, ordinary.distance
+    wavelength = in_millimetres(experiment.settings.wavelength)
+    on_detector = 2 * camera.pupil_radius / (wavelength * camera.pupil_distance)
+    pictures = []
+    for name, image in _pictures(experiment, ordinary).items():
+        pixel = _pixel(experiment, ordinary, name)
+        edge = window_sharpness(ordinary.edges[name])
+        transfer = np.interp(_CYCLES, edge.frequency, edge.transfer)
+        pictures.append(
+            {
+                "picture": name,
+                "title": _TITLES[name],
+                "pixels": list(image.shape[::-1]),
+                "nyquist_per_mm": round(0.5 / pixel, 4),
+                "mtf50_per_mm": round(edge.mtf50 / pixel, 4),
+                "mtf10_per_mm": round(edge.falls_to(0.1) / pixel, 4),
+                "frequency_per_mm": [round(float(value), 4) for value in _CYCLES / pixel],
+                "transfer": [round(float(value), 5) for value in transfer],
+            }
+        )
+    return {
+        "camera": camera.to_dict(),
+        "distance": distance,
+        "cutoff_per_mm": round(on_detector * camera.mla_distance / distance, 4),
+        "pictures": pictures,
+    }
+
+
+def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, np.ndarray]:
+    """Return the scene's pictures by name, the ordinary camera's first."""
+    refocused = {name: experiment.images[name, ordinary.distance] for name in SLIDER_METHODS}
+    return {ORDINARY: ordinary.capture.image, **refocused}
+
+
+def _pixel(experiment: Experiment, ordinary: Ordinary, name: str) -> float:
+    """Return the width in the plane in focus of a picture's pixels or bins, in millimetres."""
+    camera, distance = ordinary.capture.camera, ordinary.distance
+    if name == ORDINARY:
+        return camera.pixel_size * distance / camera.mla_distance
+    return experiment.camera.bin_size(distance)
+
+
+def draw_ordinary(
+    folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Mapping[str, Any]
+) -> dict[str, str]:
+    """Draw the pictures and the transfer functions; return their captions by file name."""
+    figure_pictures(folder / "ordinary.png", experiment, ordinary)
+    figure_transfer(folder / "mtf.png", measured)
+    return {
+        "ordinary.png": f"The scene by waves without the microlens array, focused at {ordinary.distance:g} mm, and "
+        "refocused there from one plenoptic capture: what both cameras see, and the frame in it with each pixel.",
+        "mtf.png": "Modulation transfer functions of a slanted edge in focus, pixels included, in the plane in focus. "
+        "Dots: half a cycle per pixel, beyond which a picture cannot hold detail. Dashed: the limit by diffraction at "
+        "the pupil.",
+    }
+
+
+def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> None:
+    """Draw the pictures in one frame of the plane in focus, and the place of most contrast with each pixel."""
+    pictures = _pictures(experiment, ordinary)
+    pixels = {name: _pixel(experiment, ordinary, name) for name in pictures}
+    sides = np.array([np.array(image.shape) * pixels[name] for name, image in pictures.items()])
+    high, wide = sides.min(axis=0) / 2
+    close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
+    down, right = _most_contrast(pictures[ORDINARY], pixels[ORDINARY], (high, wide), close)
+    peak = Brightness().peak(list(pictures.values()))
+    across, gap, left, title, foot = 2.3, 0.1, 0.1, 0.34, 0.32
+    tall = across * high / wide
+    figure = Canvas(left + len(pictures) * (across + gap), title + tall + foot + across + gap)
+    for index, (name, image) in enumerate(pictures.items()):
+        x = left + index * (across + gap)
+        whole = figure.axes(x, title, across, tall)
+        crop = figure.axes(x, title + tall + foot, across, across)
+        for axes, middle, half in ((whole, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
+            show(axes, image, "", peak=peak)
+            _frame(axes, image.shape, pixels[name], middle, half)
+            scale_bar(axes, 2 * half[1], f"at {ordinary.distance:g} mm")
+        whole.plot(
+            right + close * np.array([-1, 1, 1, -1, -1]),
+            down + close * np.array([-1, -1, 1, 1, -1]),
+            color="#ffb000",
+            linewidth=1,
+        )
+        annotate(whole, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
+    figure.save_both(path)
+
+
+def _frame(
+    axes: Axes, shape: tuple[int, ...], pixel: float, middle: tuple[float, float], half: tuple[float, float]
+) -> None:
+    """Show a part of an image, whose middle and half sides, downwards and to the right, are in millimetres."""
+    down, right = shape[0] * pixel / 2, shape[1] * pixel / 2
+    axes.images[0].set_extent((-right, right, down, -down))
+    axes.set_xlim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_ylim(middle[0] + half[0], middle[0] - half[0])
+
+
+def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
+    """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
+    slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)), mode="constant")
+    places = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
+    inside = [np.flatnonzero(np.abs(place) <= side - close + pixel) for place, side in zip(places, half, strict=True)]
+    row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [part.size for part in inside])
+    return float(places[0][inside[0][row]]), float(places[1][inside[1][column]])
+
+
+def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
+    """Draw transfer functions over the logarithm of the frequency, with the limit of the pupil."""
+    figure = Canvas(7.2, 3.6)
+    axes = figure.axes(0.7, 0.2, 6.3, 2.8)
+    axes.set_frame_on(True)
+    cutoff = measured["cutoff_per_mm"]
+    for picture in measured["pictures"]:
+        frequency, transfer = np.array(picture["frequency_per_mm"][1:]), np.array(picture["transfer"][1:])
+        (line,) = axes.plot(frequency, transfer, linewidth=1.5, label=picture["title"])
+        nyquist = picture["nyquist_per_mm"]
+        axes.plot(nyquist, np.interp(nyquist, frequency, transfer), "o", markersize=5, color=line.get_color())
+    least = min(picture["nyquist_per_mm"] for picture in measured["pictures"]) / 16
+    limit = np.geomspace(least, cutoff, 400)
+    share = np.clip(limit / cutoff, 0, 1)
+    disc = 2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2))
+    axes.plot(limit, disc, "--", color="#667080", linewidth=1.2, label="Diffraction at the pupil")
+    axes.set(xscale="log", xlim=(least, 1.2 * cutoff), ylim=(0, 1.05))
+    axes.set_yticks(np.linspace(0, 1, 6))
+    axes.tick_params(which="both", labelsize=8, color="#667080", labelcolor="#1b1f24", bottom=True, left=True)
+    axes.set_xlabel(f"cycles per mm at {measured['distance']:g} mm", size=9)
+    axes.set_ylabel("contrast", size=9)
+    axes.grid(which="major", linewidth=0.4, color="#d0d6dd")
+    axes.legend(fontsize=8, frameon=False)
+    figure.save_both(path)
