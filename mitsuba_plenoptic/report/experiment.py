@@ -132,8 +132,8 @@ AGAINST = (ORDINARY,)
 EDGE_TILT = math.radians(5)
 """Angle of slanted edges, on which sharpness is measured, against the pixels."""
 
-_EDGE_BINS, _EDGE_PIXELS = 32, 256
-"""Bins, or pixels of an ordinary camera, across the middle of a detector that sees an edge."""
+_EDGE_BINS, _EDGE_PIXELS = (32, 32), (512, 128)
+"""Bins, or pixels of an ordinary camera, that see an edge; its diffraction reaches many pixels to the sides."""
 
 
 @dataclass(frozen=True)
@@ -347,10 +347,10 @@ def against_ordinary(
     """Return what an ordinary camera is compared by: wave captures with the options of the plenoptic one, as stages."""
     facts = {"twin": twin.to_dict()}
     capture, _ = by_waves(store, "capture_ordinary", with_camera(scene, twin), {**inputs, **facts}, **options)
-    lenses = round(_EDGE_BINS * camera.micro_image_pitch / camera.pixel_size)
+    lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in _EDGE_BINS)
     recorded = {}
     for name, whole, count in ((ORDINARY, twin, _EDGE_PIXELS), ("plenoptic", camera, lenses)):
-        middle = whole.replace(resolution=(count, count), detector_width=count * whole.pixel_size)
+        middle = whole.replace(resolution=count, detector_width=count[0] * whole.pixel_size)
         seen = {"camera": middle.to_dict(), "edge": distance}
         recorded[name] = by_waves(store, f"edge_{name}", edge_scene(middle, distance), seen, **options)
     edges = {ORDINARY: recorded[ORDINARY][0].image}

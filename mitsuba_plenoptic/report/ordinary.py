@@ -8,18 +8,23 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogLocator, NullLocator
 from scipy.ndimage import uniform_filter
 
 from ..optics.waves import in_millimetres
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
-from .framing import Canvas, annotate, scale_bar, show
+from .framing import ACCENT, FAINT, INK, Canvas, annotate, scale_bar, show
 from .images import Brightness
 from .metrics import window_sharpness
 
 _TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
 
-_CYCLES = np.linspace(0, 1, 65)
-"""Frequencies in cycles per pixel at which transfer functions are stated."""
+_FREQUENCIES = 128
+"""Frequencies at which transfer functions are stated."""
+
+_LEAST = 1 / 32
+"""The least one of the frequencies in cycles per bin."""
 
 _CLOSE = 8
 """Bins across a close-up."""
@@ -28,17 +33,18 @@ _CLOSE = 8
 def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, Any]:
     """Return the sharpness of an ordinary camera and of refocused images, in the plane in focus.
 
-    Frequencies are in cycles per millimetre of that plane; the cut-off is the pupil's. Transfer functions include the
-    pixels. Beyond half a cycle per pixel they rest on the slant of the edge: a picture cannot hold such detail.
+    Frequencies are in cycles per millimetre of that plane. Transfer functions include the pixels and end at one cycle
+    per pixel; beyond half a cycle they rest on the slant of the edge, as a picture cannot hold such detail.
     """
     camera, distance = ordinary.capture.camera, ordinary.distance
-    wavelength = in_millimetres(experiment.settings.wavelength)
-    on_detector = 2 * camera.pupil_radius / (wavelength * camera.pupil_distance)
+    on_detector = 2 * camera.pupil_radius / (in_millimetres(experiment.settings.wavelength) * camera.pupil_distance)
+    cutoff = on_detector * camera.mla_distance / distance
+    frequency = np.geomspace(_LEAST / experiment.camera.bin_size(distance), cutoff, _FREQUENCIES)
+    share = np.minimum(frequency / cutoff, 1)
     pictures = []
     for name, image in _pictures(experiment, ordinary).items():
-        pixel = _pixel(experiment, ordinary, name)
-        edge = window_sharpness(ordinary.edges[name])
-        transfer = np.interp(_CYCLES, edge.frequency, edge.transfer)
+        pixel, edge = _pixel(experiment, ordinary, name), window_sharpness(ordinary.edges[name])
+        cycles = frequency[frequency * pixel <= 1] * pixel
         pictures.append(
             {
                 "picture": name,
@@ -47,14 +53,16 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
                 "nyquist_per_mm": round(0.5 / pixel, 4),
                 "mtf50_per_mm": round(edge.mtf50 / pixel, 4),
                 "mtf10_per_mm": round(edge.falls_to(0.1) / pixel, 4),
-                "frequency_per_mm": [round(float(value), 4) for value in _CYCLES / pixel],
-                "transfer": [round(float(value), 5) for value in transfer],
+                "transfer": np.interp(cycles, edge.frequency, edge.transfer).round(5).tolist(),
             }
         )
     return {
         "camera": camera.to_dict(),
         "distance": distance,
-        "cutoff_per_mm": round(on_detector * camera.mla_distance / distance, 4),
+        "cutoff_per_mm": round(cutoff, 4),
+        "frequency_per_mm": frequency.round(5).tolist(),
+        # The transfer function of a disc.
+        "diffraction": (2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2))).round(5).tolist(),
         "pictures": pictures,
     }
 
@@ -83,7 +91,7 @@ def draw_ordinary(
         "ordinary.png": f"The scene by waves without the microlens array, focused at {ordinary.distance:g} mm, and "
         "refocused there from one plenoptic capture: what both cameras see, and the frame in it with each pixel.",
         "mtf.png": "Modulation transfer functions of a slanted edge in focus, pixels included, in the plane in focus. "
-        "Dots: half a cycle per pixel, beyond which a picture cannot hold detail. Dashed: the limit by diffraction at "
+        "Thin: beyond half a cycle per pixel, where a picture cannot hold detail. Dashed: the limit by diffraction at "
         "the pupil.",
     }
 
@@ -95,8 +103,9 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     sides = np.array([np.array(image.shape) * pixels[name] for name, image in pictures.items()])
     high, wide = sides.min(axis=0) / 2
     close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
-    down, right = _most_contrast(pictures[ORDINARY], pixels[ORDINARY], (high, wide), close)
-    peak = Brightness().peak(list(pictures.values()))
+    # In bins, as the noise of small pixels is contrast, too.
+    down, right = _most_contrast(pictures["ray"], pixels["ray"], (high, wide), close)
+    peak = Brightness().peak([pictures[ORDINARY]])
     across, gap, left, title, foot = 2.3, 0.1, 0.1, 0.34, 0.32
     tall = across * high / wide
     figure = Canvas(left + len(pictures) * (across + gap), title + tall + foot + across + gap)
@@ -107,13 +116,10 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
         for axes, middle, half in ((whole, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
             show(axes, image, "", peak=peak)
             _frame(axes, image.shape, pixels[name], middle, half)
-            scale_bar(axes, 2 * half[1], f"at {ordinary.distance:g} mm")
-        whole.plot(
-            right + close * np.array([-1, 1, 1, -1, -1]),
-            down + close * np.array([-1, -1, 1, 1, -1]),
-            color="#ffb000",
-            linewidth=1,
-        )
+            if name == ORDINARY:
+                scale_bar(axes, 2 * half[1], f"at {ordinary.distance:g} mm")
+        corner = right - close, down - close
+        whole.add_patch(Rectangle(corner, 2 * close, 2 * close, fill=False, edgecolor=ACCENT, linewidth=1))
         annotate(whole, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
     figure.save_both(path)
 
@@ -130,11 +136,13 @@ def _frame(
 
 def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
     """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
-    slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)), mode="constant")
+    slope = uniform_filter(np.hypot(*np.gradient(np.nan_to_num(image))), max(1, round(2 * close / pixel)))
     places = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
     inside = [np.flatnonzero(np.abs(place) <= side - close + pixel) for place, side in zip(places, half, strict=True)]
     row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [part.size for part in inside])
-    return float(places[0][inside[0][row]]), float(places[1][inside[1][column]])
+    reach = np.array(half) - close
+    down, right = np.clip([places[0][inside[0][row]], places[1][inside[1][column]]], -reach, reach)
+    return float(down), float(right)
 
 
 def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
@@ -142,22 +150,21 @@ def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
     figure = Canvas(7.2, 3.6)
     axes = figure.axes(0.7, 0.2, 6.3, 2.8)
     axes.set_frame_on(True)
-    cutoff = measured["cutoff_per_mm"]
+    frequency = np.array(measured["frequency_per_mm"])
     for picture in measured["pictures"]:
-        frequency, transfer = np.array(picture["frequency_per_mm"][1:]), np.array(picture["transfer"][1:])
-        (line,) = axes.plot(frequency, transfer, linewidth=1.5, label=picture["title"])
-        nyquist = picture["nyquist_per_mm"]
-        axes.plot(nyquist, np.interp(nyquist, frequency, transfer), "o", markersize=5, color=line.get_color())
-    least = min(picture["nyquist_per_mm"] for picture in measured["pictures"]) / 16
-    limit = np.geomspace(least, cutoff, 400)
-    share = np.clip(limit / cutoff, 0, 1)
-    disc = 2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2))
-    axes.plot(limit, disc, "--", color="#667080", linewidth=1.2, label="Diffraction at the pupil")
-    axes.set(xscale="log", xlim=(least, 1.2 * cutoff), ylim=(0, 1.05))
-    axes.set_yticks(np.linspace(0, 1, 6))
-    axes.tick_params(which="both", labelsize=8, color="#667080", labelcolor="#1b1f24", bottom=True, left=True)
-    axes.set_xlabel(f"cycles per mm at {measured['distance']:g} mm", size=9)
-    axes.set_ylabel("contrast", size=9)
-    axes.grid(which="major", linewidth=0.4, color="#d0d6dd")
-    axes.legend(fontsize=8, frameon=False)
+        transfer = np.array(picture["transfer"])
+        cycles = frequency[: transfer.size]
+        held = cycles <= picture["nyquist_per_mm"]
+        (line,) = axes.plot(cycles[held], transfer[held], linewidth=1.6, label=picture["title"])
+        axes.plot(cycles, transfer, linewidth=0.6, color=line.get_color())
+    axes.plot(frequency, measured["diffraction"], "--", color=FAINT, linewidth=1.2, label="Diffraction at the pupil")
+    axes.set(xscale="log", xlim=(frequency[0], frequency[-1]), ylim=(0, 1.05), yticks=np.linspace(0, 1, 6))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.tick_params(labelsize=8, color=FAINT, labelcolor=INK)
+    axes.set_xlabel(f"cycles per mm at {measured['distance']:g} mm", size=9, color=INK)
+    axes.set_ylabel("contrast", size=9, color=INK)
+    axes.grid(linewidth=0.4, color="#d0d6dd")
+    axes.legend(fontsize=8, frameon=False, loc="lower left")
     figure.save_both(path)
