@@ -103,8 +103,9 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     sides = np.array([np.array(image.shape) * pixels[name] for name, image in pictures.items()])
     high, wide = sides.min(axis=0) / 2
     close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
-    # In bins, as the noise of small pixels is contrast, too.
-    down, right = _most_contrast(pictures["ray"], pixels["ray"], (high, wide), close)
+    # Details that bins blur, without the noise of single pixels.
+    smooth = uniform_filter(pictures[ORDINARY], max(1, round(pixels["ray"] / (4 * pixels[ORDINARY]))))
+    down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
     peak = Brightness().peak([pictures[ORDINARY]])
     across, gap, left, title, foot = 2.3, 0.1, 0.1, 0.34, 0.32
     tall = across * high / wide
@@ -136,7 +137,7 @@ def _frame(
 
 def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
     """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
-    slope = uniform_filter(np.hypot(*np.gradient(np.nan_to_num(image))), max(1, round(2 * close / pixel)))
+    slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)))
     places = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
     inside = [np.flatnonzero(np.abs(place) <= side - close + pixel) for place, side in zip(places, half, strict=True)]
     row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [part.size for part in inside])
