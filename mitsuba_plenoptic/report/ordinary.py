@@ -12,6 +12,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullLocator
 from scipy.ndimage import uniform_filter
 
+from ..errors import refusing
 from ..optics.waves import in_millimetres
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
 from .framing import ACCENT, FAINT, INK, Canvas, annotate, scale_bar, show
@@ -43,7 +44,9 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
     share = np.minimum(frequency / cutoff, 1)
     pictures = []
     for name, image in _pictures(experiment, ordinary).items():
-        pixel, edge = _pixel(experiment, ordinary, name), window_sharpness(ordinary.edges[name])
+        pixel = _pixel(experiment, ordinary, name)
+        with refusing(f"against = {ORDINARY}: distance = {distance:g}: {_TITLES[name]}:", ValueError):
+            edge = window_sharpness(ordinary.edges[name])
         cycles = frequency[frequency * pixel <= 1] * pixel
         pictures.append(
             {
