@@ -34,7 +34,8 @@ def compare(
         str | None,
         typer.Option(
             metavar="|".join(AGAINST),
-            help="Also show, with the sharpness of both, what the camera sees without its microlens array.",
+            help="Also show what the camera sees without its microlens array, in focus at the first distance, and the "
+            "sharpness of both.",
         ),
         one_of(AGAINST),
     ] = None,

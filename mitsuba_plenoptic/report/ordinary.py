@@ -91,8 +91,8 @@ def draw_ordinary(
     figure_pictures(folder / "ordinary.png", experiment, ordinary)
     figure_transfer(folder / "mtf.png", measured)
     return {
-        "ordinary.png": f"The scene by waves without the microlens array, focused at {ordinary.distance:g} mm, and "
-        "refocused there from one plenoptic capture: what both cameras see, and the frame in it with each pixel.",
+        "ordinary.png": f"The scene by waves: the camera without its microlens array, focused at {ordinary.distance:g} "
+        "mm, and a capture with the array, refocused to this distance. Below, the framed part with every pixel.",
         "mtf.png": "Modulation transfer functions of a slanted edge in focus, pixels included, in the plane in focus. "
         "Thin: beyond half a cycle per pixel, where a picture cannot hold detail. Dashed: the limit by diffraction at "
         "the pupil.",
@@ -107,7 +107,7 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     high, wide = sides.min(axis=0) / 2
     close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
     # Details that bins blur, without the noise of single pixels.
-    smooth = uniform_filter(pictures[ORDINARY], max(1, round(pixels["ray"] / (4 * pixels[ORDINARY]))))
+    smooth = uniform_filter(pictures[ORDINARY], max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
     down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
     peak = Brightness().peak([pictures[ORDINARY]])
     across, gap, left, title, foot = 2.3, 0.1, 0.1, 0.34, 0.32
