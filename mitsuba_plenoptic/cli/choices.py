@@ -4,6 +4,7 @@
 """
 
 MODELS = ("ray", "wave")
+AGAINST = ("ordinary",)
 UNITS = ("mm", "cm", "m")
 VIEW_METHODS = ("shift", "fourier")
 AXES = ("horizontal", "vertical")

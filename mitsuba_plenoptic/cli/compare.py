@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from ..errors import require_count
+from .choices import AGAINST
 from .inputs import (
     CameraFile,
     Definitions,
@@ -18,7 +19,7 @@ from .inputs import (
     numeric,
     parse_definitions,
 )
-from .judging import COUNTED, WAVELENGTH
+from .judging import COUNTED, WAVELENGTH, one_of
 from .stages import stage_lines
 from .stopping import Resume
 
@@ -29,6 +30,15 @@ def compare(
     distance: PositiveDistances,
     wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(AGAINST),
+            help="Also show what the camera sees without its microlens array, in focus at the first distance, and the "
+            "sharpness of both.",
+        ),
+        one_of(AGAINST),
+    ] = None,
     resume: Resume = False,
     camera: CameraFile = None,
     unit: Unit = "mm",
@@ -72,7 +82,7 @@ def compare(
         variant=variant,
     )
     with stage_lines(resume) as stages:
-        results = compute(settings, output, stages=stages)
+        results = compute(settings, output, stages=stages, against=against)
     found = results["captures"]
     similarity = ssim_text(found["ssim"])
     typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {similarity}, energy {found['energy']:.3f}")
@@ -87,4 +97,7 @@ def compare(
             f"{found['all']['true']:.2%} ({found['middle']['true']:.2%} in the middle of micro-images, "
             f"{found['rim']['true']:.2%} at their rim)"
         )
+    if against is not None:
+        halves = [f"{row['title']} {row['mtf50_per_mm']:.3g}" for row in results["ordinary"]["pictures"]]
+        typer.echo(f"Half the contrast, in cycles per mm: {', '.join(halves)}")
     typer.echo(f"{output / 'report.html'}: open it in a browser")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import refuse_if
-from .experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
+from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from .framing import (
     ON_DETECTOR,
     Canvas,
@@ -37,11 +37,14 @@ from .metrics import (
     square_sharpness,
     ssim_text,
 )
+from .ordinary import draw_ordinary, measure_ordinary
 from .page import Report, scene_name, write_report
 from .stage_store import StageOptions
 
 
-def compare(settings: Settings, output: Path, *, stages: StageOptions | None = None) -> dict[str, Any]:
+def compare(
+    settings: Settings, output: Path, *, stages: StageOptions | None = None, against: str | None = None
+) -> dict[str, Any]:
     """Return measurements of captures by rays and by waves and of their reconstructions, and write the report.
 
     Both captures have the main lens that the sensor's `lens_model` states, so that they differ by diffraction, at the
@@ -55,10 +58,16 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
         The folder of the report, its figures and its data.
     stages : StageOptions, optional
         What finished stages are kept for, and how progress is shown.
+    against : {"ordinary"}, optional
+        Another camera that the page shows, with its sharpness, beside the first distance: the same main lens and pixels
+        without the microlens array, focused at that distance. Default: none.
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
-    experiment = run_experiment(settings, open_store(output, stages))
-    measured = measure(experiment)
+    experiment = run_experiment(settings, open_store(output, stages), against)
+    measured, ordinary = measure(experiment), {}
+    if experiment.ordinary is not None:
+        measured["ordinary"] = measure_ordinary(experiment, experiment.ordinary)
+        ordinary = draw_ordinary(output, experiment, experiment.ordinary, measured["ordinary"])
     zooms = [brightest_zoom(experiment)]
     columns, rows = experiment.camera.bin_count
     report = Report(
@@ -69,16 +78,18 @@ def compare(settings: Settings, output: Path, *, stages: StageOptions | None = N
         measured=measured,
         zooms=zooms,
         plates=draw_comparison(output, experiment, measured, zooms),
-        command=_command(settings),
+        command=_command(settings, against),
+        ordinary=ordinary,
     )
     return write_report(output, report)
 
 
-def _command(settings: Settings) -> str:
+def _command(settings: Settings, against: str | None) -> str:
     words = ["mitsuba-plenoptic compare", settings.scene]
     words += [f"--distance {distance:g}" for distance in settings.distances]
     words += [f"-D {name}={value}" for name, value in settings.parameters.items()]
     words += [f"--camera {settings.camera_name}"] * (settings.camera_name is not None)
+    words += [f"--against {against}"] * (against is not None)
     words += [f"--unit {settings.unit}"] * (settings.unit != "mm")
     words += [
         f"--wavelength {settings.wavelength:g}",
@@ -88,9 +99,8 @@ def _command(settings: Settings) -> str:
     return " ".join(words)
 
 
-# The chart's squares, by the beginning of their ids, and how far they are turned.
+# The chart's squares, by the beginning of their ids, which are slanted edges.
 _EDGE_PREFIX = "edge_"
-_EDGE_TILT = math.radians(5)
 
 _COHERENT = ("coherent", "partial")
 
@@ -177,7 +187,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
             continue
         scale = camera.mla_distance / (low[2] * camera.mla_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
-        side = float(high[0] - low[0]) / (math.cos(_EDGE_TILT) + math.sin(_EDGE_TILT)) * scale
+        side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
         for method in TITLES:
             try:
                 sharpness = square_sharpness(experiment.image(method, distance), row, column, side)

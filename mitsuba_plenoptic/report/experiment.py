@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import naming, refuse_if
+from ..errors import naming, refuse_if, require_choice
 from ..io.captures import Capture
 from ..light.render_capture import pass_counts, plenoptic_sensor, render_capture
 from ..light.scene import load_scene
@@ -123,6 +123,18 @@ TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method 
 # Those that the report's slider shows; the others differ in details only and the last one takes long.
 SLIDER_METHODS = ("ray", "coherent", "partial")
 
+ORDINARY = "ordinary"
+"""Name of the camera without a microlens array, and of its pictures."""
+
+AGAINST = (ORDINARY,)
+"""Cameras against which a comparison can set the scene's camera."""
+
+EDGE_TILT = math.radians(5)
+"""Angle of slanted edges, on which sharpness is measured, against the pixels."""
+
+_EDGE_BINS, _EDGE_PIXELS = (32, 32), (512, 128)
+"""Bins, or pixels of an ordinary camera, that see an edge; its diffraction reaches many pixels to the sides."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -175,6 +187,17 @@ class Settings:
 
 
 @dataclass(frozen=True)
+class Ordinary:
+    """A scene by the camera without its microlens array, and a slanted edge in focus by both cameras."""
+
+    capture: Capture
+    # Distance in focus, of the edge as well.
+    distance: float
+    # The edge by the ordinary camera, under its name, and by the methods that refocus a capture of it.
+    edges: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
 class Experiment:
     """Captures and reconstructions of an experiment."""
 
@@ -197,14 +220,18 @@ class Experiment:
     boxes: dict[str, tuple[np.ndarray, np.ndarray]]
     # How long each stage took.
     seconds: dict[str, float]
+    # What the captures are compared with besides each other.
+    ordinary: Ordinary | None
 
     def image(self, method: str, distance: float) -> np.ndarray:
         """Return the reconstruction by a method at a distance, or for ``truth`` the thin lens's image."""
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
-def run_experiment(settings: Settings, store: Stages) -> Experiment:
+def run_experiment(settings: Settings, store: Stages, against: str | None = None) -> Experiment:
     """Return captures and reconstructions of an experiment; finished stages come from the store."""
+    if against is not None:
+        require_choice("against", against, AGAINST)
     refuse_if(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
@@ -219,6 +246,7 @@ def run_experiment(settings: Settings, store: Stages) -> Experiment:
     )
     distances = sorted({*settings.distances, *settings.slider})
     require_distances(distances, camera)
+    twin = None if against is None else ordinary_twin(camera, settings.distances[0])
 
     base = {
         "scene": scene_fingerprint(settings.scene, settings.parameters),
@@ -234,21 +262,16 @@ def run_experiment(settings: Settings, store: Stages) -> Experiment:
         ),
     )
     refuse_if(not ray.image.any(), f"{settings.scene}: the capture is black: its camera sees no light")
-
-    def by_waves(name: str, **options: Any) -> tuple[Capture, str]:
-        options["wavelength"] = settings.wavelength
-        return store.capture(
-            name,
-            {**base, **options},
-            lambda progress, checkpoint: _grey(
-                render_capture(scene, model="wave", progress=progress, checkpoint=checkpoint, **options)
-            ),
-        )
-
-    wave, wave_key = by_waves("capture_wave", method="signed_rays", spp=settings.spp, noise=settings.noise)
+    options = {"wavelength": settings.wavelength, "spp": settings.spp, "method": "signed_rays"}
+    wave, wave_key = by_waves(store, "capture_wave", scene, base, **options, noise=settings.noise)
     points = None
     if settings.points is not None:
-        points, _ = by_waves("capture_points", method="points", spp=settings.points)
+        points, _ = by_waves(
+            store, "capture_points", scene, base, **options | {"method": "points", "spp": settings.points}
+        )
+    ordinary = None
+    if twin is not None:
+        ordinary = against_ordinary(store, scene, base, camera, twin, settings.distances[0], options)
     # Details much finer than the lenses are in no capture, and paths through a room of walls take long.
     columns = min(OBJECT_COLUMNS, max(_FEWEST_COLUMNS, 8 * camera.bin_count[0]))
     pinhole, _ = store.image(
@@ -287,6 +310,74 @@ def run_experiment(settings: Settings, store: Stages) -> Experiment:
         pinhole=pinhole,
         boxes=bounding_boxes(scene),
         seconds=store.seconds,
+        ordinary=ordinary,
+    )
+
+
+def by_waves(
+    store: Stages, name: str, scene: mi.Scene, inputs: Mapping[str, object], **options: Any
+) -> tuple[Capture, str]:
+    """Return a wave capture, by options of `render_capture`, as a stage, and the stage's key."""
+    return store.capture(
+        name,
+        {**inputs, **options},
+        lambda progress, checkpoint: _grey(
+            render_capture(scene, model="wave", progress=progress, checkpoint=checkpoint, **options)
+        ),
+    )
+
+
+def ordinary_twin(camera: PlenopticCamera, distance: float) -> PlenopticCamera:
+    """Return the camera without its microlens array, focused at a distance: the same main lens and pixels."""
+    with naming(f"against = {ORDINARY}"):
+        refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
+        # First without the array, which says of some main lenses that they need one.
+        return camera.replace(mla_lattice="none").replace(focus_distance=distance)
+
+
+def against_ordinary(
+    store: Stages,
+    scene: mi.Scene,
+    inputs: Mapping[str, object],
+    camera: PlenopticCamera,
+    twin: PlenopticCamera,
+    distance: float,
+    options: Mapping[str, Any],
+) -> Ordinary:
+    """Return what an ordinary camera is compared by: wave captures with the options of the plenoptic one, as stages."""
+    facts = {"twin": twin.to_dict()}
+    capture, _ = by_waves(store, "capture_ordinary", with_camera(scene, twin), {**inputs, **facts}, **options)
+    lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in _EDGE_BINS)
+    recorded = {}
+    for name, whole, count in ((ORDINARY, twin, _EDGE_PIXELS), ("plenoptic", camera, lenses)):
+        middle = whole.replace(resolution=count, detector_width=count[0] * whole.pixel_size)
+        seen = {"camera": middle.to_dict(), "edge": distance}
+        recorded[name] = by_waves(store, f"edge_{name}", edge_scene(middle, distance), seen, **options)
+    edges = {ORDINARY: recorded[ORDINARY][0].image}
+    for method in METHODS:
+        if method.name in SLIDER_METHODS:
+            name = f"edge_{method.name}"
+            edges[method.name] = refocused(store, name, *recorded["plenoptic"], distance, method.options)
+    return Ordinary(capture, distance, edges)
+
+
+def edge_scene(camera: PlenopticCamera, distance: float) -> mi.Scene:
+    """Return a camera before a half plane of radiance 1 whose slanted edge crosses the axis."""
+    T = mi.ScalarTransform4f()
+    half = 4 * camera.detector_width * distance / camera.mla_distance
+    turned = T.translate([0, 0, distance]) @ T.rotate([0, 0, 1], math.degrees(EDGE_TILT)) @ T.translate([half, 0, 0])
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "camera": camera.to_sensor(),
+            "edge": {
+                "type": "rectangle",
+                "to_world": turned @ T.rotate([0, 1, 0], 180) @ T.scale(half),
+                "bsdf": {"type": "diffuse", "reflectance": 0.0},
+                "emitter": {"type": "area", "radiance": 1.0},
+            },
+        }
     )
 
 

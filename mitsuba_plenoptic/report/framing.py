@@ -99,9 +99,9 @@ def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
 
 
 _DPI = 160
-_INK = "#1b1f24"
-_FAINT = "#667080"
-_ACCENT = "#ffb000"
+INK = "#1b1f24"
+FAINT = "#667080"
+ACCENT = "#ffb000"
 
 
 class Canvas:
@@ -139,9 +139,9 @@ class Canvas:
         bar = self.figure.colorbar(drawn, cax=axes, orientation=along, extend=extend)
         # A frame, or white would end in the page.
         axes.set_frame_on(True)
-        bar.outline.set(linewidth=0.5, edgecolor=_FAINT)
-        bar.ax.tick_params(labelsize=text, color=_FAINT, labelcolor=_INK)
-        bar.set_label(label, size=text, color=_INK)
+        bar.outline.set(linewidth=0.5, edgecolor=FAINT)
+        bar.ax.tick_params(labelsize=text, color=FAINT, labelcolor=INK)
+        bar.set_label(label, size=text, color=INK)
         return bar
 
     def save(self, path: str | Path) -> None:
@@ -160,7 +160,7 @@ class Canvas:
 def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:
     """Show a linear image, whose `peak` becomes white."""
     axes.imshow(to_bytes(image, peak), cmap="gray", vmin=0, vmax=255, interpolation="auto", aspect="auto")
-    axes.set_title(title, size=size, color=_INK, loc="left", pad=6)
+    axes.set_title(title, size=size, color=INK, loc="left", pad=6)
 
 
 def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
@@ -170,26 +170,26 @@ def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
 
 def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "") -> None:
     """Write texts above, beside and below an image."""
-    axes.set_title(title, size=10, color=_INK, loc="left", pad=6)
-    axes.set_ylabel(side, size=10, color=_INK, labelpad=6)
-    axes.set_xlabel(foot, size=8, color=_FAINT, labelpad=4)
+    axes.set_title(title, size=10, color=INK, loc="left", pad=6)
+    axes.set_ylabel(side, size=10, color=INK, labelpad=6)
+    axes.set_xlabel(foot, size=8, color=FAINT, labelpad=4)
 
 
 def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
     """Draw the frame of a close-up on the picture of the whole detector."""
     x, y = (zoom.columns.start - corner[1]) / factor, (zoom.rows.start - corner[0]) / factor
     width, height = (zoom.columns.stop - zoom.columns.start) / factor, (zoom.rows.stop - zoom.rows.start) / factor
-    axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=_ACCENT, linewidth=1.2))
+    axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=ACCENT, linewidth=1.2))
     axes.annotate(
         name,
         (x, y),
         (3, -3),
         textcoords="offset points",
-        color=_INK,
+        color=INK,
         size=8,
         weight="bold",
         va="top",
-        bbox={"facecolor": _ACCENT, "edgecolor": "none", "pad": 1.5},
+        bbox={"facecolor": ACCENT, "edgecolor": "none", "pad": 1.5},
     )
 
 
@@ -206,7 +206,7 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
     length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
     fraction, label = length / width, f"{length:g} mm {plane}".strip()
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
-    x, y, colour = (0.0, -3 * height, _INK) if below else (0.04, 2.5 * height, "white")
+    x, y, colour = (0.0, -3 * height, INK) if below else (0.04, 2.5 * height, "white")
     frame: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
     # Bright pictures need an outline.
     outline = [] if below else [withStroke(linewidth=2, foreground="black")]

@@ -141,7 +141,20 @@ class SquareSharpness:
     mtf50: float
 
 
-def window_sharpness(image: np.ndarray) -> SquareSharpness:
+@dataclass(frozen=True)
+class EdgeTransfer(SquareSharpness):
+    """Sharpness of one edge, and the modulation transfer function across it."""
+
+    # In cycles per pixel.
+    frequency: np.ndarray
+    transfer: np.ndarray
+
+    def falls_to(self, level: float) -> float:
+        """Return the frequency in cycles per pixel at which the transfer function first falls to a level."""
+        return _first_crossing(self.frequency, 1 - self.transfer, 1 - level)
+
+
+def window_sharpness(image: np.ndarray) -> EdgeTransfer:
     """Return the sharpness of a nearly vertical edge that runs from top to bottom through the image.
 
     Unlike in `mitsuba_plenoptic.edge_sharpness`, the edge's position is known, so that interference next to it is
@@ -162,8 +175,9 @@ def window_sharpness(image: np.ndarray) -> SquareSharpness:
     frequency = np.fft.rfftfreq(16 * spread.size, 1 / _OVERSAMPLING)
     # The central difference's own transfer function.
     transfer[1:] /= np.sinc(2 * frequency[1:] / _OVERSAMPLING).clip(min=0.1)
-    mtf50 = _first_crossing(frequency, 1 - transfer / transfer[0], 0.5)
-    return SquareSharpness(width=float(width), mtf50=float(mtf50))
+    transfer /= transfer[0]
+    mtf50 = _first_crossing(frequency, 1 - transfer, 0.5)
+    return EdgeTransfer(width=float(width), mtf50=float(mtf50), frequency=frequency, transfer=transfer)
 
 
 def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> SquareSharpness:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -60,6 +60,8 @@ class Report:
     command: str
     # The paper's conclusions; none for other scenes.
     claims: Sequence[Claim] = field(default=())
+    # Captions of the figures of an ordinary camera by their files' names; none without one.
+    ordinary: Mapping[str, str] = field(default_factory=dict)
     # Rows as from `timing_table`; none for other scenes.
     timing: Sequence[dict[str, Any]] = field(default=())
 
@@ -99,6 +101,7 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
         screen=window.of(next(iter(experiment.truths.values()))).shape,
         refocus=reconstructions(experiment, report.measured, window),
         plates=[plate(folder / name, caption) for name, caption in report.plates.items()],
+        ordinary=[plate(folder / name, caption) for name, caption in report.ordinary.items()],
         sheet=groupby(design_sheet(camera, wavelength), key=lambda row: row.group),
         warnings=design.design_warnings(camera, wavelength),
         facts=_facts(experiment, report.measured),

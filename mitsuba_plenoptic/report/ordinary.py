@@ -1,0 +1,174 @@
+"""The price of a microlens array: a scene with and without one, and the sharpness of both pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogLocator, NullLocator
+from scipy.ndimage import uniform_filter
+
+from ..errors import refusing
+from ..optics.waves import in_millimetres
+from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
+from .framing import ACCENT, FAINT, INK, Canvas, annotate, scale_bar, show
+from .images import Brightness
+from .metrics import window_sharpness
+
+_TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
+
+_FREQUENCIES = 128
+"""Frequencies at which transfer functions are stated."""
+
+_LEAST = 1 / 32
+"""The least one of the frequencies in cycles per bin."""
+
+_CLOSE = 8
+"""Bins across a close-up."""
+
+
+def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, Any]:
+    """Return the sharpness of an ordinary camera and of refocused images, in the plane in focus.
+
+    Frequencies are in cycles per millimetre of that plane. Transfer functions include the pixels and end at one cycle
+    per pixel; beyond half a cycle they rest on the slant of the edge, as a picture cannot hold such detail.
+    """
+    camera, distance = ordinary.capture.camera, ordinary.distance
+    on_detector = 2 * camera.pupil_radius / (in_millimetres(experiment.settings.wavelength) * camera.pupil_distance)
+    cutoff = on_detector * camera.mla_distance / distance
+    frequency = np.geomspace(_LEAST / experiment.camera.bin_size(distance), cutoff, _FREQUENCIES)
+    share = np.minimum(frequency / cutoff, 1)
+    pictures = []
+    for name, image in _pictures(experiment, ordinary).items():
+        pixel = _pixel(experiment, ordinary, name)
+        with refusing(f"against = {ORDINARY}: distance = {distance:g}: {_TITLES[name]}:", ValueError):
+            edge = window_sharpness(ordinary.edges[name])
+        cycles = frequency[frequency * pixel <= 1] * pixel
+        pictures.append(
+            {
+                "picture": name,
+                "title": _TITLES[name],
+                "pixels": list(image.shape[::-1]),
+                "nyquist_per_mm": round(0.5 / pixel, 4),
+                "mtf50_per_mm": round(edge.mtf50 / pixel, 4),
+                "mtf10_per_mm": round(edge.falls_to(0.1) / pixel, 4),
+                "transfer": np.interp(cycles, edge.frequency, edge.transfer).round(5).tolist(),
+            }
+        )
+    return {
+        "camera": camera.to_dict(),
+        "distance": distance,
+        "cutoff_per_mm": round(cutoff, 4),
+        "frequency_per_mm": frequency.round(5).tolist(),
+        # The transfer function of a disc.
+        "diffraction": (2 / np.pi * (np.arccos(share) - share * np.sqrt(1 - share**2))).round(5).tolist(),
+        "pictures": pictures,
+    }
+
+
+def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, np.ndarray]:
+    """Return the scene's pictures by name, the ordinary camera's first."""
+    refocused = {name: experiment.images[name, ordinary.distance] for name in SLIDER_METHODS}
+    return {ORDINARY: ordinary.capture.image, **refocused}
+
+
+def _pixel(experiment: Experiment, ordinary: Ordinary, name: str) -> float:
+    """Return the width in the plane in focus of a picture's pixels or bins, in millimetres."""
+    camera, distance = ordinary.capture.camera, ordinary.distance
+    if name == ORDINARY:
+        return camera.pixel_size * distance / camera.mla_distance
+    return experiment.camera.bin_size(distance)
+
+
+def draw_ordinary(
+    folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Mapping[str, Any]
+) -> dict[str, str]:
+    """Draw the pictures and the transfer functions; return their captions by file name."""
+    figure_pictures(folder / "ordinary.png", experiment, ordinary)
+    figure_transfer(folder / "mtf.png", measured)
+    return {
+        "ordinary.png": f"The scene by waves: the camera without its microlens array, focused at {ordinary.distance:g} "
+        "mm, and a capture with the array, refocused to this distance. Below, the framed part with every pixel.",
+        "mtf.png": "Modulation transfer functions of a slanted edge in focus, pixels included, in the plane in focus. "
+        "Thin: beyond half a cycle per pixel, where a picture cannot hold detail. Dashed: the limit by diffraction at "
+        "the pupil.",
+    }
+
+
+def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> None:
+    """Draw the pictures in one frame of the plane in focus, and the place of most contrast with each pixel."""
+    pictures = _pictures(experiment, ordinary)
+    pixels = {name: _pixel(experiment, ordinary, name) for name in pictures}
+    sides = np.array([np.array(image.shape) * pixels[name] for name, image in pictures.items()])
+    high, wide = sides.min(axis=0) / 2
+    close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
+    # Details that bins blur, without the noise of single pixels.
+    smooth = uniform_filter(pictures[ORDINARY], max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
+    down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
+    peak = Brightness().peak([pictures[ORDINARY]])
+    across, gap, left, title, foot = 2.3, 0.1, 0.1, 0.34, 0.32
+    tall = across * high / wide
+    figure = Canvas(left + len(pictures) * (across + gap), title + tall + foot + across + gap)
+    for index, (name, image) in enumerate(pictures.items()):
+        x = left + index * (across + gap)
+        whole = figure.axes(x, title, across, tall)
+        crop = figure.axes(x, title + tall + foot, across, across)
+        for axes, middle, half in ((whole, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
+            show(axes, image, "", peak=peak)
+            _frame(axes, image.shape, pixels[name], middle, half)
+            if name == ORDINARY:
+                scale_bar(axes, 2 * half[1], f"at {ordinary.distance:g} mm")
+        corner = right - close, down - close
+        whole.add_patch(Rectangle(corner, 2 * close, 2 * close, fill=False, edgecolor=ACCENT, linewidth=1))
+        annotate(whole, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
+    figure.save_both(path)
+
+
+def _frame(
+    axes: Axes, shape: tuple[int, ...], pixel: float, middle: tuple[float, float], half: tuple[float, float]
+) -> None:
+    """Show a part of an image, whose middle and half sides, downwards and to the right, are in millimetres."""
+    down, right = shape[0] * pixel / 2, shape[1] * pixel / 2
+    axes.images[0].set_extent((-right, right, down, -down))
+    axes.set_xlim(middle[1] - half[1], middle[1] + half[1])
+    axes.set_ylim(middle[0] + half[0], middle[0] - half[0])
+
+
+def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
+    """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
+    slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)))
+    places = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
+    inside = [np.flatnonzero(np.abs(place) <= side - close + pixel) for place, side in zip(places, half, strict=True)]
+    row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [part.size for part in inside])
+    reach = np.array(half) - close
+    down, right = np.clip([places[0][inside[0][row]], places[1][inside[1][column]]], -reach, reach)
+    return float(down), float(right)
+
+
+def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
+    """Draw transfer functions over the logarithm of the frequency, with the limit of the pupil."""
+    figure = Canvas(7.2, 3.6)
+    axes = figure.axes(0.7, 0.2, 6.3, 2.8)
+    axes.set_frame_on(True)
+    frequency = np.array(measured["frequency_per_mm"])
+    for picture in measured["pictures"]:
+        transfer = np.array(picture["transfer"])
+        cycles = frequency[: transfer.size]
+        held = cycles <= picture["nyquist_per_mm"]
+        (line,) = axes.plot(cycles[held], transfer[held], linewidth=1.6, label=picture["title"])
+        axes.plot(cycles, transfer, linewidth=0.6, color=line.get_color())
+    axes.plot(frequency, measured["diffraction"], "--", color=FAINT, linewidth=1.2, label="Diffraction at the pupil")
+    axes.set(xscale="log", xlim=(frequency[0], frequency[-1]), ylim=(0, 1.05), yticks=np.linspace(0, 1, 6))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.tick_params(labelsize=8, color=FAINT, labelcolor=INK)
+    axes.set_xlabel(f"cycles per mm at {measured['distance']:g} mm", size=9, color=INK)
+    axes.set_ylabel("contrast", size=9, color=INK)
+    axes.grid(linewidth=0.4, color="#d0d6dd")
+    axes.legend(fontsize=8, frameon=False, loc="lower left")
+    figure.save_both(path)
