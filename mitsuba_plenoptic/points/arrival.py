@@ -102,8 +102,9 @@ def grids_around(
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with a margin for light that travels sideways between MLA and detector.
-    sine = bent / camera.mla_medium
-    reach = growth * camera.detector_distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
+    distance, medium = camera.space_behind
+    sine = bent / medium
+    reach = growth * distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
     margin = math.ceil(reach / p)
     width = np.array([camera.detector_width, camera.detector_height])
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
