@@ -275,7 +275,7 @@ class CameraGeometry(CameraParameters):
 
     @property
     def image_growth(self) -> float:
-        """Motion on the detector over that on the MLA: :math:`(b + z/n) / b`; 1 behind an objective or without an MLA."""
+        """Pitch of micro-images over that of lenses: :math:`(b + z/n) / b`; 1 behind an objective or for no array."""
         distance, medium = self.space_behind
         return 1 + distance / medium / self.pupil_distance if self.lens_data.converges else 1.0
 

@@ -35,7 +35,7 @@ def part_units(name: str) -> dict[str, str]:
 
 
 def parts_of(camera: PlenopticCamera, name: str) -> Array:
-    """Return the current components of a parameter: both pitches, each focal length, each coefficient; none if absent."""
+    """Return the current components of a parameter: both pitches, each focal length, each coefficient; none without."""
     value = getattr(camera, PARAMETERS[name].attribute)
     return np.array([] if value is None else np.ravel(value), np.float64)
 

@@ -270,8 +270,8 @@ class PlaneFactor(ArrayFactor):
 class MicrolensArray:
     """The transmission of a camera's microlenses at one wavelength, limited to largest directions.
 
-    `axes` are the axes of each factor; a camera without an array has no factors. The most recent factors are cached, because they take long to compute for an
-    array that is not separable.
+    `axes` are the axes of each factor; without an array there is none. The most recent factors are cached, because
+    they take long to compute for an array that is not separable.
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
