@@ -8,7 +8,6 @@ import scipy
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from mitsuba_plenoptic.camera.phase_screen import PhaseScreen
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 WAVELENGTH, FOCUS, F, A = 550.0, 300.0, 50.0, 3.0
@@ -135,7 +134,7 @@ def test_both_methods_agree_off_the_axis_and_behind_other_lenses():
 def test_a_phase_screen_is_seen_by_full_fields():
     along = np.linspace(-3.2, 3.2, 64)
     tilt = np.tile(2 * along / A, (64, 1))
-    as_screen = ordinary(phase_screen=PhaseScreen(0.1 * tilt, 6.4))
+    as_screen = ordinary(phase_screen=mp.PhaseScreen(0.1 * tilt, 6.4))
     screened = mp.point_spread_function(as_screen, (0, 0, FOCUS), wavelength=WAVELENGTH, method="full_field")
     tilted = ordinary(wavefront=(0, 0.1))
     expected = mp.point_spread_function(tilted, (0, 0, FOCUS), wavelength=WAVELENGTH, method="full_field")
