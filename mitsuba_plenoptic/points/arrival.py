@@ -35,7 +35,7 @@ _AIRY_WIDTHS = 110
 r"""Least width of that window in units of :math:`\lambda b / D_1`, to contain diffraction by the pupil's edge."""
 
 _WINDOW_EDGE = 64
-"""Least samples between the edge of the detector's window, from which cut fields ring, and the recorded pixels."""
+"""Samples between the window's edge, from which cut fields ring, and the recorded pixels if there is no array."""
 
 _WINDOW_PER_BLUR = 20
 """Least width of the window behind an objective, over the radius of a point's defocused image."""
@@ -109,7 +109,7 @@ def grids_around(
     distance, medium = camera.space_behind
     sine = bent / medium
     reach = growth * distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
-    margin = math.ceil(max(reach / p, _WINDOW_EDGE / per_pixel))
+    margin = math.ceil(reach / p) if camera.has_array else math.ceil(_WINDOW_EDGE / per_pixel)
     width = np.array([camera.detector_width, camera.detector_height])
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
