@@ -149,9 +149,13 @@ class CameraGeometry(CameraParameters):
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
 
     def medium_wavelength(self, wavelength: float) -> float:
-        """Return the wavelength between the MLA and the detector of light with this wavelength in air."""
-        self.require_array("medium_wavelength")
-        return wavelength / self.mla_medium
+        """Return the wavelength directly before the detector of light with this wavelength in air."""
+        return wavelength / self.space_behind[1]
+
+    @property
+    def space_behind(self) -> tuple[float, float]:
+        """Distance in mm from the MLA to the detector, and index of the medium there; 0 and 1 without an array."""
+        return (self.detector_distance, self.mla_medium) if self.has_array else (0.0, 1.0)
 
     @property
     def pixel_size(self) -> float:
@@ -267,9 +271,13 @@ class CameraGeometry(CameraParameters):
     @property
     def micro_image_pitch(self) -> float:
         """Distance in mm of neighbouring micro-images of a row: :math:`D_2 (b + z/n) / b`; behind an objective D2."""
-        if not self.lens_data.converges:
-            return self.mla_pitch
-        return self.mla_pitch * (self.pupil_distance + self.reduced_distance) / self.pupil_distance
+        return self.mla_pitch * self.image_growth
+
+    @property
+    def image_growth(self) -> float:
+        """Pitch of micro-images over that of lenses: :math:`(b + z/n) / b`; 1 behind an objective or for no array."""
+        distance, medium = self.space_behind
+        return 1 + distance / medium / self.pupil_distance if self.lens_data.converges else 1.0
 
     # -- object side ---------------------------------------------------------------------------------
 

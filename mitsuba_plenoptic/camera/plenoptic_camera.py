@@ -140,8 +140,6 @@ def require_known_to(
     camera: CameraGeometry, captures: Captures, what: str, instead: str = "", besides: Sequence[str] = ()
 ) -> None:
     """Refuse a camera with parameters that one kind of capture would ignore, except those named in `besides`."""
-    if captures is Captures.POINTS:
-        camera.require_array("captures of points")
     for name, entry in PARAMETERS.items():
         value = getattr(camera, entry.attribute)
         if name not in besides and captures not in entry.known_to and value not in (None, entry.default):

@@ -35,8 +35,9 @@ def part_units(name: str) -> dict[str, str]:
 
 
 def parts_of(camera: PlenopticCamera, name: str) -> Array:
-    """Return the current components of a parameter: both pitches, each focal length, each coefficient."""
-    return np.array(np.ravel(getattr(camera, PARAMETERS[name].attribute)), np.float64)
+    """Return the current components of a parameter: both pitches, each focal length, each coefficient; none without."""
+    value = getattr(camera, PARAMETERS[name].attribute)
+    return np.array([] if value is None else np.ravel(value), np.float64)
 
 
 def shortest_parts(camera: PlenopticCamera, name: str) -> Array:

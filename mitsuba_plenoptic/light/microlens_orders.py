@@ -270,23 +270,30 @@ class PlaneFactor(ArrayFactor):
 class MicrolensArray:
     """The transmission of a camera's microlenses at one wavelength, limited to largest directions.
 
-    `axes` are the axes of each factor. The most recent factors are cached, because they take long to compute for an
-    array that is not separable.
+    `axes` are the axes of each factor; without an array there is none. The most recent factors are cached, because
+    they take long to compute for an array that is not separable.
     """
 
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         self._camera, self._wavelength = camera, wavelength
         self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}
-        self.axes: list[tuple[int, ...]] = [(0,), (1,)] if is_separable(camera) else [(0, 1)]
+        self.axes: list[tuple[int, ...]] = []
+        if camera.has_array:
+            self.axes = [(0,), (1,)] if is_separable(camera) else [(0, 1)]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return microlens_array, (self._camera, self._wavelength)
+
+    @property
+    def fills(self) -> bool:
+        """Whether all light passes, without gaps between lenses."""
+        return not self._camera.has_array or self._camera.lattice.fills
 
     def factors(self, cosine: float) -> list[ArrayFactor]:
         """Return the factors on the active device, with directions up to a cosine relative to the incident light."""
         key = array_module(), cosine
         if key not in self._factors:
-            if len(self._factors) == _RETAINED[len(self.axes[0]) - 1]:
+            if len(self._factors) == _RETAINED[(0, 1) in self.axes]:
                 del self._factors[next(iter(self._factors))]
             limits = self._camera, self._wavelength, cosine
             self._factors[key] = [

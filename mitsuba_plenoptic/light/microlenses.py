@@ -42,8 +42,7 @@ def is_separable(camera: PlenopticCamera) -> bool:
 
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
     """Return the camera in the frame that is rotated with the lattice about the axis."""
-    camera.require_array("waves")
-    if camera.mla_rotation == 0:
+    if not camera.mla_rotation:
         return camera
     return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))
 
@@ -114,8 +113,10 @@ def aperture_points(lattice: Lattice) -> tuple[NDArray[np.float64], NDArray[np.f
 def scattering(camera: PlenopticCamera) -> float:
     """Return the largest change of direction cosine, by a microlens, up to which nearly all light is scattered.
 
-    The edges of opaque gaps scatter more than the joints between lenses.
+    The edges of opaque gaps scatter more than the joints between lenses. Without an array nothing is scattered.
     """
+    if not camera.has_array:
+        return 0.0
     return bend(camera) * (1 if camera.lattice.fills else _HARD_EDGES)
 
 
@@ -124,8 +125,11 @@ def diffraction(camera: PlenopticCamera, wavelength: float, orders: float) -> fl
 
     The minima of an aperture of width w lie at multiples of :math:`\lambda / w`. Beyond the m-th minimum lies the
     fraction :math:`1 / \pi^2 m` of the light, for each axis (Goodman, "Introduction to Fourier Optics", section 4.4.1).
-    Lenses without gaps scatter less than the edges of apertures: half the orders are used for them.
+    Lenses without gaps scatter less than the edges of apertures: half the orders are used for them. Without an array
+    there are no orders.
     """
+    if not camera.has_array:
+        return 0.0
     lattice = camera.lattice
     cosine = orders * in_millimetres(wavelength) / min(lattice.aperture_widths)
     return float(min(_STEEPEST, cosine * (_JOINED if lattice.fills else 1)))

@@ -118,11 +118,13 @@ def check_positions(
     if camera is not None and len(points):
         # A point far within the focal length, such as one given in metres, has light that exceeds any memory.
         closest = points[np.abs(points[:, 2]).argmin()]
-        depth, pitch = float(closest[2]), min(camera.mla_pitches)
+        depth, (what, width) = float(closest[2]), ("pixels", camera.pixel_size)
+        if camera.has_array:
+            what, width = "microlenses", min(camera.mla_pitches)
         blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / depth - 1 / camera.focal_length))
-        if abs(depth) < camera.focal_length and blur > _WIDEST * pitch:
+        if abs(depth) < camera.focal_length and blur > _WIDEST * width:
             raise InputError(
-                f"position = {_format(closest)}: its light would cover {blur / pitch:.3g} microlenses across, "
+                f"position = {_format(closest)}: its light would cover {blur / width:.3g} {what} across, "
                 f"as it is within the focal length of {camera.focal_length:g} mm: lengths are millimetres; are the "
                 "points in metres?"
             )

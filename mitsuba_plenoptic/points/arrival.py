@@ -34,6 +34,9 @@ _WINDOW_MARGIN = 1.2
 _AIRY_WIDTHS = 110
 r"""Least width of that window in units of :math:`\lambda b / D_1`, to contain diffraction by the pupil's edge."""
 
+_WINDOW_EDGE = 64
+"""Samples between the window's edge, from which cut fields ring, and the recorded pixels if there is no array."""
+
 _WINDOW_PER_BLUR = 20
 """Least width of the window behind an objective, over the radius of a point's defocused image."""
 
@@ -99,12 +102,14 @@ def grids_around(
     p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
+    bent = max(bent, _PUPIL_BAND * steepest)
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with a margin for light that travels sideways between MLA and detector.
-    sine = bent / camera.mla_medium
-    reach = growth * camera.detector_distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
-    margin = math.ceil(reach / p)
+    distance, medium = camera.space_behind
+    sine = bent / medium
+    reach = growth * distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
+    margin = math.ceil(reach / p) if camera.has_array else math.ceil(_WINDOW_EDGE / per_pixel)
     width = np.array([camera.detector_width, camera.detector_height])
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p

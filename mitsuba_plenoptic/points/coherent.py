@@ -101,7 +101,7 @@ class CoherentFields:
             with resting_drjit():
                 spectrum = fft2(field)
             wavelength = camera.medium_wavelength(self.system.wavelength)
-            spectrum = advance(spectrum, grids.pitch, -camera.detector_distance, wavelength)
+            spectrum = advance(spectrum, grids.pitch, -camera.space_behind[0], wavelength)
             with resting_drjit():
                 field = fft2(spectrum, inverse=True).conj()
             pass_microlenses(self.system, grids, field)

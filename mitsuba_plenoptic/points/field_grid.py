@@ -76,8 +76,8 @@ class Grid:
     def lens_samples(self) -> NDArray[np.int64]:
         """Number of samples along x and y (columns) between adjacent micro-images along each lattice vector (rows)."""
         camera = self.camera
-        growth = camera.micro_image_pitch / camera.mla_pitch
-        return np.rint(np.array(camera.lattice.basis) * growth / self.pitch).astype(np.int64)
+        basis = np.array(camera.lattice.basis) if camera.has_array else np.zeros((2, 2))
+        return np.rint(basis * camera.image_growth / self.pitch).astype(np.int64)
 
     @classmethod
     def of(
@@ -92,17 +92,19 @@ class Grid:
         The pitch represents the directions of the band. Neighbouring micro-images along both axes are an integer number
         of samples apart, a multiple of `together`.
         """
-        rotation, camera, wavelength = system.camera.mla_rotation, upright(system.camera), system.wavelength
+        rotation, camera, wavelength = system.camera.mla_rotation or 0.0, upright(system.camera), system.wavelength
         lens = system.waves_of(positions)
         cosine = lens.cone(positions[:, 2])
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
-        if camera.lattice.fills:
+        if camera.has_array and camera.lattice.fills:
             half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
         largest = in_millimetres(wavelength) / (2 * half_band)
         largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
-        steps = np.array(camera.lattice.grid_step) * (camera.micro_image_pitch / camera.mla_pitch)
+        # Without an array nothing needs to repeat, and pixels serve as well.
+        step = camera.lattice.grid_step if camera.has_array else (camera.pixel_size,) * 2
+        steps = np.array(step) * camera.image_growth
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
         return cls(
@@ -161,12 +163,13 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     image = footprint(lens, positions)
     a, b = lens.pupil_radius, lens.pupil_distance
     # Between MLA and detector the light moves sideways: the patch is centred half-way.
-    aside = camera.reduced_distance * lens.chief_slope(image.centre)
+    distance, medium = camera.space_behind
+    aside = distance / medium * lens.chief_slope(image.centre)
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
     # A margin on both sides contains the light that moves sideways between MLA and detector.
-    reach = camera.reduced_distance * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
+    reach = distance / medium * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
     width = np.maximum(_WIDTH_PER_BLUR * blur + max(spread / 3, 2 * reach), spread) + np.abs(aside).max(1)
     check_samples(
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),

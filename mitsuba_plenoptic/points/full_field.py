@@ -133,16 +133,15 @@ def _arrival(
 
 def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Return the spectrum, on the detector, of the field that reaches the MLA, whose memory is reused."""
-    if microlenses:
+    if microlenses and system.camera.has_array:
         before = _passed_power(system, grids, samples)
         pass_microlenses(system, grids, samples)
         if before > 0:
             guards.check(guards.MICROLENS, 1 - power(samples) / before)
-    camera = system.camera
     with resting_drjit():
         spectrum = fft2(samples)
-    wavelength = camera.medium_wavelength(system.wavelength)
-    return advance(spectrum, grids.pitch, camera.detector_distance, wavelength)
+    camera = system.camera
+    return advance(spectrum, grids.pitch, camera.space_behind[0], camera.medium_wavelength(system.wavelength))
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:

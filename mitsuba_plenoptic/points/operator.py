@@ -332,7 +332,7 @@ class CaptureOperator(CoherentPoints):
         InputError
             As for `derivative`.
         """
-        factors, chosen = self._check(weights), check_names(names)
+        factors, chosen = self._check(weights), check_names(self.camera, names)
         channels = self._channels.check_image(image_gradient, self.camera.shape)
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):

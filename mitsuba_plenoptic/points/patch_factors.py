@@ -128,7 +128,7 @@ class PatchFactors:
         """Optical elements of the camera to which the grid belongs."""
         grid = self._grid
         lens = functools.cache(lambda: grid.lens.opaque(self._constant))
-        return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.detector_distance)
+        return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.space_behind[0])
 
     def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
         """Return one point's part of each factor, or of data of equal layout; None where a factor is None."""
@@ -289,6 +289,6 @@ class PatchFactors:
             for axis, index in ((0, column), (1, row))
         )
         # In the medium both direction cosines and wavelength are smaller by its index.
-        medium = self._constant(self._grid.camera.mla_medium)
+        medium = self._constant(self._grid.camera.space_behind[1])
         distance = self._constant(elements.detector_distance)
         return transfer(sx / medium, sy / medium, distance, elements.wavelength / medium)

@@ -70,7 +70,7 @@ class PatchPlan:
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
         self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
-        step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
+        step = wavefront_step(accuracy, upright, lens, turned) if shared and camera.has_array else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)
         shifts = patterns.shift @ self._grid.lens_samples
@@ -146,7 +146,7 @@ class PatchPlan:
         computed for open pupils, since it differs little from pattern to pattern. It is 1 for few points or high
         accuracy.
         """
-        if math.isinf(self._grid.band.beyond) or not self._camera.lattice.fills or not len(self._positions):
+        if math.isinf(self._grid.band.beyond) or not self._grid.microlenses.fills or not len(self._positions):
             return 1.0
         whole = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
         some, arrived = _some(len(self._positions)), 0.0
@@ -182,7 +182,7 @@ class PatchPlan:
         """
         if not chunks or weights.min() < 0:
             return None
-        if not self._camera.lattice.fills:
+        if not self._grid.microlenses.fills:
             patterns = np.concatenate(chunks)
             chunks = [patterns[some] for some in _some(len(patterns))]
             arrived = sum(float(self._sum_of(chunk, weights).sums.sum(dtype=np.float64)) for chunk in chunks)
@@ -208,7 +208,7 @@ class PatchPlan:
         if self._pupil_weights is not None:
             power = power * self._pupil_weights.lit()[self._order]
         per_pattern = np.add.reduceat(power, self._first)
-        if not self._camera.lattice.fills:
+        if not self._grid.microlenses.fills:
             for chunk in chunks:
                 per_pattern[chunk] *= aperture_power(self._fields(chunk))
         return float(per_pattern[np.concatenate(chunks)].sum() / self._grid.pitch.prod())

@@ -85,7 +85,7 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
 
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
-    require_camera(camera).require_array("point_spread_function")
+    require_camera(camera)
     point = np.asarray(position, object)
     refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")
     return check_positions(point[None], camera)[0]

@@ -80,6 +80,7 @@ def sample_pairs(count: int, seed: int = 0) -> NDArray[np.float64]:
 def require_matte(scene: Any, sensor: Any, integrator: Any, camera: PlenopticCamera) -> None:
     """Refuse a scene or camera unless all light comes directly from matte or emitting surfaces."""
     what = "method = points"
+    camera.require_array(what)
     camera.require_no_objective(f"{what}: surfaces are seen")
     if sensor.shutter_open_time() > 0:
         raise InputError(f"{what}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")

@@ -1,4 +1,4 @@
-"""The units of captures: a pixel is the mean radiance over its lens's area."""
+"""The units of captures: a pixel is the mean radiance over its lens's area, or over the pupil without microlenses."""
 
 from __future__ import annotations
 
@@ -22,11 +22,18 @@ def brightness(lattice: Any, pupil_radius: Any, reduced_distance: Any, pixel_siz
     return pupil * reduced_distance**2 / (lattice.lens_area * pixel_size**2)
 
 
+def detector_brightness(distance: Any, pixel_size: Any) -> Any:
+    r"""Return `brightness` of a camera without an array, :math:`b^2 / A_{pixel}`, with the pupil's distance b."""
+    return distance**2 / pixel_size**2
+
+
 def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
-    r"""Return :math:`A_{pupil} (z/n)^2 / (A_{lens} A_{pixel})` of a camera with its main lens.
+    r"""Return the `brightness` of a camera with its main lens.
 
     A point's weight in `CaptureOperator` is this number times its radiance and the solid angle :math:`A_c / b^2`.
     """
+    if not camera.has_array:
+        return float(detector_brightness(lens.pupil_distance, camera.pixel_size))
     return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
 
 
@@ -45,6 +52,6 @@ def radiance_weight(camera: PlenopticCamera, lens: MainLens, area: float) -> flo
     lens : MainLens
         Its main lens, such as ``OpticalSystem(camera, wavelength).lens``.
     area : float
-        The area's image in the plane of the microlenses, in square millimetres.
+        The area's image in the plane of the microlenses or of an ordinary camera's detector, in square millimetres.
     """
     return area / lens.pupil_distance**2 * brightness_of(camera, lens)

@@ -378,9 +378,9 @@ CALLS = {
         "reconstruct": lambda made, camera: mp.reconstruct(made, 280.0),
         "coherent": lambda made, camera: mp.reconstruct(made, 280.0, method="coherent", wavelength=550.0),
         "estimate": lambda made, camera: mp.estimate_reconstruction(made, 280.0),
-        "CaptureOperator": lambda made, camera: mp.CaptureOperator(camera, POINTS, wavelength=550.0),
-        "full field": lambda made, camera: mp.CaptureOperator(camera, POINTS, wavelength=550.0, method="full_field"),
-        "spread": lambda made, camera: mp.point_spread_function(camera, POINTS[0], wavelength=550.0),
+        "points": lambda made, camera: render_capture(
+            scene_of(camera.to_sensor(), **depths()), model="wave", method="points", spp=4
+        ),
         "matched": lambda made, camera: PlenopticCamera.matched(**SHEET, **THIN_LENS, mla_lattice="none"),
         "objective": lambda made, camera: PlenopticCamera(mla_lattice="none", main_lens=mp.Objective(40, 0.9)),
         "lenses_across": lambda made, camera: design.lenses_across(camera, 280.0),
@@ -388,15 +388,11 @@ CALLS = {
         **{name: lambda made, camera, name=name: getattr(camera, name) for name in QUANTITIES},
     },
     "inverse": {
-        "StoredOperator": lambda made, camera: mp.StoredOperator(camera, POINTS, wavelength=550.0),
         "RayRefocus": lambda made, camera: mp.refocus.RayRefocus(camera, 280.0),
         "CoherentRefocus": lambda made, camera: mp.refocus.CoherentRefocus(camera, 280.0, 550.0),
         "DeconvolvedRefocus": lambda made, camera: mp.refocus.DeconvolvedRefocus(camera, 280.0),
         "fit": lambda made, camera: mp.fit(camera, [], ["focal_length"]),
         "lattice_from_white": lambda made, camera: mp.fitting.lattice_from_white(camera, made.image),
-        "maximise": lambda made, camera: mp.optimisation.maximise(
-            mp.optimisation.DepthInformation(POINTS, photons=100.0), camera, {"focal_length": (45.0, 55.0)}
-        ),
         "contrast": lambda made, camera: mp.optimisation.RefocusedContrast(camera, POINTS, [1.0], wavelength=550.0),
     },
     "calibrate": {

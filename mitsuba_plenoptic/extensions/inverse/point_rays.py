@@ -40,7 +40,7 @@ def vector_of(camera: PlenopticCamera, names: Iterable[str] | str) -> CameraVect
     """
     given = (names,) if isinstance(names, str) else tuple(names)
     wholes = {name: str(name).partition(".")[0] for name in given}
-    chosen = check_names(dict.fromkeys(wholes.values()))
+    chosen = check_names(camera, dict.fromkeys(wholes.values()))
     refuse_if(WAVELENGTH in chosen, "wavelength: it is no parameter of a camera; give it, and fit the others")
     refuse_if(not chosen, f"names = {short_repr(given)}: name at least one of {', '.join(DIFFERENTIABLE)}")
     vector = CameraVector.by_names(camera, chosen)

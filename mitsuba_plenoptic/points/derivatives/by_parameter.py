@@ -22,7 +22,7 @@ from ...optics.waves import in_millimetres
 from ...runtime.backend import array_module, backend, drjit_array, is_zero
 from ..field_grid import Grid
 from ..patch_factors import Elements
-from ..units import brightness
+from ..units import brightness, detector_brightness
 
 _BLOCK = 2**14
 """Number of samples for which powers are computed together."""
@@ -82,15 +82,18 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
     return np.pad(parts, (0, size_of(camera, name) - len(parts)))
 
 
-def check_names(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Return the names of differentiable parameters, all of them for None; refuse other names."""
-    names = DIFFERENTIABLE if names is None else (names,) if isinstance(names, str) else tuple(names)
+def check_names(camera: PlenopticCamera, names: Iterable[str] | None) -> tuple[str, ...]:
+    """Return the names of a camera's differentiable parameters, all of them for None; refuse other names."""
+    own = [name for name in DIFFERENTIABLE if len(values_of(camera, 1.0, name))]
+    names = own if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:
         if name not in DIFFERENTIABLE:
             raise InputError(
                 f"{short_repr(name)}: it is none of the parameters with a derivative: {', '.join(DIFFERENTIABLE)}"
                 f"{did_you_mean(name, DIFFERENTIABLE)}"
             )
+        if name not in own:
+            camera.require_array(name)
     return tuple(names)
 
 
@@ -98,7 +101,7 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, NDArray[np
     """Return changes of parameters by name, with all components as in `values_of`; refuse other parameters."""
     if not isinstance(changes, dict):
         raise InputError(f"changes = {short_repr(changes)}: they must be numbers by name")
-    check_names(changes)
+    check_names(camera, changes)
     checked = {}
     for name, change in changes.items():
         size = len(values_of(camera, 1.0, name))
@@ -160,7 +163,7 @@ class VaryingParameters:
             else parts
             for name, parts in self._parameters.items()
         }
-        (wavelength,), (distance,) = get["wavelength"], get["detector_distance"]
+        (wavelength,), distance = get["wavelength"], *(get["detector_distance"] or [0.0])
         angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         # The array stays where it is in the frame of the grid, and the scene turns.
         turned = angle - dr.opaque(self.types.Float64, grid.rotation) if "mla_rotation" in self._varies else 0.0
@@ -171,6 +174,8 @@ class VaryingParameters:
             return grid.lens.varying(values | {"wavefront": held}, self._varies, turned)
 
         def array(cosine: float) -> list[VaryingArrayFactor]:
+            if not grid.microlenses.axes:
+                return []
             x, y = get["mla_offset"]
             if not is_zero(angle):
                 x, y = turn(x, y, -angle if dr.is_array_v(angle) else dr.opaque(self.types.Float64, -angle))
@@ -188,8 +193,10 @@ class VaryingParameters:
     def brightness(self, camera: PlenopticCamera) -> Any:
         """Return `units.brightness` as a function of these parameters."""
         get = self._parameters
-        lattice = self._lattice(get, camera, (0.0, 0.0))
         pixel = get["detector_width"][0] / camera.resolution[0]
+        if not camera.has_array:
+            return detector_brightness(get["mla_distance"][0], pixel)
+        lattice = self._lattice(get, camera, (0.0, 0.0))
         return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0] / camera.mla_medium, pixel)
 
     def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:

@@ -71,7 +71,7 @@ class DerivativePlan(PatchPlan):
         fine = replace(self._grid, pitch=self._grid.pitch / self._finer)
         self._recorder = Recorder(camera, fine, low, low + size)
         # From samples of the patch between copies to the distance of their lenses.
-        self._per_sample = self._grid.pitch * camera.mla_pitch / camera.micro_image_pitch
+        self._per_sample = self._grid.pitch / camera.image_growth
 
     def jvp(self, weights: NDArray[np.float64], directions: list[Direction]) -> JvpSum:
         """Return the derivatives, not yet computed, of the sum with weights (n, channels) in some directions."""

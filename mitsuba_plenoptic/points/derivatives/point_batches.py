@@ -39,7 +39,7 @@ def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArra
     of the move, x and y of the copy's position). ``mla_rotation`` is in degrees, ``wavelength`` in nanometres.
     """
     one, none = np.eye(2), np.zeros((2, 2))
-    growth, b = camera.micro_image_pitch / camera.mla_pitch, camera.mla_distance
+    growth, b = camera.image_growth, camera.mla_distance
     if name == "mla_pitch":
         along = [np.diag(one[axis]) / camera.mla_pitches[axis] for axis in (0, 1)]
         return np.array([[moved, none] for moved in along])

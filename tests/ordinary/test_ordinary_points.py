@@ -1,0 +1,228 @@
+"""Points through ordinary cameras: against the Airy pattern and sums over the pupil written here."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from tools.bench.scenes.light_paths import facing, radiating, scene_of
+
+WAVELENGTH, FOCUS, F, A = 550.0, 300.0, 50.0, 3.0
+LAMBDA, B = WAVELENGTH * 1e-6, F * FOCUS / (FOCUS - F)
+AIRY = 0.61 * LAMBDA * B / A
+METHODS = ("patch", "full_field")
+
+
+def ordinary(pixel=0.003, resolution=(16, 16), **given):
+    return PlenopticCamera(
+        mla_lattice="none",
+        **{"focal_length": F, "mla_distance": B, "aperture_radius": A, "resolution": resolution}
+        | {"detector_width": pixel * resolution[0]}
+        | given,
+    )
+
+
+def nodes(camera, axis, count):
+    """Positions within the pixels along an axis, and the weights of their sum over each pixel."""
+    places, weights = np.polynomial.legendre.leggauss(count)
+    half = camera.pixel_size / 2
+    return (camera.pixel_coordinates(axis)[:, None] + places * half).ravel(), weights * half
+
+
+def over_pixels(camera, intensity, count):
+    """The integrals over pixels of samples at `nodes`."""
+    _, weights = nodes(camera, 0, count)
+    rows, columns = camera.shape
+    return np.einsum("iajb,a,b->ij", intensity.reshape(rows, count, columns, count), weights, weights)
+
+
+def airy(camera, place, count):
+    """The Airy pattern around a place on the detector, in closed form."""
+    (x, _), (y, _) = (nodes(camera, axis, count) for axis in (0, 1))
+    v = 2 * math.pi / LAMBDA * A * np.maximum(np.hypot(x - place[0], y[:, None] - place[1]), 1e-12) / B
+    return over_pixels(camera, (2 * scipy.special.j1(v) / v) ** 2 * math.pi * (A / (LAMBDA * B)) ** 2, count)
+
+
+def zernike_path(wavefront, x, y):
+    """A wavefront in mm, of Noll's polynomials up to the eleventh, over a pupil of radius 1."""
+    square, root = x * x + y * y, np.sqrt
+    polynomials = [
+        1, 2 * x, 2 * y, root(3) * (2 * square - 1), root(6) * 2 * x * y, root(6) * (x * x - y * y),
+        root(8) * (3 * square - 2) * y, root(8) * (3 * square - 2) * x, root(8) * (3 * x * x * y - y**3),
+        root(8) * (x**3 - 3 * x * y * y), root(5) * (6 * square**2 - 6 * square + 1),
+    ]  # fmt: skip
+    return 633e-6 * sum(each * polynomial for each, polynomial in zip(wavefront, polynomials, strict=False))
+
+
+def huygens(camera, position, samples=80, count=3):
+    """A sum of spherical waves from the pupil, which an ideal lens sends to the image of a point."""
+    along = (np.arange(samples) + 0.5) * 2 / samples - 1
+    x, y = (each[np.hypot(*np.meshgrid(along, along)) <= 1] for each in np.meshgrid(along, along))
+    distance = 1 / (1 / F - 1 / position[2])
+    image = -np.array(position[:2]) * distance / position[2]
+    path = zernike_path(camera.wavefront, x, y) - np.sqrt(
+        distance**2 + (A * x - image[0]) ** 2 + (A * y - image[1]) ** 2
+    )
+    (across, _), (down, _) = (nodes(camera, axis, count) for axis in (0, 1))
+    field = np.empty((len(down), len(across)), complex)
+    for row, height in enumerate(down):
+        far = np.sqrt(B**2 + (A * x - across[:, None]) ** 2 + (A * y - height) ** 2)
+        field[row] = (np.exp(2j * math.pi / LAMBDA * (path + far)) * B / far**2).sum(1) / LAMBDA
+    step = (2 * A / samples) ** 2
+    return over_pixels(camera, np.abs(field) ** 2, count) * step**2 / (len(x) * step)
+
+
+def difference(found, expected):
+    return np.linalg.norm(found - expected) / np.linalg.norm(expected)
+
+
+# -- point spreads -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("width", "resolution", "count"), [(0.25, 64, 3), (1, 32, 6), (3, 16, 16), (10, 6, 50)])
+@pytest.mark.parametrize("within", [(0.5, 0.5), (0.2, 0.9)])
+def test_a_star_in_focus_is_an_airy_pattern(method, width, resolution, count, within):
+    camera = ordinary(width * AIRY, (resolution, resolution))
+    place = np.array(within) * camera.pixel_size
+    spread = mp.point_spread_function(camera, (*(-place * FOCUS / B), FOCUS), wavelength=WAVELENGTH, method=method)
+    expected = airy(camera, place, count)
+    x, y = (camera.pixel_coordinates(axis) - place[axis] for axis in (0, 1))
+    order = np.argsort(np.hypot(x, y[:, None]), axis=None)
+    encircled = np.cumsum((spread - expected).ravel()[order])
+    assert np.abs(encircled).max() < 0.004 and difference(spread, expected) < 0.005
+
+
+STARS = {
+    "coma": ((0, 0, 0, 0, 0, 0, 0.1, 0.2), (0.0, 0.0, FOCUS)),
+    "astigmatism": ((0, 0, 0, 0, 0.15, 0.1), (0.02, 0.0, FOCUS)),
+    "spherical": ((0,) * 10 + (0.15,), (0.0, 0.01, FOCUS)),
+    "beyond focus": ((), (0.0, 0.0, 306.0)),
+    "before focus": ((0, 0, 0, 0, 0, 0, 0, 0.1), (0.0, 0.0, 295.0)),
+    "cut by the film": ((), (-0.12, 0.0, 320.0)),
+}
+
+
+@pytest.mark.parametrize("name", STARS)
+def test_aberrated_and_defocused_stars_are_sums_over_the_pupil(name):
+    wavefront, position = STARS[name]
+    camera = ordinary(wavefront=wavefront)
+    expected = huygens(camera, position)
+    for method in METHODS:
+        spread = mp.point_spread_function(camera, position, wavelength=WAVELENGTH, method=method)
+        assert difference(spread, expected) < 0.01
+
+
+def test_both_methods_agree_off_the_axis_and_behind_other_lenses():
+    crop = {"resolution": (1400, 16), "crop_offset": (1300, 0), "crop_size": (16, 16), "detector_width": 4.2}
+    off = -(1308 - 700) * 0.003 * FOCUS / B
+    glass = {"glass": {"index": 1.5, "abbe": 50.0}}
+    prescribed = ordinary(main_lens="double_gauss", focal_length=None, mla_distance=None, focus_distance=2000.0)
+    for camera, position in (
+        (ordinary(**crop), (off, 0.0, 302.0)),
+        (ordinary(lens_model="parabolic"), (0.02, 0.0, 302.0)),
+        (ordinary(**glass), (0.0, 0.0, FOCUS)),
+        (prescribed, (0.0, 0.0, 2000.0)),
+    ):
+        patch, whole = (mp.point_spread_function(camera, position, wavelength=WAVELENGTH, method=m) for m in METHODS)
+        assert 0.5 < whole.sum() < 1 and difference(patch, whole) < 0.002
+
+
+def test_a_phase_screen_is_seen_by_full_fields():
+    along = np.linspace(-3.2, 3.2, 64)
+    tilt = np.tile(2 * along / A, (64, 1))
+    as_screen = ordinary(phase_screen=mp.PhaseScreen(0.1 * tilt, 6.4))
+    screened = mp.point_spread_function(as_screen, (0, 0, FOCUS), wavelength=WAVELENGTH, method="full_field")
+    tilted = ordinary(wavefront=(0, 0.1))
+    expected = mp.point_spread_function(tilted, (0, 0, FOCUS), wavelength=WAVELENGTH, method="full_field")
+    assert difference(screened, expected) < 0.01
+
+
+def test_hcipy_finds_the_same_aberrated_star():
+    hcipy = pytest.importorskip("hcipy")
+    camera = ordinary(wavefront=STARS["coma"][0])
+    grid = hcipy.make_pupil_grid(256, 2 * A)
+    path = zernike_path(camera.wavefront, grid.x / A, grid.y / A)
+    inside = hcipy.make_circular_aperture(2 * A)(grid)
+    count = 3
+    (x, _), (y, _) = (nodes(camera, axis, count) for axis in (0, 1))
+    focal = hcipy.CartesianGrid(hcipy.SeparatedCoords((x, y)))
+    propagator = hcipy.FraunhoferPropagator(grid, focal, focal_length=B)
+    wave = hcipy.Wavefront(inside * np.exp(2j * np.pi * path / LAMBDA), LAMBDA)
+    image = np.abs(np.asarray(propagator(wave).electric_field).reshape(len(y), len(x))) ** 2
+    expected = over_pixels(camera, image, count)
+    spread = mp.point_spread_function(camera, (0, 0, FOCUS), wavelength=WAVELENGTH)
+    assert difference(spread / spread.sum(), expected / expected.sum()) < 0.015
+
+
+# -- the operator ------------------------------------------------------------------------------------
+
+POINTS = [(0.01, 0.0, 305.0), (-0.04, 0.03, 296.0), (0.0, -0.02, FOCUS)]
+WEIGHTS = np.array([1.0, 0.5, 0.8])
+
+
+def operator_of(camera, wavelength=WAVELENGTH, method="patch"):
+    return mp.CaptureOperator(camera, POINTS, wavelength=wavelength, method=method, accuracy=0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_adjoint_is_the_transpose(method):
+    operator = operator_of(ordinary(), method=method)
+    image = np.random.default_rng(1).normal(size=(16, 16))
+    assert np.vdot(operator.forward(WEIGHTS), image) == pytest.approx(WEIGHTS @ operator.adjoint(image), rel=1e-4)
+
+
+CHANGES = {
+    "focal_length": (0.002, 0.005),
+    "mla_distance": (0.002, 0.005),
+    "aperture_radius": (0.02, 0.02),
+    "detector_width": (0.002, 0.04),
+    "wavelength": (8.0, 0.02),
+    "wavefront": (0.01, 0.01),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_derivatives_are_those_of_differences(name):
+    camera, (step, most) = ordinary(wavefront=(0, 0, 0, 0.05, 0.1, 0, 0.1)), CHANGES[name]
+    operator, image = operator_of(camera), np.random.default_rng(2).normal(size=(16, 16))
+    along = (0, 0.3, 0, 0.5, 1.0, 0, 0, 0.4) if name == "wavefront" else 1.0
+
+    def moved(size):
+        if name == "wavelength":
+            return operator_of(camera, WAVELENGTH + size).forward(WEIGHTS)
+        present = np.resize((*camera.wavefront, 0), 8) if name == "wavefront" else getattr(camera, name)
+        changed = present + size * np.array(along)
+        return operator_of(camera.replace(**{name: changed.tolist()})).forward(WEIGHTS)
+
+    derivative = operator.derivative(WEIGHTS, {name: along})
+    assert difference(derivative, (moved(step).astype(float) - moved(-step)) / (2 * step)) < most
+    gradient = operator.gradient(WEIGHTS, image, [name])[name]
+    parts = np.resize(along, 8) if name == "wavefront" else [along]
+    assert gradient[: len(parts)] @ parts == pytest.approx(np.vdot(derivative, image), rel=1e-3)
+
+
+def test_parameters_of_an_array_have_no_derivative():
+    operator = operator_of(ordinary())
+    assert {"focal_length", "wavefront"} < set(operator.gradient(WEIGHTS, np.ones((16, 16))))
+    for name in ("mla_pitch", "detector_distance"):
+        with pytest.raises(InputError, match=f"^{name}: mla_lattice = none: the camera has no microlens array$"):
+            operator.derivative(WEIGHTS, {name: 1.0})
+    with pytest.raises(InputError, match=r"^method = 'ray': it must be one of patch, full_field$"):
+        mp.CaptureOperator(ordinary(), POINTS, wavelength=WAVELENGTH, method="ray")
+
+
+def test_a_lamp_captured_by_waves_is_the_sum_of_its_points():
+    camera, half, place, count = ordinary(0.004, (24, 20)), 0.06, (0.04, -0.02), 16
+    lamp = scene_of(camera.to_sensor(), "direct", lamp=facing(FOCUS, half, place, **radiating(2.0)))
+    image = render_capture(lamp, model="wave", wavelength=WAVELENGTH, spp=1024).image.squeeze()
+    along = ((np.arange(count) + 0.5) / count * 2 - 1) * half
+    x, y = (each.ravel() for each in np.meshgrid(place[0] + along, place[1] + along))
+    points = np.stack([x, y, np.full(count**2, FOCUS)], 1)
+    # A pixel is the mean radiance over its area.
+    weight = 2 * (2 * half / count * B / FOCUS / camera.pixel_size) ** 2
+    summed = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH).forward(np.full(count**2, weight))
+    assert image.sum() == pytest.approx(summed.sum(), rel=0.005) and difference(image, summed) < 0.02
