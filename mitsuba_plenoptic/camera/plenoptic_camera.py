@@ -451,9 +451,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     def __repr__(self) -> str:
         values = self.to_dict()
-        if self.phase_screen is not None:
-            # Its samples are too many to be read.
-            values["phase_screen"] = self.phase_screen
+        for name in ("phase_screen", "aperture_image"):
+            # Samples are too many to be read.
+            values |= {name: getattr(self, name)} if name in values else {}
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     def replace(self, **changes: Any) -> PlenopticCamera:
