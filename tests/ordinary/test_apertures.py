@@ -1,0 +1,183 @@
+"""Apertures of blades and pictures: rays against pupil points masked here, waves against NumPy."""
+
+import json
+import math
+import pickle
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import Aperture, InputError, PlenopticCamera, render_capture
+from tools.bench.scenes.light_paths import facing, radiating, scene_of
+
+THIN = {"focal_length": 50.0, "focus_distance": 300.0, "aperture_radius": 8.0, "detector_width": 12.0}
+FILM = {"resolution": (24, 16)}
+WHITE = {"sky": {"type": "constant"}}
+
+# Open cells in rows of rising y and columns of rising x, with nothing that turning or mirroring would leave alike.
+CODE = np.pad(np.array([[1, 1, 0, 1, 0], [0, 1, 1, 0, 1], [1, 0, 0, 1, 1], [0.5, 1, 0, 0, 1], [1, 0, 1, 0.2, 0]]), 1)
+APERTURES = {
+    "hexagon": {"aperture_blades": (6, 15.0)},
+    "square": {"aperture_blades": 4},
+    "coded": {"aperture_image": CODE},
+}
+
+
+def ordinary(**given):
+    return PlenopticCamera(mla_lattice="none", **(THIN | FILM | given))
+
+
+def plenoptic(**given):
+    return PlenopticCamera(detector_width=1.024, resolution=(128, 128), **given)
+
+
+def polygon(count, angle):
+    """Which points are within all sides of a polygon, by their distances from the centre."""
+    normals = math.radians(angle) + (np.arange(count) + 0.5) * 2 * math.pi / count
+    return lambda x, y: np.all(
+        [x * math.cos(n) + y * math.sin(n) <= math.cos(math.pi / count) for n in normals], axis=0
+    ).astype(float)
+
+
+def code(x, y):
+    """Values of the coded aperture by nearest rows and columns."""
+    column, row = (np.clip(((place + 1) / 2 * len(CODE)).astype(int), 0, len(CODE) - 1) for place in (x, y))
+    return CODE[row, column] * (np.hypot(x, y) <= 1)
+
+
+MASKS = {"hexagon": polygon(6, 15.0), "square": polygon(4, 0.0), "coded": code}
+
+
+def masked(name, count):
+    """A mask on a grid of samples of the square around the pupil, and their coordinates over its radius."""
+    along = (np.arange(count) + 0.5) * 2 / count - 1
+    return MASKS[name](along[None, :] + 0 * along[:, None], along[:, None] + 0 * along), along
+
+
+# -- parameters --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", APERTURES.values(), ids=APERTURES)
+def test_files_and_sensors_keep_apertures(given):
+    camera = ordinary(**given)
+    scene = mi.load_string(f"<scene version='3.0.0'>{camera.to_xml()}</scene>")
+    copies = [
+        PlenopticCamera.from_json(camera.to_json()),
+        pickle.loads(pickle.dumps(camera)),
+        mi.load_dict(camera.to_sensor()).camera,
+        scene.sensors()[0].camera,
+        camera.replace(aperture_radius=1.0).replace(aperture_radius=8.0),
+    ]
+    assert all(copy == camera and hash(copy) == hash(camera) for copy in copies)
+    assert camera != ordinary() and "0.0, 1.0, 1.0" not in repr(camera)
+
+
+def test_pictures_are_read_from_files(tmp_path):
+    values = np.round(CODE * 255) / 255
+    mi.Bitmap(np.round(CODE * 255).astype(np.uint8)[..., None]).write(str(tmp_path / "code.png"))
+    mi.Bitmap(values.astype(np.float32)[..., None]).write(str(tmp_path / "code.exr"))
+    np.save(tmp_path / "code.npy", values)
+    (tmp_path / "code.json").write_text(json.dumps({"transmission": values.tolist()}))
+    for file in tmp_path.iterdir():
+        assert ordinary(aperture_image=file).aperture_image == Aperture(values)
+        assert ordinary(aperture_image={"transmission": str(tmp_path / "code.npy")}).aperture_image == Aperture(values)
+
+
+BAD = {
+    "two blades": ({"aperture_blades": 2}, "aperture_blades = 2: it must be at least 3"),
+    "many blades": ({"aperture_blades": 65}, "aperture_blades = 65: it must be at most 64"),
+    "half a blade": ({"aperture_blades": 6.5}, "aperture_blades = 6.5: it must be a whole number"),
+    "three numbers": ({"aperture_blades": (6, 1, 2)}, r"aperture_blades = \(6, 1, 2\): it must be a number of blades"),
+    "empty": ({"aperture_image": []}, r"aperture_image: transmission of shape \(0,\): it must be rows"),
+    "closed": ({"aperture_image": np.zeros((4, 4))}, "aperture_image: transmission: it is 0 everywhere"),
+    "bright": ({"aperture_image": [[0, 1.5], [0, 0]]}, "aperture_image: transmission: its values must be from 0 to 1"),
+    "negative": ({"aperture_image": [[-0.5]]}, "aperture_image: transmission: its values must be from 0 to 1"),
+    "oblong": ({"aperture_image": np.ones((4, 5))}, r"aperture_image: transmission of shape \(4, 5\): it must be square"),
+    "beyond": ({"aperture_image": np.ones((8, 8))}, "aperture_image: transmission: 12 open cells are beyond aperture_r"),
+    "no file": ({"aperture_image": "nowhere.png"}, "aperture_image: nowhere.png: there is no such file"),
+    "both": ({"aperture_image": [[1]], "aperture_blades": 6}, "aperture_blades, aperture_image: give one of the two"),
+    "prescription": (
+        {"aperture_blades": 6, "main_lens": "tessar", "mla_distance": 55.0},
+        "aperture_blades = 6: a main_lens has a round stop",
+    ),
+}
+
+
+@pytest.mark.parametrize(("given", "message"), BAD.values(), ids=BAD)
+def test_bad_apertures_are_refused_in_one_line(given, message):
+    with pytest.raises(InputError, match=f"^{message}") as caught:
+        PlenopticCamera(mla_lattice="none", **given)
+    assert "\n" not in str(caught.value)
+
+
+# -- rays --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", APERTURES)
+def test_a_white_scene_reads_the_open_part_of_the_circle(name):
+    mask, along = masked(name, 1008)
+    part = mask.sum() / np.count_nonzero(np.hypot(along, along[:, None]) <= 1)
+    image = render_capture(scene_of(ordinary(**APERTURES[name]).to_sensor(), **WHITE), spp=16).image
+    assert image.mean() == pytest.approx(part, rel=0.002) and image.std() < 0.01 * part
+    # Behind microlenses it is the mean over the pupil seen from all pixels, and the light of all of them that falls.
+    round_ = render_capture(scene_of(plenoptic().to_sensor(), **WHITE), spp=64).image
+    other = render_capture(scene_of(plenoptic(**APERTURES[name]).to_sensor(), **WHITE), spp=64).image
+    assert other.sum() / round_.sum() == pytest.approx(part, rel=0.01)
+
+
+def by_hand(camera, distance, half, centre, name, count=420):
+    """The picture of a square lamp, the sum over points of the masked pupil: lines of its light on each axis."""
+    mask, along = masked(name, count)
+    P, b = along * camera.aperture_radius, camera.mla_distance
+    lines = []
+    for axis, middle in ((0, centre), (1, 0.0)):
+        # Where rays through P from the edges of the lamp land, and the parts of pixels between them.
+        low, high = (P + b * (P - middle - side * half) / distance - b * P / camera.focal_length for side in (1, -1))
+        x, step = camera.pixel_coordinates(axis)[:, None], camera.pixel_size
+        lines.append((np.minimum(high, x + step / 2) - np.maximum(low, x - step / 2)).clip(0) / step)
+    return lines[1] @ mask @ lines[0].T / np.count_nonzero(np.hypot(along, along[:, None]) <= 1)
+
+
+@pytest.mark.parametrize("distance", [200.0, 600.0], ids=["near", "far"])
+def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
+    """Behind the plane in focus light has crossed, and the camera frame's +x is where pixels' columns rise."""
+    camera = ordinary(aperture_image=CODE, detector_width=4.0, resolution=(60, 40))
+    lamp = {"lamp": facing(distance, distance / 200, (distance / 120, 0.0), **radiating())}
+    image = render_capture(scene_of(camera.to_sensor(), **lamp), spp=2048).image
+    expected = by_hand(camera, distance, distance / 200, distance / 120, "coded")
+
+    def apart(one):
+        return np.linalg.norm(one - expected) / np.linalg.norm(expected)
+
+    assert apart(image) < 0.07
+    assert image.sum() == pytest.approx(expected.sum(), rel=0.01)
+    for other in (CODE[::-1], CODE[:, ::-1], CODE.T, CODE[::-1, ::-1]):
+        wrong = render_capture(scene_of(camera.replace(aperture_image=other).to_sensor(), **lamp), spp=64).image
+        assert apart(wrong) > 0.3
+    # Only the cell at +x is open: nearer than the focus its light stays on the side that it passes, inverted by none.
+    side = np.zeros((5, 5))
+    side[2, 4] = 1
+    lit = render_capture(scene_of(camera.replace(aperture_image=side).to_sensor(), **lamp), spp=64).image
+    middle = -camera.mla_distance * (distance / 120) / distance
+    moved = (lit.sum(0) @ camera.pixel_coordinates(0)) / lit.sum() - middle
+    assert moved == pytest.approx(0.8 * camera.aperture_radius * camera.defocus(distance), rel=0.05)
+
+
+def test_plenoptic_rays_are_masked_pupil_points():
+    """Micro-images of a white scene are the mean of the picture over what each pixel sees of the pupil."""
+    camera = plenoptic(aperture_image=CODE)
+    image = render_capture(scene_of(camera.to_sensor(), **WHITE), spp=256).image
+    random, rays = np.random.default_rng(3), 2000
+    for row, column in np.random.default_rng(4).integers(40, 88, (60, 2)):
+        p, q = (
+            (random.random(rays) + k - 64) * camera.pixel_size for k in (column, row)
+        )
+        lens = [np.floor(v * 120 / 120.512 / 0.064) * 0.064 + 0.032 for v in (p, q)]
+        inside = [(random.random(rays) - 0.5) * 0.064 for _ in (p, q)]
+        seen = [
+            (c + m) + 120 * ((c + m - v) / 0.512 - m / 0.512) for c, m, v in zip(lens, inside, (p, q), strict=True)
+        ]
+        expected = code(seen[0] / 5, seen[1] / 5).mean()
+        assert image[row, column] == pytest.approx(expected, abs=0.12)
