@@ -13,9 +13,9 @@ capture is a ray capture of a few values per ray followed by one convolution for
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, a_n(P), \qquad \varphi_n(x) = \int a_n(P)\, K_p(P, x)\, d^2P .
 
 The first kernel is the point spread function in focus, which is therefore exact. Light from other distances varies with
-P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. Small
-aberrations are in t, and rays are traced without them; large ones are in the rays, where third differences of the path
-are neglected.
+P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. Rays
+follow aberrations of first and second order, whose differences t then lacks; higher orders, and all small aberrations,
+are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without third differences.
 
 As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
 sums of products of the transforms of t times powers.
@@ -37,13 +37,14 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.main_lens import Pair
+from ..lenses.thin import Wavefront
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
 from .lens_functions import LensFunctions
 from .oblique import Oblique
 from .optical_system import OpticalSystem
 
-_DEGREES = 4, 6
+_DEGREES = 6, 10
 """Degrees of the polynomials over the pupil, of usual and of finer plans."""
 
 _SAMPLES = 256
@@ -57,14 +58,18 @@ _CELL, _MOST_CELLS, _COARSE_CELLS = 0.25, 4, 2
 """Widest cells of the grid in lambda b / R, which resolve the highest frequency, and the most cells across a pixel.
 Coarser pixels have a few larger ones."""
 
+_LEAST_PASSED = 0.2
+"""Smallest transfer by which the transfer of coarse pixels' kernels is divided."""
+
 _FINEST = 0.04
 """Narrowest pixels in lambda b / R, a fifteenth of the Airy disc's radius, for which kernels fit into memory."""
 
 _EVERY = 37
 """One of so many points of the pupil serves for the covariance."""
 
-_MOST_WAVES = 0.5
-"""Largest aberration, in waves of 633 nm root mean square, that is in the kernels instead of in the rays."""
+_SMALL, _MOST_WAVES, _SECOND = 1 / 14, 0.5, 6
+"""Aberrations, in waves of 633 nm root mean square: small ones are in the kernels alone, and those up to the largest
+with the polynomials of higher than second order, which follow the first six of Noll's."""
 
 
 @dataclass(frozen=True)
@@ -94,14 +99,18 @@ class PupilDiffraction:
 
     @cached_property
     def system(self) -> OpticalSystem:
-        """Optical system that refracts the rays, at the wavelength."""
-        return OpticalSystem(self.camera.replace(wavefront=()) if self._has_path else self.camera, self.wavelength)
+        """Optical system that refracts the rays, at the wavelength: without the aberrations of the kernels."""
+        by_rays = np.trim_zeros(np.subtract(self.camera.wavefront, self._in_kernels), "b")
+        return OpticalSystem(self.camera.replace(wavefront=tuple(by_rays.tolist())), self.wavelength)
 
-    @property
-    def _has_path(self) -> bool:
-        """Whether the kernels contain the aberrations."""
-        size = math.hypot(*self.camera.wavefront[1:])
-        return 0 < size <= _MOST_WAVES
+    @cached_property
+    def _in_kernels(self) -> NDArray[np.float64]:
+        """Coefficients of the aberrations that the kernels contain."""
+        every = np.array(self.camera.wavefront, float)
+        number = np.arange(1, len(every) + 1)
+        if self.is_coarse or np.linalg.norm(every[_SECOND:]) > _MOST_WAVES:
+            return np.zeros(len(every))
+        return np.where(number > (3 if np.linalg.norm(every[3:]) <= _SMALL else _SECOND), every, 0)
 
     @property
     def unit(self) -> float:
@@ -137,11 +146,10 @@ class PupilDiffraction:
         """Coordinates along the pupil over its radius, and its transmission, on a square around it."""
         along = (np.arange(_SAMPLES) + 0.5) * (2 / _SAMPLES) - 1
         y, x = np.meshgrid(along, along, indexing="ij")
-        waves: Any = 0.0
-        if self._has_path:
-            radius = self.camera.pupil_radius
-            lens: Any = OpticalSystem(self.camera, self.wavelength).lens
-            waves = lens.aberration((x * radius, y * radius), self.wavelength)
+        waves = 0.0
+        if self._in_kernels.any():
+            path = Wavefront(self._in_kernels, 1.0).path(x, y)
+            waves = path / in_millimetres(self.wavelength)
         return along, np.where(np.hypot(x, y) <= 1, np.exp(2j * np.pi * waves), 0)
 
     @cached_property
@@ -212,7 +220,10 @@ class PupilDiffraction:
         # The lowest frequencies, which the grid of pixels can represent.
         order = scipy.fft.ifftshift(np.arange(count) - count // 2)
         low = np.ix_(order, order)
-        ratio = np.stack([spectrum[low] for spectrum in spectra]) / known[0][low]
+        passed = known[0][low]
+        # Where hardly anything passes, noise would be amplified.
+        ratio = np.stack([spectrum[low] for spectrum in spectra]) * passed.conj()
+        ratio /= np.maximum(np.abs(passed) ** 2, _LEAST_PASSED * np.abs(passed))
         return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
 
     @single_threaded_blas()
