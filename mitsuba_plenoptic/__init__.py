@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from .views import decode, ground_truth
 
     __all__ = [
+        "Aperture",
         "Capture",
         "CaptureOperator",
         "Checkpoint",

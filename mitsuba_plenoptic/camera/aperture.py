@@ -252,4 +252,4 @@ def require_thin_alone(camera: Any) -> None:
     given = {name: value for name, value in named.items() if value is not None}
     refuse_if(len(given) > 1, "aperture_blades, aperture_image: give one of the two")
     for name, value in given.items():
-        refuse_if(camera.main_lens is not None, f"{name} = {value}: a main_lens has a round stop; leave one of them out")
+        refuse_if(camera.main_lens is not None, f"{name} = {value}: a main_lens has a round stop; leave one out")

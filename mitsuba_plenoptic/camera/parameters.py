@@ -112,7 +112,7 @@ class CoreParameters:
         takes="int or (int, float)",
         otherwise="a round aperture",
         shortest=lambda blades: blades and blades.to_plain(),
-        known_to=Captures.RAYS,
+        known_to=Captures.RAYS | Captures.SCENES,
         fit=require_thin_alone,
     )
     aperture_image: Parameter[Any, Aperture | None] = Parameter(
@@ -126,7 +126,7 @@ class CoreParameters:
         form=Form.PICTURE,
         otherwise="a round aperture",
         shortest=lambda image: image and image.to_plain(),
-        known_to=Captures.RAYS,
+        known_to=Captures.RAYS | Captures.SCENES,
         fit=require_thin_alone,
     )
     mla_distance: Parameter[float | None, float] = Parameter(

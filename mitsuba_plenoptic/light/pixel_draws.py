@@ -34,6 +34,7 @@ class PixelDraws(Draws):
         self.walk = PupilWalk(camera, self._plan.system.lens)
         self.by_points = False
         self.enlargements = [1.0]
+        self._points = camera.aperture.draws()
         self.order = 0 if self._plan.is_coarse else 2 * ORDER - 1
 
     @property
@@ -65,8 +66,9 @@ class PixelDraws(Draws):
         return np.zeros((self._parts**2, 2))
 
     def evenness(self, drawn: Drawn) -> Any:
-        """Return the area of the disc from which pupil points are drawn over that of the pupil."""
-        return dr.opaque(mi.Float, (self.walk.lens.reach / self._camera.pupil_radius) ** 2)
+        """Return the power through the disc from which pupil points are drawn over that through an open pupil."""
+        share = self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
+        return dr.opaque(mi.Float, share)
 
     def crossed(self, drawn: Drawn) -> Pair:
         """Return the lateral path of light between pupil and detector, and its depth."""
@@ -89,8 +91,8 @@ class PixelDraws(Draws):
             # Sums of two numbers with the density of a B-spline of order 2.
             aside = tuple((tent(a) + tent(b)) * self._step for a, b in zip(random[2:4], random[4:], strict=True))
         start = tuple(p + step for p, step in zip(aims.middle, aside, strict=True))
-        radius, (sine, cosine) = dr.sqrt(random[0]) * self.walk.lens.reach, dr.sincos(2 * math.pi * random[1])
-        pupil = radius * cosine, radius * sine
+        x, y = self._points(mi.Point2f(*random[:2]))
+        pupil = x * self.walk.lens.reach, y * self.walk.lens.reach
         inner = self.walk.inner(pupil, start)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
         chance = chances_of(pixel, seed ^ (sample << 4))
