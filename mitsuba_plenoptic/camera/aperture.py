@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import (
     FULL_TURN,
@@ -33,6 +34,9 @@ from ..runtime.backend import drjit_array, module_of, select
 from ..runtime.files import read_json_value
 
 _BLADES = 3, 64
+_CELLS, _POINTS = 512, 4
+"""Cells across a polygon where cells are asked for, and points across a cell."""
+
 _LARGEST = 512
 """Most rows and columns of a picture."""
 
@@ -53,6 +57,9 @@ class Opening(Protocol):
     def draws(self) -> Callable[[Any], tuple[Any, Any]]:
         """Return a function that makes points with the density of the power from uniform samples."""
 
+    def cells(self) -> NDArray[np.float64]:
+        """Return the power over cells (n, n) of the square around the pupil, each of which has about one value."""
+
 
 @dataclass(frozen=True)
 class Round:
@@ -72,6 +79,10 @@ class Round:
             return x, y
 
         return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return one open cell."""
+        return np.ones((1, 1))
 
 
 @dataclass(frozen=True)
@@ -106,6 +117,12 @@ class Blades:
             return x, y
 
         return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return the parts of small cells within the polygon."""
+        along = (np.arange(_CELLS * _POINTS) + 0.5) * (2 / (_CELLS * _POINTS)) - 1
+        inside = self.power(along + 0 * along[:, None], along[:, None] + 0 * along)
+        return np.asarray(inside.reshape(_CELLS, _POINTS, _CELLS, _POINTS).mean((1, 3)))
 
     def to_plain(self) -> int | tuple[int, float]:
         """Return the number of blades, with their angle if there is one."""
@@ -200,6 +217,10 @@ class Aperture:
             return x, y
 
         return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return the picture, which the circle cuts."""
+        return np.asarray(self.transmission)
 
     def to_plain(self) -> dict[str, Any]:
         """Return the picture as lists by name, for files and headers."""

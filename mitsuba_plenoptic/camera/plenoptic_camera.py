@@ -157,6 +157,13 @@ def require_ideal(camera: CameraGeometry, *, in_full: bool = False) -> None:
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
+def require_round(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera with blades or a picture in its aperture; `what` begins the rule."""
+    for name in ("aperture_blades", "aperture_image"):
+        value = getattr(camera, name)
+        refuse_if(value is not None, f"{name} = {value}: {what} through round apertures only; leave it out")
+
+
 def require_no_shape(camera: CameraGeometry, what: str) -> None:
     """Refuse a camera with shaped microlenses, for computations with parabolic ones; `what` begins the rule."""
     refuse_if(
