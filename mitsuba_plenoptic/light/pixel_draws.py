@@ -7,7 +7,6 @@ pixel, less a random displacement with the density of the point spread function.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -34,7 +33,7 @@ class PixelDraws(Draws):
         self.walk = PupilWalk(camera, self._plan.system.lens)
         self.by_points = False
         self.enlargements = [1.0]
-        self._points = camera.aperture.draws()
+        self._in_pupil = camera.aperture.draws()
         self.order = 0 if self._plan.is_coarse else 2 * ORDER - 1
 
     @property
@@ -91,7 +90,7 @@ class PixelDraws(Draws):
             # Sums of two numbers with the density of a B-spline of order 2.
             aside = tuple((tent(a) + tent(b)) * self._step for a, b in zip(random[2:4], random[4:], strict=True))
         start = tuple(p + step for p, step in zip(aims.middle, aside, strict=True))
-        x, y = self._points(mi.Point2f(*random[:2]))
+        x, y = self._in_pupil(mi.Point2f(*random[:2]))
         pupil = x * self.walk.lens.reach, y * self.walk.lens.reach
         inner = self.walk.inner(pupil, start)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2

@@ -15,10 +15,11 @@ whose points P have the density of the power, followed by one convolution for ea
 
 The first kernel is the point spread function in focus, which is therefore exact. Between open parts of a coded aperture
 :math:`K_p` has light of both signs, whose sum is 0, although t is 0 there: no ray passes, but the kernels contain this
-light, since both sides of the approximation have the same integrals with all the polynomials. Light from other distances varies with
-P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. Rays
-follow aberrations of first and second order, whose differences t then lacks; higher orders, and all small aberrations,
-are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without third differences.
+light, since both sides of the approximation have the same integrals with all the polynomials. Light from other
+distances varies with P; where it does so faster than the polynomials, defocus has already averaged out what diffraction
+would change. Rays follow aberrations of first and second order, whose differences t then lacks; higher orders, and all
+small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without
+third differences.
 
 As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
 sums of products of the transforms of t times powers.

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, film_numbers
+from ..camera.aperture import known_image
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
-from ..camera.aperture import known_image
 from ..camera.phase_screen import known_screen
 from ..errors import (
     NO_RECORD,
