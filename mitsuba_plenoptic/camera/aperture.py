@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -44,35 +44,21 @@ _DECIMALS = 4
 """Digits to which values of a picture are kept, as files hold them."""
 
 
-class Opening(Protocol):
-    """What round apertures, blades and pictures can be asked for."""
+@dataclass(frozen=True)
+class Round:
+    """A fully open pupil, with the methods of all apertures."""
 
     @property
     def share(self) -> float:
-        """Mean power that passes, over the disc of the pupil; parts beyond the disc count."""
+        """Mean power that passes, over the disc of the pupil."""
+        return 1.0
 
     def power(self, x: Any, y: Any) -> Any:
-        """Return the part of the power that passes at points over the pupil's radius, NumPy or Dr.Jit arrays."""
-
-    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
-        """Return a function that makes points with the density of the power from uniform samples."""
-
-    def cells(self) -> NDArray[np.float64]:
-        """Return the power over cells (n, n) of the square around the pupil, each of which has about one value."""
-
-
-@dataclass(frozen=True)
-class Round:
-    """A fully open pupil."""
-
-    share = 1.0
-
-    def power(self, x: Any, y: Any) -> Any:
-        """Return 1 within the circle."""
+        """Return the part of the power that passes at points over the pupil's radius: 1 within the circle."""
         return select(x * x + y * y <= 1, 1.0, 0.0)
 
     def draws(self) -> Callable[[Any], tuple[Any, Any]]:
-        """Return a map from the unit square to the disc."""
+        """Return a function that makes points, with the density of the power, from points of the unit square."""
 
         def drawn(sample: Any) -> tuple[Any, Any]:
             x, y = mi.warp.square_to_uniform_disk(sample)
@@ -81,7 +67,7 @@ class Round:
         return drawn
 
     def cells(self) -> NDArray[np.float64]:
-        """Return one open cell."""
+        """Return the power over cells (n, n) of the square around the pupil, each of which has about one value."""
         return np.ones((1, 1))
 
 
@@ -233,7 +219,12 @@ class Aperture:
         return hash(self.transmission.tobytes())
 
     def __repr__(self) -> str:
-        return "Aperture({} x {} values)".format(*self.transmission.shape)
+        rows, columns = self.transmission.shape
+        return f"Aperture({rows} x {columns} values)"
+
+
+Opening = Round | Blades | Aperture
+"""What passes light: each has its `share`, `power`, `draws` and `cells`."""
 
 
 def known_blades(name: str, value: Any) -> Blades | None:

@@ -105,8 +105,9 @@ class CoreParameters:
         words=(
             "Number of blades, 3 to 64, of a thin main lens's aperture: a regular polygon in the circle of "
             "`aperture_radius`; a second number is the angle in degrees, from +x to +y of the camera frame, of one of "
-            "its corners. The exposure falls with the area: a scene of radiance 1 reads the open part of the circle, "
-            "of its light through a whole micro-image if there are microlenses."
+            "its corners. The exposure falls with the area: a scene of radiance 1 reads the open part of the circle; "
+            "behind microlenses, closed parts of micro-images are dark. For rays, waves of scenes without microlenses, "
+            "waves of points, decoding and method ``ray``."
         ),
         form=Form.SEVERAL,
         takes="int or (int, float)",
@@ -121,7 +122,7 @@ class CoreParameters:
         words=(
             "Picture in a thin main lens's aperture, see `Aperture`: values from 0 to 1, by which the power of the "
             "light is multiplied, over the square around the circle of `aperture_radius`; as a file, as JSON text or a "
-            "JSON file of its parameter, in Python also as an array. The exposure falls as with `aperture_blades`."
+            "JSON file of its parameter, in Python also as an array. Exposure and captures are as for `aperture_blades`."
         ),
         form=Form.PICTURE,
         otherwise="a round aperture",

@@ -276,7 +276,7 @@ class PupilDiffraction:
 
 def _along(count: int) -> NDArray[np.float64]:
     """Return the middles of `count` samples across the pupil, over its radius."""
-    return (np.arange(count) + 0.5) * (2 / count) - 1
+    return np.linspace(1 / count - 1, 1 - 1 / count, count)
 
 
 def _means(fine: NDArray[np.float64]) -> NDArray[np.float64]:
