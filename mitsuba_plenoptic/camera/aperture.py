@@ -34,6 +34,8 @@ from ..runtime.backend import drjit_array, module_of, select
 from ..runtime.files import read_json_value
 
 _BLADES = 3, 64
+"""Fewest and most blades."""
+
 _CELLS, _POINTS = 512, 4
 """Cells across a polygon where cells are asked for, and points across a cell."""
 

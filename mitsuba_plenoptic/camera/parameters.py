@@ -122,7 +122,7 @@ class CoreParameters:
         words=(
             "Picture in a thin main lens's aperture, see `Aperture`: values from 0 to 1, by which the power of the "
             "light is multiplied, over the square around the circle of `aperture_radius`; as a file, as JSON text or a "
-            "JSON file of its parameter, in Python also as an array. Exposure and captures are as for `aperture_blades`."
+            "JSON file of its parameter, in Python also as an array. Exposure and captures are as by `aperture_blades`."
         ),
         form=Form.PICTURE,
         otherwise="a round aperture",
