@@ -53,6 +53,12 @@ def code(x, y):
 MASKS = {"hexagon": polygon(6, 15.0), "square": polygon(4, 0.0), "coded": code}
 
 
+def open_part(name):
+    """Mean of a mask over the circle."""
+    mask, along = masked(name, 1008)
+    return mask.sum() / np.count_nonzero(np.hypot(along, along[:, None]) <= 1)
+
+
 def masked(name, count):
     """A mask on a grid of samples of the square around the pupil, and their coordinates over its radius."""
     along = (np.arange(count) + 0.5) * 2 / count - 1
@@ -130,11 +136,10 @@ def test_bad_apertures_are_refused_in_one_line(given, message):
 
 @pytest.mark.parametrize("name", APERTURES)
 def test_a_white_scene_reads_the_open_part_of_the_circle(name):
-    mask, along = masked(name, 1008)
-    part = mask.sum() / np.count_nonzero(np.hypot(along, along[:, None]) <= 1)
+    part = open_part(name)
     image = render_capture(scene_of(ordinary(**APERTURES[name]).to_sensor(), **WHITE), spp=16).image
     assert image.mean() == pytest.approx(part, rel=0.002) and image.std() < 0.01 * part
-    # Behind microlenses it is the mean over the pupil seen from all pixels, and the light of all of them that falls.
+    # Behind microlenses the sum over all pixels has this part.
     round_ = render_capture(scene_of(plenoptic().to_sensor(), **WHITE), spp=64).image
     other = render_capture(scene_of(plenoptic(**APERTURES[name]).to_sensor(), **WHITE), spp=64).image
     assert other.sum() / round_.sum() == pytest.approx(part, rel=0.01)
@@ -155,7 +160,10 @@ def by_hand(camera, distance, half, centre, name, count=420):
 
 @pytest.mark.parametrize("distance", [200.0, 600.0], ids=["near", "far"])
 def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
-    """Behind the plane in focus light has crossed, and the camera frame's +x is where pixels' columns rise."""
+    """Light of a near lamp lands on the side of the axis where it passes the pupil; that of a far one has crossed it.
+
+    Columns of a capture rise with x of the camera frame on the detector, and rows with y.
+    """
     camera = ordinary(aperture_image=CODE, detector_width=4.0, resolution=(60, 40))
     lamp = {"lamp": facing(distance, distance / 200, (distance / 120, 0.0), **radiating())}
     image = render_capture(scene_of(camera.to_sensor(), **lamp), spp=2048).image
@@ -165,7 +173,7 @@ def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
     for other in (CODE[::-1], CODE[:, ::-1], CODE.T, CODE[::-1, ::-1]):
         wrong = render_capture(scene_of(camera.replace(aperture_image=other).to_sensor(), **lamp), spp=64).image
         assert difference(wrong, expected) > 0.3
-    # Only the cell at +x is open: nearer than the focus its light stays on the side that it passes, inverted by none.
+    # Only the cell at +x is open.
     side = np.zeros((5, 5))
     side[2, 4] = 1
     lit = render_capture(scene_of(camera.replace(aperture_image=side).to_sensor(), **lamp), spp=64).image
@@ -264,12 +272,11 @@ def diffracting(name, size, airy=1.0):
 
 
 def wavefield(name, unit, along, blur, samples=1008):
-    """|Fourier transform|^2 of the mask at detector places, with a blur of so many units, and the power through it."""
+    """|Fourier transform|^2 of the mask, of unit sum over the whole detector, with a blur of so many units."""
     mask, pupil = masked(name, samples)
     square = pupil**2 + pupil[:, None] ** 2
     field = np.sqrt(mask) * np.exp(-1j * np.pi * blur * square)
     waves = np.exp(-2j * np.pi * np.outer(along / unit, pupil))
-    # Of unit sum over the detector, if the light were not more than the power through the mask.
     step = (along[1] - along[0]) / unit
     return np.abs(waves @ field @ waves.T) ** 2 * step**2 * (2 / samples) ** 4 / (mask.mean() * 4)
 
@@ -282,10 +289,7 @@ def expected_of(name, camera, unit, picture, fine, blur):
     # What is beyond has no structure.
     spread += (1 - spread.sum()) / spread.size
     whole = fftconvolve(picture, spread, mode="same")[reach : reach + size * fine, reach : reach + size * fine]
-    mask, along = masked(name, 1008)
-    return (
-        whole.reshape(size, fine, size, fine).mean((1, 3)) * mask.sum() / (np.hypot(along, along[:, None]) <= 1).sum()
-    )
+    return whole.reshape(size, fine, size, fine).mean((1, 3)) * open_part(name)
 
 
 def by_waves(scene, spp):
@@ -343,7 +347,6 @@ def test_walls_are_sums_over_the_mask(name, blur, limit):
 @pytest.mark.parametrize("name", ["hexagon", "coded"])
 def test_a_white_scene_by_waves_reads_the_open_part(name):
     camera, _ = diffracting(name, 12)
-    mask, along = masked(name, 1008)
-    part = mask.sum() / np.count_nonzero(np.hypot(along, along[:, None]) <= 1)
+    part = open_part(name)
     found = by_waves(scene_of(camera.to_sensor(), **WHITE), 16)
     assert found.mean() == pytest.approx(part, rel=0.002) and found.std() < 0.002
