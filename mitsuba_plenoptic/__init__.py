@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from . import design as design
     from . import shipped
     from .camera import PlenopticCamera
+    from .camera.aperture import Aperture
     from .camera.phase_screen import PhaseScreen, frozen_flow
     from .errors import InputError
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from .views import decode, ground_truth
 
     __all__ = [
+        "Aperture",
         "Capture",
         "CaptureOperator",
         "Checkpoint",

@@ -17,6 +17,7 @@ ROOT = __name__.rpartition(".")[0]
 # Public names of the core by their modules, which are imported when a name is first asked for.
 _NAMES = {
     "camera": ("PlenopticCamera",),
+    "camera.aperture": ("Aperture",),
     "light.render_capture": ("estimate_capture", "render_capture"),
     "light.scene": ("load_scene",),
     "scene_files": ("scene_path",),

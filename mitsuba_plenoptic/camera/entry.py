@@ -27,6 +27,7 @@ class Form(Enum):
     GLASS = "Glass, str, float or dict", "|string| or |float|"
     SHAPE = "MicrolensShape, path or dict", "|string|"
     SCREEN = "PhaseScreen, path or dict", "|string|"
+    PICTURE = "Aperture, array, path or dict", "|string|"
 
 
 class Captures(Flag):

@@ -11,6 +11,7 @@ from ..lattice import NO_LATTICE, Lattice, make_lattice
 from ..prescription import Prescription
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
+from .aperture import Opening, Round
 from .entry import record
 from .parameters import CameraParameters
 
@@ -57,6 +58,11 @@ class CameraGeometry(CameraParameters):
     def aperture_diameter(self) -> float:
         """Diameter :math:`D_1` of the main lens in millimetres."""
         return 2 * self.aperture_radius
+
+    @property
+    def aperture(self) -> Opening:
+        """The aperture over the pupil's radius: blades, a picture, or a disc."""
+        return self.aperture_blades or self.aperture_image or Round()
 
     @property
     def f_number(self) -> float:

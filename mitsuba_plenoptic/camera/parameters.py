@@ -39,6 +39,7 @@ from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import LensData
 from ..prescription.lens_file import lens_from_plain, read_lens
+from .aperture import Aperture, Blades, known_blades, known_image, require_thin_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .phase_screen import PhaseScreen, known_screen
 
@@ -97,6 +98,37 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.POINTS,
         in_first_files=True,
+    )
+    aperture_blades: Parameter[int | Sequence[float] | Blades | None, Blades | None] = Parameter(
+        default=None,
+        check=known_blades,
+        words=(
+            "Number of blades, 3 to 64, of a thin main lens's aperture: a regular polygon in the circle of "
+            "`aperture_radius`; a second number is the angle in degrees, from +x to +y of the camera frame, of one of "
+            "its corners. The exposure falls with the area: a scene of radiance 1 reads the open part of the circle; "
+            "behind microlenses, closed parts of micro-images are dark. For rays, waves of scenes without microlenses, "
+            "waves of points, decoding and method ``ray``."
+        ),
+        form=Form.SEVERAL,
+        takes="int or (int, float)",
+        otherwise="a round aperture",
+        shortest=lambda blades: blades and blades.to_plain(),
+        known_to=Captures.RAYS | Captures.SCENES,
+        fit=require_thin_alone,
+    )
+    aperture_image: Parameter[Any, Aperture | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_image(value),
+        words=(
+            "Picture in a thin main lens's aperture, see `Aperture`: values from 0 to 1, by which the power of the "
+            "light is multiplied, over the square around the circle of `aperture_radius`; as a file, as JSON text or a "
+            "JSON file of its parameter, in Python also as an array. Exposure and captures are as by `aperture_blades`."
+        ),
+        form=Form.PICTURE,
+        otherwise="a round aperture",
+        shortest=lambda image: image and image.to_plain(),
+        known_to=Captures.RAYS | Captures.SCENES,
+        fit=require_thin_alone,
     )
     mla_distance: Parameter[float | None, float] = Parameter(
         default=None,

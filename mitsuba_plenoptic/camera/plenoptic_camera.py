@@ -155,6 +155,13 @@ def require_ideal(camera: CameraGeometry, *, in_full: bool = False) -> None:
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
+def require_round(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera with blades or a picture in its aperture; `what` begins the rule."""
+    for name in ("aperture_blades", "aperture_image"):
+        value = getattr(camera, name)
+        refuse_if(value is not None, f"{name} = {value}: {what} through round apertures only; leave it out")
+
+
 def require_no_shape(camera: CameraGeometry, what: str) -> None:
     """Refuse a camera with shaped microlenses, for computations with parabolic ones; `what` begins the rule."""
     refuse_if(
@@ -449,9 +456,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     def __repr__(self) -> str:
         values = self.to_dict()
-        if self.phase_screen is not None:
-            # Its samples are too many to be read.
-            values["phase_screen"] = self.phase_screen
+        for name in ("phase_screen", "aperture_image"):
+            # Samples are too many to be read.
+            values |= {name: getattr(self, name)} if name in values else {}
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in values.items())})"
 
     def replace(self, **changes: Any) -> PlenopticCamera:

@@ -7,7 +7,6 @@ pixel, less a random displacement with the density of the point spread function.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -34,6 +33,7 @@ class PixelDraws(DetectorGrid):
         self.walk = PupilWalk(camera, self._plan.system.lens)
         self.by_points = False
         self.enlargements = [1.0]
+        self._in_pupil = camera.aperture.draws()
         self.order = 0 if self._plan.is_coarse else 2 * ORDER - 1
 
     @property
@@ -65,8 +65,9 @@ class PixelDraws(DetectorGrid):
         return np.zeros((self._parts**2, 2))
 
     def evenness(self, drawn: Drawn) -> Any:
-        """Return the area of the disc from which pupil points are drawn over that of the pupil."""
-        return dr.opaque(mi.Float, (self.walk.lens.reach / self._camera.pupil_radius) ** 2)
+        """Return the power through the disc from which pupil points are drawn over that through an open pupil."""
+        share = self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
+        return dr.opaque(mi.Float, share)
 
     def crossed(self, drawn: Drawn) -> Pair:
         """Return the lateral path of light between pupil and detector, and its depth."""
@@ -89,8 +90,8 @@ class PixelDraws(DetectorGrid):
             # Sums of two numbers with the density of a B-spline of order 2.
             aside = tuple((tent(a) + tent(b)) * self._step for a, b in zip(random[2:4], random[4:], strict=True))
         start = tuple(p + step for p, step in zip(aims.middle, aside, strict=True))
-        radius, (sine, cosine) = dr.sqrt(random[0]) * self.walk.lens.reach, dr.sincos(2 * math.pi * random[1])
-        pupil = radius * cosine, radius * sine
+        x, y = self._in_pupil(mi.Point2f(*random[:2]))
+        pupil = x * self.walk.lens.reach, y * self.walk.lens.reach
         inner = self.walk.inner(pupil, start)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
         if self.walk.lens.round_map is not None:

@@ -7,15 +7,19 @@ signed density
           e^{-2 \pi i \eta \cdot x / \lambda b}\, d^2\eta ,
 
 where t is the transmission of the pupil, aberrations included (`phase_space`). With polynomials :math:`a_n` that are
-orthonormal over the pupil, the first of which is 1, :math:`K_p(P, x) \approx \sum_n a_n(P)\, \varphi_n(x)`, and a
-capture is a ray capture of a few values per ray followed by one convolution for each,
+orthonormal over the pupil with the power :math:`|t|^2` as weight, the first of which is 1,
+:math:`K_p(P, x) \approx |t(P)|^2 \sum_n a_n(P)\, \varphi_n(x)`, and a capture is a ray capture of a few values per ray,
+whose points P have the density of the power, followed by one convolution for each,
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, a_n(P), \qquad \varphi_n(x) = \int a_n(P)\, K_p(P, x)\, d^2P .
 
-The first kernel is the point spread function in focus, which is therefore exact. Light from other distances varies with
-P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. Rays
-follow aberrations of first and second order, whose differences t then lacks; higher orders, and all small aberrations,
-are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without third differences.
+The first kernel is the point spread function in focus, which is therefore exact. Between open parts of a coded aperture
+:math:`K_p` has light of both signs, whose sum is 0, although t is 0 there: no ray passes, but the kernels contain this
+light, since both sides of the approximation have the same integrals with all the polynomials. Light from other
+distances varies with P; where it does so faster than the polynomials, defocus has already averaged out what diffraction
+would change. Rays follow aberrations of first and second order, whose differences t then lacks; higher orders, and all
+small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without
+third differences.
 
 As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
 sums of products of the transforms of t times powers.
@@ -23,6 +27,7 @@ sums of products of the transforms of t times powers.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
@@ -47,8 +52,11 @@ from .optical_system import OpticalSystem
 _DEGREES = 6, 10
 """Degrees of the polynomials over the pupil, of usual and of finer plans."""
 
-_SAMPLES = 256
-"""Samples of the transmission across the pupil."""
+_SAMPLES, _FINER = 256, 8
+"""Samples of the transmission across the pupil, and points across a sample of which it is the mean."""
+
+_STEEPEST = 1e5
+"""Largest condition number of the polynomials' coefficients, which rays evaluate in single precision."""
 
 _REACH, _COARSE_REACH = 24.0, 12.0
 """Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
@@ -144,32 +152,45 @@ class PupilDiffraction:
     @cached_property
     def _pupil(self) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
         """Coordinates along the pupil over its radius, and its transmission, on a square around it."""
-        along = (np.arange(_SAMPLES, dtype=np.float64) + 0.5) * (2 / _SAMPLES) - 1
+        along = _along(_SAMPLES)
         y, x = np.meshgrid(along, along, indexing="ij")
         waves = 0.0
         if self._in_kernels.any():
             path = Wavefront(self._in_kernels, 1.0).path(x, y)
             waves = path / in_millimetres(self.wavelength)
-        return along, np.where(np.hypot(x, y) <= 1, np.exp(2j * np.pi * waves), 0).astype(np.complex128)
+        return along, _means(np.sqrt(self._fine_power)) * np.exp(2j * np.pi * waves)
+
+    @cached_property
+    def _fine_power(self) -> NDArray[np.float64]:
+        """Power that passes the pupil at points of a grid that divides the samples."""
+        along = _along(_SAMPLES * _FINER)
+        return np.asarray(self.camera.aperture.power(along + 0 * along[:, None], along[:, None] + 0 * along))
 
     @cached_property
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
-        """Polynomials of a ray's pupil point over the pupil's radius."""
-        u, v = self._inside
-        return LensFunctions.polynomials(u, v, _DEGREES[self.fine], 1.0)
+        """Polynomials of a ray's pupil point over the pupil's radius, fewer where little of the pupil is open."""
+        for degree in range(_DEGREES[self.fine], 0, -1):
+            with contextlib.suppress(np.linalg.LinAlgError):
+                found = LensFunctions.polynomials(*self._inside, degree, 1.0)
+                if np.linalg.cond(found.triangle) < _STEEPEST:
+                    return found
+        return LensFunctions.polynomials(*self._inside, 0, 1.0)
 
     @property
     def _inside(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coordinates of the points of the pupil over its radius."""
-        along, transmission = self._pupil
-        v, u = (each[transmission != 0] for each in np.meshgrid(along, along, indexing="ij"))
-        return u, v
+        """Coordinates over the pupil's radius of points that have the density of the power."""
+        power = _means(self._fine_power)
+        # As many as there are samples of the power, some of them several times.
+        upto = np.cumsum(power) / power.max()
+        place = np.searchsorted(upto, np.arange(math.floor(upto[-1])) + 0.5)
+        row, column = np.divmod(place, _SAMPLES)
+        return _along(_SAMPLES)[column], _along(_SAMPLES)[row]
 
     @property
     def degree(self) -> int:
         """Degree of the polynomials."""
-        return _DEGREES[self.fine]
+        return max(map(sum, self.functions.exponents))
 
     @property
     def oblique(self) -> Oblique:
@@ -246,11 +267,21 @@ class PupilDiffraction:
                 both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
             products.append(both)
         spacing = 2 / _SAMPLES
-        power = (np.abs(self._pupil[1]) ** 2).sum() * spacing**2
+        power = self._fine_power.mean() * 4
         kernels = np.einsum("mn,myx->nyx", self.functions.combined, products) * (spacing**4 * step**2 / power)
         # What is beyond is spread evenly, which conserves the energy.
         beyond = np.eye(len(kernels))[0] - kernels.sum((1, 2))
         return kernels + (beyond / (2 * count + 1) ** 2)[:, None, None]
+
+
+def _along(count: int) -> NDArray[np.float64]:
+    """Return the middles of `count` samples across the pupil, over its radius."""
+    return np.linspace(1 / count - 1, 1 - 1 / count, count)
+
+
+def _means(fine: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the means over the samples of the pupil of values on the grid that divides them."""
+    return np.asarray(fine.reshape(_SAMPLES, _FINER, _SAMPLES, _FINER).mean((1, 3)))
 
 
 @functools.lru_cache(maxsize=16)

@@ -51,11 +51,13 @@ def _read(path: Path) -> Any:
     if ending == ".npy":
         with refusing(f"{path}: it is no NPY file of numbers", OSError, *NO_ARRAY):
             return np.load(path, allow_pickle=False)
-    if ending == ".exr":
+    if ending in (".exr", ".png"):
         import mitsuba as mi
 
         with refusing(f"{path}: it cannot be read as an image", RuntimeError):
-            image = np.array(mi.Bitmap(str(path)))
+            bitmap = mi.Bitmap(str(path))
+            bitmap.set_srgb_gamma(False)
+            image = np.array(bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.Float32, srgb_gamma=False))
         channels = 1 if image.ndim == 2 else image.shape[2]
         refuse_if(channels > 1, f"{path}: it has {channels} channels; it must have one")
         return image.reshape(image.shape[:2])
@@ -63,7 +65,7 @@ def _read(path: Path) -> Any:
         fits = require_module("astropy.io.fits", f"{path}: FITS needs a package: pip install 'mitsuba-plenoptic[ao]'")
         with refusing(f"{path}: it is no FITS file with an image", OSError, *NO_ARRAY):
             return fits.getdata(path)
-    raise InputError(f"{path}: it must be an .npy, .exr or .fits file")
+    raise InputError(f"{path}: it must be an .npy, .exr, .png or .fits file")
 
 
 class SampledGrid:

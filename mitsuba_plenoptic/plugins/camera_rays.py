@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..design.quantities import (
     SECTORS,
     cosine_limits,
@@ -173,7 +174,8 @@ class OrdinaryRays:
     lens: MainLens
     # Dispersion of the glasses, if the paths of rays depend on colour.
     dispersion: Dispersion | None
-    # Radius of the disc that the points are drawn from, and its area over that of the exit pupil.
+    # Map from samples to points over a radius, the radius, and the power that passes them over that of the round pupil.
+    draws: Callable[[Any], Pair]
     reach: Any
     share: Any
 
@@ -181,9 +183,14 @@ class OrdinaryRays:
     def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> OrdinaryRays:
         """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
         plain = main_lens(camera)
-        reach = plain.reach
-        disc = dr.opaque(mi.Float, reach), dr.opaque(mi.Float, (reach / plain.pupil_radius) ** 2)
-        return cls(_varying_lens(camera, numbers), Dispersion.of(camera), *disc)
+        reach, share = plain.reach, camera.aperture.share * (plain.reach / plain.pupil_radius) ** 2
+        made = camera.aperture.draws(), dr.opaque(mi.Float, reach), dr.opaque(mi.Float, share)
+        return cls(_varying_lens(camera, numbers), Dispersion.of(camera), *made)
+
+    def pupil_points(self, sample: Any) -> Pair:
+        """Return points of the pupil, with the density of the power that passes them."""
+        x, y = self.draws(sample)
+        return self.reach * x, self.reach * y
 
     def trace(self, pixel: Pair, pupil: Pair) -> Traced:
         """Return traced rays from detector points through points of the pupil."""
@@ -225,6 +232,11 @@ class CameraRays(Walk):
             camera.mla_medium,
             Dispersion.of(camera),
         )
+
+    def passed(self, point: tuple[Any, Any, Any]) -> Any:
+        """Return the part of the power that passes an aperture that is not round, in which rays start."""
+        x, y = (place / self.lens.pupil_radius for place in point[:2])
+        return 1.0 if self.camera.aperture == Round() else self.camera.aperture.power(x, y)
 
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
         """Return the changes of slope and place, at the array, of rays from a step beside through a lens point."""

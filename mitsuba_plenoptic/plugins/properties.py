@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, film_numbers
+from ..camera.aperture import known_image
 from ..camera.entry import Form
 from ..camera.parameters import PARAMETERS
 from ..camera.phase_screen import known_screen
@@ -110,6 +111,7 @@ _TEXTS: dict[Form, tuple[Callable[..., Any], str]] = {
     Form.LENS: (read_lens, "a file or a bundled lens"),
     Form.SHAPE: (known_shape, "a JSON file, or its content"),
     Form.SCREEN: (known_screen, "a JSON file, or its content"),
+    Form.PICTURE: (known_image, "a picture, or JSON"),
 }
 """Readers of values that are given as files or their texts, and what these are."""
 

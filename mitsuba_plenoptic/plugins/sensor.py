@@ -253,7 +253,7 @@ def make_class() -> type:
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
             if not self._given.has_array:
-                passage = tuple(rays.reach * mi.warp.square_to_uniform_disk(lens_sample))
+                passage = rays.pupil_points(lens_sample)
                 point, slope, open_ = rays.trace((px, py), passage)
                 weight = weight * rays.share
             elif self._table is not None:
@@ -273,6 +273,8 @@ def make_class() -> type:
                     mx, my = passage.point
                     weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
                 weight = weight * (tried * rays.out_of_array((px, py), passage)[1])
+            if self._given.has_array:
+                weight = weight * rays.passed(point)
             open_ &= active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.

@@ -112,7 +112,9 @@ class CaptureOperator(CoherentPoints):
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         camera = regular_array(camera)
-        require_ideal(camera, in_full=method == "full_field")
+        # An aperture that is not round is the power of every point's light over the pupil.
+        open_ = camera.replace(aperture_blades=None, aperture_image=None)
+        require_ideal(open_, in_full=method == "full_field")
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
@@ -126,6 +128,9 @@ class CaptureOperator(CoherentPoints):
         )
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
+        if camera != open_:
+            refuse_if(pupil_weights is not None, "pupil_weights: points through blades or a picture take none")
+            self._pupil_weights, system = PupilWeights.through(camera.aperture, len(self.points)), None
         if system is not None:
             bound = system.wavelength
             refuse_if(
@@ -134,7 +139,7 @@ class CaptureOperator(CoherentPoints):
             )
         systems = {} if system is None else {system.wavelength: system}
         planned_for = self.points, self._pupil_weights, self._accuracy
-        self._plans = WavelengthPlans(PLANS[method], camera, *planned_for, systems)
+        self._plans = WavelengthPlans(PLANS[method], open_, *planned_for, systems)
         self._differentials: Differentials | None = None
 
     @cached_property
@@ -146,6 +151,7 @@ class CaptureOperator(CoherentPoints):
             self.spectrum is not None and self.spectrum.matrix().tolist() != [[1]],
             "spectrum: a coherent field has no channels and no response; give the wavelength",
         )
+        require_ideal(self.camera, in_full=True)
         refuse_if(self._pupil_weights is not None, "pupil_weights: coherent fields take none")
         return CoherentFields(self._plans.system_at(wavelengths[0]), self.points)
 
@@ -343,6 +349,7 @@ class CaptureOperator(CoherentPoints):
         """Return the derivatives of the sums; refuse methods without derivatives."""
         refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
+        require_ideal(self.camera)
         require_no_shape(self.camera, "derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:

@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera.aperture import Opening
 from ..errors import refuse_if
 from ..runtime.backend import drjit_array
 
@@ -60,6 +61,12 @@ class PupilWeights:
             return cls.from_bits(np.packbits(values.reshape(count, -1), axis=1), shape[1])
         table, index = np.unique(values.astype(np.float32).reshape(count, -1), axis=0, return_inverse=True)
         return cls(table.reshape(-1, *shape[1:]), index.reshape(-1), np.zeros((count, 2)))
+
+    @classmethod
+    def through(cls, aperture: Opening, count: int) -> PupilWeights:
+        """Return the pupil weights of `count` points through an aperture, the same for all of them."""
+        table = aperture.cells().astype(np.float32)[None]
+        return cls(table, np.zeros(count, np.int64), np.zeros((count, 2)))
 
     @classmethod
     def from_bits(cls, bits: NDArray[np.uint8], cells: int) -> PupilWeights:

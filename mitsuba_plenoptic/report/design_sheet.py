@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from .. import design
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..errors import InputError
 from ..prescription import Prescription, paraxial
 from ..prescription.collimator import Collimator
@@ -92,6 +93,8 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
     for name, glass in (("glass", camera.glass), ("glass of the microlenses", camera.mla_glass)):
         if glass is not None:
             rows.append((name, glass.name or glass.form, "", "focal lengths are those at 587.56 nm"))
+    if camera.aperture != Round():
+        rows.append(("open part of the aperture", f"{camera.aperture.share:.3g}", "", "of its circle"))
     rows.append(("lens model", camera.lens_model, "", ""))
     if any(camera.distortion):
         rows.append(("distortion", ", ".join(map(_four, camera.distortion)), "", "k1, k2, k3, p1, p2; by rays only"))

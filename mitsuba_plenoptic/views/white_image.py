@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, are_alike
+from ..camera.aperture import Opening, Round
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
@@ -34,6 +35,9 @@ MINIMUM_WEIGHT = 0.1
 # Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
 _SAMPLES = 16
 _WIDEST = 4096
+
+# Points across a step of the table of a pupil that is not round.
+_FINER = 8
 
 # Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
 _POINTS = 8
@@ -65,16 +69,19 @@ class PupilFraction:
         self._step = camera.pupil_step / samples
         lens = camera.lattice.aperture_image(self._step, smear)
         half = math.ceil(camera.aperture_radius / self._step + samples) + lens.shape[0] // 2
-        axis = np.arange(-half, half + 1) / samples
-        disc = _square_in_disc(axis, axis[:, None], camera.aperture_radius / camera.pupil_step)
-        fraction = blur(disc, lens)
+        axis, radius = np.arange(-half, half + 1) / samples, camera.aperture_radius / camera.pupil_step
+        if camera.aperture == Round():
+            pupil = _square_in_disc(axis, axis[:, None], radius)
+        else:
+            pupil = _square_in_aperture(half, samples, camera.aperture, radius)
+        fraction = blur(pupil, lens)
         # The rounding of the transform is not light.
         self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
         self._half = half
         self.reach = half * self._step
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the fraction for pixels that see (x, y) of the pupil plane through their lens's centre."""
+        """Return the fraction for pixels that see (-x, -y) of the pupil plane through their lens's centre."""
         x, y = (np.asarray(axis) / self._step + self._half for axis in (x, y))
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
@@ -83,6 +90,18 @@ class PupilFraction:
         index = row * size + column
         low = table[index] * (1 - fx) + table[index + 1] * fx
         return low * (1 - fy) + (table[index + size] * (1 - fx) + table[index + size + 1] * fx) * fy
+
+
+def _square_in_aperture(half: int, samples: int, aperture: Opening, radius: float) -> np.ndarray:
+    """Return the mean power over the pixel around each step (-x, -y) of `_table`, for a pupil of a radius in pixels."""
+    finer = 2 * max(1, min(_FINER, _WIDEST // (2 * half + samples)) // 2)
+    place = ((np.arange((2 * half + samples) * finer) + 0.5) / finer - half) / samples - 0.5
+    means = aperture.power(*np.broadcast_arrays(-place / radius, -place[:, None] / radius))
+    for axis in (0, 1):
+        upto = np.insert(np.cumsum(means, axis), 0, 0, axis)
+        first = np.arange(2 * half + 1) * finer
+        means = (upto.take(first + samples * finer, axis) - upto.take(first, axis)) / (samples * finer)
+    return np.asarray(means)
 
 
 def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:

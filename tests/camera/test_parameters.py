@@ -57,13 +57,15 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
-        known |= {"PhaseScreen", "Collimator"}
+        known |= {"PhaseScreen", "Collimator", "Aperture"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
 OTHER = {
     "focal_length": 70.3,
     "aperture_radius": 4.1,
+    "aperture_blades": (6, 15.5),
+    "aperture_image": {"transmission": [[0.0, 0.25], [1.0, 0.3333]]},
     "mla_distance": 130.7,
     "focus_distance": 300.9,
     "mla_focal_length": 0.5123,

@@ -356,7 +356,7 @@ class TestScenes:
                 assert not output.exists()
 
 
-@pytest.mark.parametrize("parameter", ["phase_screen", "mla_shape"])
+@pytest.mark.parametrize("parameter", ["phase_screen", "mla_shape", "aperture_image"])
 def test_values_that_are_not_text_get_one_line(parameter, tmp_path):
     path = tmp_path / "value.json"
     path.write_bytes(b"\xff\xfe\x00{")

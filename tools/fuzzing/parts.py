@@ -114,8 +114,9 @@ _EDGES = (-(2**31), -(10**9), -64, -1, 0, 1, 7, 8, 31, 62, 64, 127, 4095, 65535,
 _ATTRIBUTES = ("channels", "compression", "dataWindow", "displayWindow", "lineOrder", "mitsuba_plenoptic")
 # As `texts` has them, which needs the package.
 _TEXTS = (
-    "camera.json", "lens.yaml", "lens.json", "design.zmx", "design.seq", "screen.json", "shape.json", "response.json",
-    "responses.csv", "centres.csv", "centres.json", "recipe.yaml", "varied.yaml", "dataset.json", "checksums.sha256",
+    "camera.json", "lens.yaml", "lens.json", "design.zmx", "design.seq", "screen.json", "aperture.json", "shape.json",
+    "response.json", "responses.csv", "centres.csv", "centres.json", "recipe.yaml", "varied.yaml", "dataset.json",
+    "checksums.sha256",
 )  # fmt: skip
 
 PARTS: dict[str, Code] = {

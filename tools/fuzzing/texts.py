@@ -11,6 +11,7 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import read_camera
+from mitsuba_plenoptic.camera.aperture import known_image
 from mitsuba_plenoptic.camera.phase_screen import known_screen
 from mitsuba_plenoptic.dataset import read_recipe
 from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
@@ -116,6 +117,7 @@ TEXTS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "design.zmx": (ZEMAX, read_prescription),
     "design.seq": (CODEV, read_prescription),
     "screen.json": (json.dumps({"waves": [[0, 0.1, 0, 0.2]] * 4, "width": 10}), known_screen),
+    "aperture.json": (json.dumps({"transmission": [[0, 0.5], [1, 0.25]]}), known_image),
     "shape.json": (json.dumps({"form": "conic", "curvature_radius": 0.26, "conic": 0}), known_shape),
     "response.json": (json.dumps(RESPONSE), lambda path: known_response("pixel_response", path)),
     "responses.csv": ("# nm, response\n400, 0.2\n500, 0.9\n600, 0.4\n", read_responses),

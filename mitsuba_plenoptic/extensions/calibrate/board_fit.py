@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...camera import PlenopticCamera, require_camera
-from ...camera.plenoptic_camera import require_no_shape
+from ...camera.plenoptic_camera import require_no_shape, require_round
 from ...errors import InputError, naming, refuse_if, suggest_keywords
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
@@ -85,6 +85,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     require_camera(start, "start").require_array("calibrate")
     start.require_thin("cameras are calibrated")
     require_no_shape(start, "cameras are calibrated")
+    require_round(start, "cameras are calibrated")
     refuse_if(start.mla_medium != 1, f"mla_medium = {start.mla_medium:g}: cameras are calibrated with 1 only")
     size = np.array(start.crop_size)
     for table in filter(None, (corners, centres)):

@@ -15,6 +15,7 @@ import xarray as xr
 from scipy.ndimage import uniform_filter
 
 from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_round
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...prescription.lens_data import image_distance
 from ...views.coordinates import require_light_field
@@ -45,6 +46,7 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
         If the main lens is an objective, or the distance is within the focal length.
     """
     camera.require_lens("the disparity of half pupils")
+    require_round(camera, "the disparity of half pupils is known")
     distance = require_number("distance", distance, finite=False)
     image_distance(camera.focal_length, distance)
     return -8 / (3 * math.pi) * float(blur_radius(camera, distance))

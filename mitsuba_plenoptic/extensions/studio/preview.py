@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_round
 from ...errors import refuse_if
 from ...prescription.lens_data import image_distance
 from ...report.framing import IN_FOCUS, Canvas, scale_bar, show
@@ -112,6 +113,7 @@ def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None)
     Instead of the scene, the camera is scaled.
     """
     camera.require_array("preview")
+    require_round(camera, "previews are made")
     scale, pose = (fit.scale, fit.pose) if fit else (1.0, None)
     if fit and fit.mla_distance != camera.mla_distance:
         camera = camera.replace(mla_distance=fit.mla_distance)

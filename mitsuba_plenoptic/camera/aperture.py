@@ -1,0 +1,269 @@
+"""Apertures: which part of the light passes each point of the pupil, and random points of the pupil with its density.
+
+Coordinates are those of the camera frame over the pupil's radius: +x is left and +y is up for the photographer behind
+the camera, and right and up for somebody who looks into the lens.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import (
+    FULL_TURN,
+    InputError,
+    naming,
+    put,
+    refuse_if,
+    require_count,
+    require_known,
+    require_number,
+    short_repr,
+    suggest_keywords,
+)
+from ..microlens.sampled_grid import read_samples
+from ..runtime.backend import drjit_array, module_of, select
+from ..runtime.files import read_json_value
+
+_BLADES = 3, 64
+"""Fewest and most blades."""
+
+_CELLS, _POINTS = 512, 4
+"""Cells across a polygon where cells are asked for, and points across a cell."""
+
+_LARGEST = 512
+"""Most rows and columns of a picture."""
+
+_DECIMALS = 4
+"""Digits to which values of a picture are kept, as files hold them."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """A fully open pupil, with the methods of all apertures."""
+
+    @property
+    def share(self) -> float:
+        """Mean power that passes, over the disc of the pupil."""
+        return 1.0
+
+    def power(self, x: Any, y: Any) -> Any:
+        """Return the part of the power that passes at points over the pupil's radius: 1 within the circle."""
+        return select(x * x + y * y <= 1, 1.0, 0.0)
+
+    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+        """Return a function that makes points, with the density of the power, from points of the unit square."""
+
+        def drawn(sample: Any) -> tuple[Any, Any]:
+            x, y = mi.warp.square_to_uniform_disk(sample)
+            return x, y
+
+        return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return the power over cells (n, n) of the square around the pupil, each of which has about one value."""
+        return np.ones((1, 1))
+
+
+@dataclass(frozen=True)
+class Blades:
+    """A regular polygon in the circle of the pupil, one of whose corners is at an angle in degrees from +x to +y."""
+
+    count: int
+    angle: float = 0.0
+
+    @property
+    def share(self) -> float:
+        """Area of the polygon over that of the circle."""
+        return self.count / (2 * math.pi) * math.sin(2 * math.pi / self.count)
+
+    def power(self, x: Any, y: Any) -> Any:
+        """Return 1 within the polygon."""
+        module, part = module_of(x), 2 * math.pi / self.count
+        angle = (dr.atan2 if module is dr else np.arctan2)(y, x) - math.radians(self.angle)
+        # From the middle of the nearest side.
+        angle = angle - (module.floor(angle / part) + 0.5) * part
+        return select(module.sqrt(x * x + y * y) * module.cos(angle) <= math.cos(part / 2), 1.0, 0.0)
+
+    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+        """Return a map from the unit square to the triangles between the centre and the sides."""
+        part, first = 2 * math.pi / self.count, math.radians(self.angle)
+
+        def drawn(sample: Any) -> tuple[Any, Any]:
+            scaled, radius = mi.Float(sample[0]) * self.count, dr.sqrt(sample[1])
+            side = dr.minimum(dr.floor(scaled), self.count - 1)
+            ends = [dr.sincos(first + part * (side + step)) for step in (0, 1)]
+            x, y = (radius * dr.lerp(ends[0][axis], ends[1][axis], scaled - side) for axis in (1, 0))
+            return x, y
+
+        return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return the parts of small cells within the polygon."""
+        along = (np.arange(_CELLS * _POINTS) + 0.5) * (2 / (_CELLS * _POINTS)) - 1
+        inside = self.power(along + 0 * along[:, None], along[:, None] + 0 * along)
+        return np.asarray(inside.reshape(_CELLS, _POINTS, _CELLS, _POINTS).mean((1, 3)))
+
+    def to_plain(self) -> int | tuple[int, float]:
+        """Return the number of blades, with their angle if there is one."""
+        return (self.count, self.angle) if self.angle else self.count
+
+    def __str__(self) -> str:
+        return f"{self.count}, {self.angle:g}" if self.angle else f"{self.count}"
+
+
+@suggest_keywords
+@dataclass(frozen=True, eq=False)
+class Aperture:
+    """A picture in the pupil of the main lens: a coded aperture, a heart, an apodisation.
+
+    The picture fills the square around the pupil, and each value holds for a cell of the square. Cells whose centres
+    are outside the circle must be closed; the circle cuts the others.
+
+    Parameters
+    ----------
+    transmission : array (n, n), nested lists, or path
+        Part of the light's power, from 0 to 1, that passes each cell, in rows of rising y and columns of rising x of
+        the camera frame, see `mitsuba_plenoptic.camera.aperture`; at most 512 x 512 values, kept to four decimals. Or
+        an NPY, FITS, EXR or grey PNG file of it, whose values are proportional to power, and whose first row has the
+        lowest y.
+
+    Raises
+    ------
+    InputError
+        If the picture is not square or too large, a value is not from 0 to 1, nothing is open, or a cell beyond the
+        circle is.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> ring = mp.Aperture([[0, 1, 1, 0], [1, 0, 0, 1], [1, 0, 0, 1], [0, 1, 1, 0]])
+    >>> mp.PlenopticCamera(mla_lattice="none", aperture_image=ring).aperture_image == ring
+    True
+    """
+
+    transmission: Any
+
+    def __post_init__(self) -> None:
+        name, values = "transmission", read_samples("transmission", self.transmission)
+        rows, columns = values.shape
+        refuse_if(
+            rows != columns or not 1 <= rows <= _LARGEST,
+            f"{name} of shape {values.shape}: it must be square, of 1 to {_LARGEST} rows",
+        )
+        refuse_if(values.min() < 0 or values.max() > 1, f"{name}: its values must be from 0 to 1")
+        values = values.round(_DECIMALS)
+        refuse_if(not values.any(), f"{name}: it is 0 everywhere, so that no light passes")
+        centres = (2 * np.arange(rows) + 1) / rows - 1
+        beyond = (values > 0) & (np.hypot(centres, centres[:, None]) > 1)
+        refuse_if(
+            beyond.any(),
+            f"{name}: {np.count_nonzero(beyond)} open cells are beyond aperture_radius; they must be 0",
+        )
+        values.flags.writeable = False
+        put(self, transmission=values)
+
+    @property
+    def share(self) -> float:
+        """Mean power that passes, over the disc of the pupil, as if the circle cut no cell."""
+        return float(self.transmission.mean()) * 4 / math.pi
+
+    def power(self, x: Any, y: Any) -> Any:
+        """Return the part of the power that passes at points of the pupil, NumPy or Dr.Jit arrays.
+
+        Parameters
+        ----------
+        x, y : array
+            Coordinates in the camera frame over the radius of the pupil.
+        """
+        count, module = len(self.transmission), module_of(x)
+        column, row = (
+            module.minimum(module.maximum(module.floor((place + 1) * (count / 2)), 0), count - 1) for place in (x, y)
+        )
+        index, values = row * count + column, self.transmission.ravel()
+        if module is np:
+            found: Any = values[np.asarray(index, np.int64)]
+        else:
+            found = dr.gather(type(x), drjit_array(type(x), values), dr.uint32_array_t(type(x))(index))
+        return select(x * x + y * y <= 1, found, 0.0)
+
+    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+        """Return a map from the unit square to the cells, in which points may be beyond the circle."""
+        density, scale = mi.DiscreteDistribution2D(self.transmission.astype(np.float32)), 2 / len(self.transmission)
+
+        def drawn(sample: Any) -> tuple[Any, Any]:
+            cell, _, within = density.sample(sample)
+            x, y = ((mi.Float(index) + part) * scale - 1 for index, part in zip(cell, within, strict=True))
+            return x, y
+
+        return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return the picture, which the circle cuts."""
+        return np.asarray(self.transmission)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the picture as lists by name, for files and headers."""
+        return {"transmission": self.transmission.tolist()}
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Aperture) and np.array_equal(self.transmission, other.transmission)
+
+    def __hash__(self) -> int:
+        return hash(self.transmission.tobytes())
+
+    def __repr__(self) -> str:
+        rows, columns = self.transmission.shape
+        return f"Aperture({rows} x {columns} values)"
+
+
+Opening = Round | Blades | Aperture
+"""What passes light: each has its `share`, `power`, `draws` and `cells`."""
+
+
+def known_blades(name: str, value: Any) -> Blades | None:
+    """Return blades given by their number, or by their number and an angle; None means a round aperture."""
+    if value is None or isinstance(value, Blades):
+        return value
+    parts = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else (value,)
+    if len(parts) not in (1, 2):
+        raise InputError(f"{name} = {short_repr(value)}: it must be a number of blades, or this and an angle")
+    low, high = _BLADES
+    angle = require_number(name, parts[1], minimum=-FULL_TURN, maximum=FULL_TURN) if len(parts) > 1 else 0.0
+    return Blades(require_count(name, parts[0], minimum=low, maximum=high), angle)
+
+
+def known_image(value: Any, resolve: Callable[[str], str] = str) -> Aperture | None:
+    """Return a picture in the pupil, given as such, as values, plain data, a file or JSON text; None means no picture.
+
+    `resolve` finds files by their names, for example in the folder of a scene.
+    """
+    if value is None or isinstance(value, Aperture):
+        return value
+    with naming("aperture_image"):
+        if isinstance(value, (str, Path)):
+            is_json = str(value).lstrip().startswith("{") or Path(value).suffix.lower() == ".json"
+            value = read_json_value(value, resolve) if is_json else Path(resolve(str(value)))
+        if isinstance(value, dict):
+            require_known("", value, ("transmission",))
+            refuse_if("transmission" not in value, "transmission is missing")
+            value = value["transmission"]
+            value = Path(resolve(value)) if isinstance(value, str) else value
+        return Aperture(value)
+
+
+def require_thin_alone(camera: Any) -> None:
+    """Refuse an aperture of a camera with a main lens that has a stop, or with another aperture."""
+    named = {name: getattr(camera, name) for name in ("aperture_blades", "aperture_image")}
+    given = {name: value for name, value in named.items() if value is not None}
+    refuse_if(len(given) > 1, "aperture_blades, aperture_image: give one of the two")
+    for name, value in given.items():
+        refuse_if(camera.main_lens is not None, f"{name} = {value}: a main_lens has a round stop; leave one out")
