@@ -187,7 +187,7 @@ def waves() -> Image.Image:
 
 @picture
 def ordinary() -> Image.Image:
-    """Show the ball without an array: in focus at f/8, and where f/32 makes diffraction wide."""
+    """Show the ball without an array: out of focus at f/8, and where f/32 makes diffraction wide."""
     size = {"mla_lattice": "none", "resolution": (2048, 2048), "crop_offset": (720, 760), "crop_size": (280, 280)}
     shown = {}
     for name, radius, model in (
