@@ -102,7 +102,9 @@ def grids_around(
     p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
     bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
-    bent = max(bent, _PUPIL_BAND * steepest)
+    if not camera.has_array:
+        # The pupil's edge bends light, too, and nothing else does.
+        bent = _PUPIL_BAND * steepest
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with a margin for light that travels sideways between MLA and detector.
