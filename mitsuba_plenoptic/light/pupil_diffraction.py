@@ -141,6 +141,11 @@ class PupilDiffraction:
         return self._cells > _MOST_CELLS
 
     @property
+    def _is_wide(self) -> bool:
+        """Whether cells of pixels are wider than kernels, and displaced rays do without."""
+        return self._pixel > _COARSE_CELLS * _COARSE_REACH
+
+    @property
     def widths(self) -> tuple[float, float]:
         """Widths in mm of the pupil's diffraction on the detector, and of blur that may differ between wavelengths."""
         return self.unit / 2, self.unit
@@ -170,7 +175,7 @@ class PupilDiffraction:
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
         """Polynomials of a ray's pupil point over the pupil's radius, fewer where little of the pupil is open."""
-        for degree in range(_DEGREES[self.fine], 0, -1):
+        for degree in range(0 if self._is_wide else _DEGREES[self.fine], 0, -1):
             with contextlib.suppress(np.linalg.LinAlgError):
                 found = LensFunctions.polynomials(*self._inside, degree, 1.0)
                 if np.linalg.cond(found.triangle) < _STEEPEST:
@@ -224,6 +229,8 @@ class PupilDiffraction:
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) on a grid of width `step` in mm, times the area of a grid cell."""
+        if self._is_wide:
+            return np.ones((1, 1, 1))
         if not self.is_coarse:
             return self._sampled(step / self.unit, math.ceil(reach / step))
         return self._of_displaced(step)
