@@ -59,7 +59,7 @@ def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit
     assert found.sum() == pytest.approx(expected.sum(), rel=3e-3)
 
 
-@pytest.mark.parametrize(("airy", "size"), [(0.5, 20), (1.0, 24), (4.0, 12), (10.0, 8)])
+@pytest.mark.parametrize(("airy", "size"), [(0.5, 20), (1.0, 24), (10.0, 8)])
 def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
     """A lamp of one pixel, off the pixels' centres; the closed form is of Born and Wolf, section 8.5.2."""
     camera = camera_of(airy, size)
@@ -68,7 +68,7 @@ def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
     off, half = 0.3 * pixel, pixel / 2
     place = (-off * distance / camera.mla_distance, 0.0)
     lamp = facing(distance, half * distance / camera.mla_distance, place, **radiating())
-    found = by_waves(scene_of(camera.to_sensor(), "direct", lamp=lamp), 4096 if airy <= 1 else 2**16)
+    found = by_waves(scene_of(camera.to_sensor(), "direct", lamp=lamp), 4096 if airy <= 1 else 2**15)
     # The pattern on a grid that divides pixels, and its mean over the lamp's points.
     fine = 2 * int(np.ceil(pixel / (unit / 24) / 2)) + 1
     step = pixel / fine
