@@ -62,6 +62,9 @@ _REACH, _COARSE_REACH = 24.0, 12.0
 """Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
 For coarse pixels kernels are differences from the Airy pattern, which are narrower."""
 
+_TAPER = 0.75
+"""Part of this width from where kernels fall to zero."""
+
 _CELL, _MOST_CELLS, _COARSE_CELLS = 0.25, 4, 2
 """Widest cells of the grid in lambda b / R, which resolve the highest frequency, and the most cells across a pixel.
 Coarser pixels have a few larger ones."""
@@ -276,9 +279,12 @@ class PupilDiffraction:
         spacing = 2 / _SAMPLES
         power = self._fine_power.mean() * 4
         kernels = np.einsum("mn,myx->nyx", self.functions.combined, products) * (spacing**4 * step**2 / power)
-        # What is beyond is spread evenly, which conserves the energy.
-        beyond = np.eye(len(kernels))[0] - kernels.sum((1, 2))
-        return kernels + (beyond / (2 * count + 1) ** 2)[:, None, None]
+        # They fall to zero, as edges of windows would show around lamps, and keep the energy.
+        across = np.hypot(*np.meshgrid(*[np.arange(-count, count + 1.0) / count] * 2))
+        kernels *= np.cos(np.pi / 2 * np.clip((across - _TAPER) / (1 - _TAPER), 0, 1)) ** 2
+        tail = np.maximum(1 - across**2, 0) ** 2
+        missing = np.eye(len(kernels))[0] - kernels.sum((1, 2))
+        return kernels + missing[:, None, None] * (tail / tail.sum())
 
 
 def _along(count: int) -> NDArray[np.float64]:
