@@ -189,15 +189,11 @@ def waves() -> Image.Image:
 def ordinary() -> Image.Image:
     """Show the ball without an array: out of focus at f/8, and where f/32 makes diffraction wide."""
     size = {"mla_lattice": "none", "resolution": (2048, 2048), "crop_offset": (720, 760), "crop_size": (280, 280)}
-    shown = {}
-    for name, radius, model in (
-        ("f/8, waves", 5.0, "wave"),
-        ("f/32, rays", 1.25, "ray"),
-        ("f/32, waves", 1.25, "wave"),
-    ):
+    row = []
+    for radius, model in ((5.0, "wave"), (1.25, "ray"), (1.25, "wave")):
         make = partial(in_colour, mp.PlenopticCamera(aperture_radius=radius, **size), 128, model)
-        shown[name] = stored(f"ordinary_{model}_{radius:g}", make).image
-    return sheet([list(shown.items())])
+        row.append((f"f/{40 / radius:g}, {model}s", stored(f"ordinary_{model}_{radius:g}", make).image))
+    return sheet([row])
 
 
 @picture

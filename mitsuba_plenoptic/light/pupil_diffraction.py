@@ -243,15 +243,15 @@ class PupilDiffraction:
         parts = 2 * math.ceil(step / (2 * _CELL * self.unit)) + 1
         count = 2 * math.ceil(_COARSE_REACH * self.unit / step) + 1
         fine = step / parts
-        shortest = replace(self, wavelength=self.shortest or self.wavelength, shortest=None)
-        spectra, known = (
-            scipy.fft.fft2(scipy.fft.ifftshift(each, (1, 2)))
-            for each in (plan._sampled(fine / plan.unit, count * parts // 2) for plan in (self, shortest))
-        )
+        spectra = scipy.fft.fft2(scipy.fft.ifftshift(self._sampled(fine / self.unit, count * parts // 2), (1, 2)))
+        known = spectra[0]
+        if self.shortest not in (None, self.wavelength):
+            shortest = replace(self, wavelength=self.shortest, shortest=None)
+            known = scipy.fft.fft2(scipy.fft.ifftshift(shortest._sampled(fine / shortest.unit, count * parts // 2)[0]))
         # The lowest frequencies, which the grid of pixels can represent.
         order = scipy.fft.ifftshift(np.arange(count) - count // 2)
         low = np.ix_(order, order)
-        passed = known[0][low]
+        passed = known[low]
         # Where hardly anything passes, noise would be amplified.
         ratio = np.stack([spectrum[low] for spectrum in spectra]) * passed.conj()
         ratio /= np.maximum(np.abs(passed) ** 2, _LEAST_PASSED * np.abs(passed))
