@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...cli.choices import MODELS
 from ...cli.inputs import CameraFile, Linear, White, load_camera, numeric, output_option
+from ...cli.judging import WAVELENGTH, one_of
 from ...errors import refuse_if
 
 if TYPE_CHECKING:
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
 
 # Outliers that are printed by line.
 _NAMED = 10
+
+_WAVELENGTH = 550.0
+"""Wavelength in nanometres of fits by waves for which none is given."""
 
 _PICTURES = (".exr", ".png", ".tif", ".tiff")
 
@@ -59,6 +64,17 @@ def calibrate(
     ] = None,
     white: White = None,
     linear: Linear = False,
+    dark: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture without light, for a camera fitted to a white picture.")
+    ] = None,
+    wavelength: Annotated[
+        float | None, numeric("Fits by waves: wavelength in nanometres.", "550", unit="NM"), WAVELENGTH
+    ] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(MODELS), show_default="wave", help="Light of a fit to a white picture."),
+        one_of(MODELS),
+    ] = None,
 ) -> None:
     """Calibrate a real camera from corners of a checkerboard and white images.
 
@@ -69,6 +85,8 @@ def calibrate(
     [bold]Examples:[/bold]
 
       mitsuba-plenoptic calibrate white.png -o centres.csv
+
+      mitsuba-plenoptic calibrate white.png --dark dark.tif --camera known.json -o camera.json
 
       mitsuba-plenoptic calibrate board*.png --board 9x5 --white white.png -o corners.csv
 
@@ -95,10 +113,16 @@ def calibrate(
         raise typer.BadParameter("a report is of a calibration from corners", param_hint="--report")
     require_different(output, report)
     for path in filter(None, (output, report)):
-        require_apart(path, *sources, centres, white)
+        require_apart(path, *sources, centres, white, dark)
+    fitted = all(pictures) and board is None and output is not None and output.suffix.lower() == ".json"
+    if not fitted:
+        _refuse("a calibration without a fit to a white picture", dark=dark, wavelength=wavelength, model=model)
     if evaluate is not None:
         _refuse("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
+    elif fitted:
+        _refuse("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
+        _fit(sources, output, camera, dark, wavelength, model)
     elif all(pictures) and board is not None:
         _refuse("detecting corners", square=square)
         _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
@@ -224,6 +248,24 @@ def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
         f"{across:.5f} px{rows}, turned by {math.degrees(found.grid.rotation):.4f} degrees; the faintest micro-image "
         f"has {found.light.min():.0%} of the brightest's light"
     )
+
+
+def _fit(
+    sources: list[Path],
+    output: Path | None,
+    camera: str | None,
+    dark: Path | None,
+    wavelength: float | None,
+    model: str | None,
+) -> None:
+    from .white_command import fit_camera
+
+    if len(sources) > 1:
+        raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
+    known, _ = load_camera(_camera(camera), {})
+    by_rays = model == "ray"
+    refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
+    fit_camera(sources[0], _output(output, ".json"), known, dark, None if by_rays else wavelength or _WAVELENGTH)
 
 
 def _calibrate(

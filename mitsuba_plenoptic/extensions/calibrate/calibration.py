@@ -8,6 +8,7 @@ from .calibration_result import Calibration, Evaluation, ResidualMap, residual_m
 from .detect import camera_centres, detect_corners, write_corners
 from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
 from .white_centres import Centres, find_centres, write_centres
+from .white_fit import WhiteFit, fit_white
 
 __all__ = [
     "Blur",
@@ -18,6 +19,7 @@ __all__ = [
     "LensIndex",
     "ResidualMap",
     "Table",
+    "WhiteFit",
     "board_scene",
     "calibrate",
     "camera_centres",
@@ -26,6 +28,7 @@ __all__ = [
     "detect_corners",
     "evaluate",
     "find_centres",
+    "fit_white",
     "read_camera",
     "read_centres",
     "read_corners",

@@ -1,0 +1,303 @@
+"""Least squares for the pupil over the field, from the pixels of a white picture's micro-images.
+
+The numbers of `micro_image.PupilNumbers` are polynomials of the lens's place. Gauss-Newton steps compare the pixels of
+lenses with the model at the middle of a zone of the field, corrected to first order for each lens, and leave the
+brightness of each lens free (variable projection: G. Golub and V. Pereyra 2003, "Separable nonlinear least squares").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
+from .white_frames import WhiteFrame
+
+Show = Callable[[int, int], None]
+
+_DEGREES = {"radius": 4, "ellipse_x": 4, "ellipse_y": 4, "centre_x": 3, "centre_y": 3, "slope_x": 2, "slope_y": 2}
+_DEGREES |= {"apodisation_2": 2}
+"""Degrees of polynomials over the field; numbers that are missing here are the same everywhere."""
+
+_STEPS = dict.fromkeys(NUMBERS, 0.01) | {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
+"""Steps of differences that give derivatives."""
+
+_ZONES, ZONE_LENSES = 8, 24
+"""Zones of the field along a side, at most, and lenses of a zone that a fit uses."""
+
+_REPEATS, _CONVERGED = 12, 1e-4
+"""Steps of a fit at most, and the relative change of the residual that ends it."""
+
+_OUTLIER = 6.0
+"""Deviations beyond which a pixel is dust or a defect."""
+
+_BINS = 2
+"""Bins of mean micro-images along a pixel."""
+
+_BOOTSTRAPS = 100
+"""Draws of lenses that give deviations."""
+
+
+class FieldNumbers:
+    """Polynomials over the field whose values are the numbers of `PupilNumbers` at a place."""
+
+    def __init__(self, size: tuple[int, ...], lenses: int, start: PupilNumbers) -> None:
+        """Start with the same numbers everywhere, on a picture of columns and rows, of degrees that lenses allow."""
+        self.middle, self.scale = (np.array(size) - 1) / 2, max(size) / 2
+        # A polynomial has at most a quarter as many coefficients as there are lenses.
+        most = next(degree for degree in (4, 3, 2, 1, 0) if 4 * terms_of(degree) <= max(lenses, 4))
+        self.degrees = {name: min(_DEGREES.get(name, 0), most) for name in NUMBERS}
+        self.coefficients = {name: np.zeros(terms_of(degree)) for name, degree in self.degrees.items()}
+        for name in NUMBERS:
+            self.coefficients[name][0] = getattr(start, name)
+
+    @property
+    def number(self) -> np.ndarray:
+        """Index in `NUMBERS` of each coefficient, in their order."""
+        return np.repeat(np.arange(len(NUMBERS)), [len(self.coefficients[name]) for name in NUMBERS])
+
+    def terms(self, place: np.ndarray) -> np.ndarray:
+        """Return the monomial of each coefficient at places (n, 2), which run from -1 to 1 along the longer side."""
+        x, y = ((place - self.middle) / self.scale).T
+        powers = [(total - j, j) for total in range(5) for j in range(total + 1)]
+        columns = [powers[: len(self.coefficients[name])] for name in NUMBERS]
+        return np.stack([x**i * y**j for some in columns for i, j in some], axis=-1)
+
+    def values(self, place: np.ndarray) -> np.ndarray:
+        """Return the numbers (n, 11) at places (n, 2) in pixels."""
+        products = self.terms(place) * np.concatenate([self.coefficients[name] for name in NUMBERS])
+        return np.stack([products[:, self.number == index].sum(1) for index in range(len(NUMBERS))], axis=-1)
+
+    def split(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """Return values of all coefficients by the names of their numbers."""
+        return {name: values[self.number == index] for index, name in enumerate(NUMBERS)}
+
+    def deviations(self, equations: np.ndarray, generator: np.random.Generator) -> dict[str, np.ndarray]:
+        """Return the coefficients' standard deviations from lenses drawn again, by normal equations of lenses."""
+        count = len(equations)
+        drawn = (generator.multinomial(count, np.full(count, 1 / count)) for _ in range(_BOOTSTRAPS))
+        changes = [solved(np.tensordot(times, equations, 1)) for times in drawn]
+        return self.split(np.std(changes, axis=0))
+
+
+def terms_of(degree: int) -> int:
+    """Return the number of monomials of two variables up to a degree."""
+    return (degree + 1) * (degree + 2) // 2
+
+
+def solved(equations: np.ndarray, damping: float = 0.0) -> np.ndarray:
+    """Return the change of coefficients that solves damped normal equations (n, n + 1)."""
+    scale = np.sqrt(np.maximum(equations[:, :-1].diagonal(), 1e-12))
+    normal = equations[:, :-1] / np.outer(scale, scale) + (damping + 1e-10) * np.eye(len(scale))
+    return np.asarray(np.linalg.solve(normal, equations[:, -1] / scale) / scale)
+
+
+class Zones:
+    """Squares of the field, each with lenses of a picture."""
+
+    def __init__(
+        self, place: np.ndarray, chosen: np.ndarray, most: int = 0, generator: np.random.Generator | None = None
+    ) -> None:
+        """Divide chosen lenses at places (n, 2), and keep at most a number of each zone, drawn at random."""
+        low, width = place[chosen].min(0), np.ptp(place[chosen], axis=0).max()
+        count = int(np.clip(np.sqrt(chosen.sum() / ZONE_LENSES), 1, _ZONES))
+        index = ((place - low) / width * count).astype(int).clip(0, count - 1) @ [1, count]
+        self.lenses: list[np.ndarray] = []
+        for zone in np.unique(index[chosen]):
+            lenses = np.flatnonzero(chosen & (index == zone))
+            if generator is not None and len(lenses) > most:
+                lenses = generator.choice(lenses, most, replace=False)
+            self.lenses.append(lenses)
+
+
+@dataclass(frozen=True)
+class LensPixels:
+    """Pixels of lenses, each at the lens whose cell the pixel is in, beside the model.
+
+    Attributes
+    ----------
+    x, y : (lenses, pixels) arrays
+        Offsets in pixels from the image of the lens's place.
+    weight : (lenses, pixels) array
+        1 for pixels that count, 0 for those of other lenses, saturated, dead, and, as they lie off the model, of dust.
+    brightness : (lenses,) array
+        Recorded value over the model's.
+    residual : (lenses, pixels) array
+        Recorded values over the brightness, less the model.
+    slopes : (numbers, lenses, pixels) array
+        Derivatives of the model by the numbers, less their part that a change of brightness explains.
+    dust : int
+        Number of pixels that lie off the model.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    brightness: np.ndarray
+    residual: np.ndarray
+    slopes: np.ndarray
+    dust: int
+
+    def equations(self, terms: np.ndarray, number: np.ndarray) -> np.ndarray:
+        """Return each lens's normal equations (lenses, n, n + 1) for coefficients with terms (lenses, n)."""
+        root = np.sqrt(self.weight)
+        design = (self.slopes * root)[number].transpose(1, 0, 2) * terms[:, :, None]
+        sides = design @ (root * self.residual)[:, :, None]
+        return np.concatenate([design @ design.transpose(0, 2, 1), sides], axis=2)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Agreement of a white picture with the model.
+
+    Attributes
+    ----------
+    residual : float
+        Root mean square of recorded less simulated pixels, over the light in the middle of each micro-image.
+    systematic : float
+        What of the residual is equal for the lenses of a zone, an eighth of the field's side, root mean square.
+    structure : float
+        Root mean square of what neighbouring pixels of the residual share, which noise of single pixels is not.
+    mean_image : float
+        Root mean square of the mean over all lenses of recorded less simulated micro-images.
+    outliers : float
+        Part of the pixels that dust or defects keep from counting.
+    difference : (n, n) array
+        The mean over all lenses of recorded less simulated micro-images, in bins of half a pixel.
+    place, brightness : (lenses, 2) and (lenses,) arrays
+        Places of single micro-images in pixels, as they agree best with the model, and light in their middle.
+    """
+
+    residual: float
+    systematic: float
+    structure: float
+    mean_image: float
+    outliers: float
+    difference: np.ndarray
+    place: np.ndarray
+    brightness: np.ndarray
+
+    @property
+    def scatter(self) -> float:
+        """What of the residual differs from lens to lens, root mean square."""
+        return float(np.sqrt(max(self.residual**2 - self.systematic**2, 0)))
+
+
+@dataclass(frozen=True)
+class WhiteRecording:
+    """A white picture, the camera with the regular array that it shows, and the model of its micro-images."""
+
+    frame: WhiteFrame
+    camera: PlenopticCamera
+    model: MicroImageModel
+
+    def pixels(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return values, offsets x and y, and weights (lenses, pixels) of pixels about places (lenses, 2)."""
+        camera, image = self.camera, self.frame.light
+        to_array = camera.pixel_size / camera.image_growth
+        half = int(np.ceil(camera.lattice.cell_reach / to_array)) + 1
+        window, base = np.arange(-half, half + 1), np.rint(place).astype(int)
+        column, row = np.broadcast_arrays(base[:, 0, None, None] + window, base[:, 1, None, None] + window[:, None])
+        x, y = column - place[:, 0, None, None], row - place[:, 1, None, None]
+        middle = camera.lattice.centre(0.0, 0.0)
+        i, j = camera.lattice.cell(x * to_array + middle[0], y * to_array + middle[1])
+        rows, columns = image.shape
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (np.rint(i) == 0) & (np.rint(j) == 0)
+        column, row = column.clip(0, columns - 1), row.clip(0, rows - 1)
+        weight = (inside & self.frame.good[row, column]).astype(np.float64)
+        flat = len(place), -1
+        return image[row, column].reshape(flat), x.reshape(flat), y.reshape(flat), weight.reshape(flat)
+
+    def beside(self, place: np.ndarray, field: FieldNumbers) -> LensPixels:
+        """Return the pixels of a zone's lenses at places (n, 2) beside the model."""
+        value, x, y, good = self.pixels(place)
+        at_lens, at_zone = field.values(place), field.values(place.mean(0)[None])[0]
+        samples = self.model.samples(PupilNumbers(*at_zone))
+        image = self.model.at(samples, x, y)
+        slopes = np.empty((len(NUMBERS), *image.shape))
+        for index, name in enumerate(NUMBERS):
+            moved = at_zone.copy()
+            moved[index] += _STEPS[name]
+            slopes[index] = self.model.at(self.model.samples(PupilNumbers(*moved)) - samples, x, y) / _STEPS[name]
+        image += np.einsum("nlp,ln->lp", slopes, at_lens - at_zone)
+        weight = good
+        for _ in range(2):
+            power = np.maximum((weight * image * image).sum(1), 1e-9)
+            brightness = (weight * image * value).sum(1) / power
+            residual = value / np.maximum(brightness, 1e-9)[:, None] - image
+            spread = 1.4826 * float(np.median(np.abs(residual[weight > 0])))
+            weight = good * (np.abs(residual) < _OUTLIER * spread)
+        slopes -= (np.einsum("nlp,lp->nl", slopes, weight * image) / power)[:, :, None] * image
+        return LensPixels(x, y, weight, brightness, residual, slopes, int((good - weight).sum()))
+
+    def fit(self, place: np.ndarray, zones: Zones, field: FieldNumbers, show: Show) -> np.ndarray:
+        """Fit the polynomials to the lenses of zones; return normal equations (lenses, n, n + 1) of each lens."""
+        best, damping, equations = np.inf, 0.0, np.zeros(0)
+        before = dict(field.coefficients)
+        for repeat in range(_REPEATS):
+            found, square, count = [], 0.0, 0.0
+            for zone, lenses in enumerate(zones.lenses):
+                show(repeat * len(zones.lenses) + zone, _REPEATS * len(zones.lenses))
+                part = self.beside(place[lenses], field)
+                found.append(part.equations(field.terms(place[lenses]), field.number))
+                square += float((part.weight * part.residual**2).sum())
+                count += float(part.weight.sum())
+            error = np.sqrt(square / count)
+            if error < best:
+                equations, before = np.concatenate(found), dict(field.coefficients)
+                if best - error < _CONVERGED * best:
+                    break
+                best, damping = error, damping / 10
+            else:
+                damping = max(10 * damping, 1e-3)
+            change = field.split(solved(equations.sum(0), damping))
+            field.coefficients = {name: before[name] + change[name] for name in NUMBERS}
+        field.coefficients = before
+        show(1, 1)
+        return equations
+
+    def judged(self, place: np.ndarray, zones: Zones, field: FieldNumbers, show: Show) -> Judgement:
+        """Return how well zones' lenses at places (n, 2) agree with the model."""
+        moved, brightness = np.full(place.shape, np.nan), np.full(len(place), np.nan)
+        half = _BINS * int(np.ceil(self.model.reach))
+        side = 2 * half + 1
+        totals, shared, squares, common, dust = np.zeros((2, side * side)), np.zeros(2), 0.0, 0.0, 0
+        centres = [NUMBERS.index(name) for name in ("centre_x", "centre_y")]
+        for zone, lenses in enumerate(zones.lenses):
+            show(zone, len(zones.lenses))
+            part = self.beside(place[lenses], field)
+            own = part.equations(np.ones((len(lenses), 2)), np.array(centres))
+            shift = np.linalg.solve(own[:, :, :2] + 1e-9 * np.eye(2), own[:, :, 2:])[..., 0]
+            moved[lenses] = place[lenses] + field.values(place[lenses])[:, centres] + shift
+            brightness[lenses], dust = part.brightness, dust + part.dust
+            counts = part.weight > 0
+            column, row = (np.rint(_BINS * each[counts]).astype(int) + half for each in (part.x, part.y))
+            residual = part.residual[counts]
+            number, first, second = (
+                np.bincount(row * side + column, residual**power, minlength=side * side) for power in (0.0, 1.0, 2.0)
+            )
+            squares += float(second.sum())
+            pairs = counts[:, 1:] & counts[:, :-1]
+            shared += np.array([(part.residual[:, 1:] * part.residual[:, :-1])[pairs].sum(), pairs.sum()])
+            totals += number, first
+            # The mean's square less its expectation for residuals that are independent.
+            several = number > 1
+            mean = first[several] / number[several]
+            variance = (second[several] - number[several] * mean**2).clip(0) / (number[several] - 1)
+            common += float((number[several] * mean**2 - variance).sum())
+        show(1, 1)
+        pixels = totals[0].sum()
+        mean = totals[1] / np.maximum(totals[0], 1)
+        return Judgement(
+            residual=float(np.sqrt(squares / pixels)),
+            systematic=float(np.sqrt(max(common / pixels, 0))),
+            structure=float(np.sqrt(max(shared[0] / max(shared[1], 1), 0))),
+            mean_image=float(np.sqrt((totals[0] * mean**2).sum() / pixels)),
+            outliers=dust / (pixels + dust),
+            difference=mean.reshape(side, side),
+            place=moved,
+            brightness=brightness,
+        )

@@ -1,0 +1,163 @@
+r"""Micro-image of an even white scene behind one lens of an array, by waves or by rays, and what a camera's relay adds.
+
+White light fills the pupil with points that are incoherent with each other, if the scene is wide. A lens images each of
+them alike, so that the micro-image is the pupil's transmission convolved with the lens's point spread: by waves the
+diffraction of its aperture with the defocus of the pupil, by rays the aperture itself, reduced by the defocus (J. W.
+Goodman, "Introduction to Fourier Optics", sections 6.3 and 6.4). Relay lenses and pixels add a Gaussian blur and the
+width of a pixel; light that is scattered farther than a lens is a constant. Neighbours' micro-images add without
+interference, which cancels in white light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import scipy.fft
+from scipy.ndimage import map_coordinates, spline_filter
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...runtime.limits import require_memory
+
+_OVERSAMPLING = 4
+"""Samples of the model along a pixel, at most."""
+
+_WIDEST = 512
+"""Samples of the model along a side, about."""
+
+_PITCHES = 3
+"""Pitches along the side of the model's window."""
+
+_LEAST_PIXELS = 4
+"""Pixels along a pitch that a fit needs."""
+
+
+@dataclass
+class PupilNumbers:
+    """Shape of a pupil seen from one place of the array, and the blur of its image, with lengths in pixels.
+
+    Attributes
+    ----------
+    radius : float
+        Radius of the pupil's image.
+    ellipse_x, ellipse_y : float
+        Elongation: a rim at :math:`(1 + e_x, 1 - e_x)` radii for small :math:`e_x`, turned by 45 degrees for
+        :math:`e_y`.
+    centre_x, centre_y : float
+        Place of the pupil's centre on the micro-image, from the image of the lens's regular place.
+    slope_x, slope_y : float
+        Rise of the transmission across the radius.
+    apodisation_2, apodisation_4 : float
+        Coefficients of the transmission's second and fourth power of the radius, in units of the rim's.
+    blur : float
+        Standard deviation of the Gaussian blur of relay and pixels.
+    stray : float
+        Scattered light, over the light in the middle of the pupil's image.
+    """
+
+    radius: float
+    ellipse_x: float = 0.0
+    ellipse_y: float = 0.0
+    centre_x: float = 0.0
+    centre_y: float = 0.0
+    slope_x: float = 0.0
+    slope_y: float = 0.0
+    apodisation_2: float = 0.0
+    apodisation_4: float = 0.0
+    blur: float = 0.0
+    stray: float = 0.0
+
+
+NUMBERS = tuple(field.name for field in fields(PupilNumbers))
+
+
+class MicroImageModel:
+    """Micro-images of an even white scene under a camera's lenses, sampled about the image of a lens's centre.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera, with one focal length of its lenses.
+    wavelength : float or None
+        Wavelength in nanometres for waves; None for rays.
+    """
+
+    def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
+        pitch = camera.micro_image_pitch / camera.pixel_size
+        refuse_if(
+            pitch < _LEAST_PIXELS, f"camera: its micro-images are {pitch:.3g} pixels wide: at least {_LEAST_PIXELS}"
+        )
+        refuse_if(
+            len(camera.mla_focal_lengths) > 1,
+            "mla_focal_length: white pictures are fitted for arrays of one focal length",
+        )
+        step = max(1 / _OVERSAMPLING, _PITCHES * pitch / _WIDEST)
+        count = scipy.fft.next_fast_len(int(np.ceil(_PITCHES * pitch / step)), real=True)
+        require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
+        self._step, self._count = step, count
+        axis = (np.arange(count) - count // 2) * step
+        self._x, self._y = np.meshgrid(axis, axis)
+        self._fx, self._fy = np.meshgrid(scipy.fft.rfftfreq(count, step), scipy.fft.fftfreq(count, step))
+        vectors = np.array(camera.lattice.basis) * (camera.image_growth / camera.pixel_size)
+        i, j = (index.ravel() for index in np.mgrid[-2:3, -2:3])
+        near = i[:, None] * vectors[0] + j[:, None] * vectors[1]
+        near = near[np.hypot(*near.T) < 1.6 * np.hypot(*vectors.T).max()]
+        # Micro-images of neighbours in the window, moved by the theorem of displacement.
+        neighbours = sum(np.exp(-2j * np.pi * (self._fx * x + self._fy * y)) for x, y in near)
+        lens = _wave_transfer(camera, wavelength, self._fx, self._fy) if wavelength else self._ray_transfer(camera)
+        self._transfer = lens * neighbours * np.sinc(self._fx) * np.sinc(self._fy)
+        self.reach = np.floor(count * step / 2) - 1
+
+    def _ray_transfer(self, camera: PlenopticCamera) -> np.ndarray:
+        """Return the transfer of the aperture that rays see beside its focus."""
+        smear = abs(camera.pupil_shift(camera.mla_focal_length)) / camera.pupil_step
+        image = camera.lattice.aperture_image(self._step, smear)
+        size = len(image)
+        refuse_if(size > self._count, "camera: its lenses see the pupil out of focus by more than three pitches")
+        padded = np.zeros((self._count, self._count))
+        padded[:size, :size] = image
+        return scipy.fft.rfft2(np.roll(padded, (-(size // 2), -(size // 2)), (0, 1)))
+
+    def samples(self, numbers: PupilNumbers) -> np.ndarray:
+        """Return the prefiltered samples, for `at`, of a micro-image that is 1 in the middle of an even pupil."""
+        n = numbers
+        x, y = self._x - n.centre_x, self._y - n.centre_y
+        u = ((1 - n.ellipse_x) * x - n.ellipse_y * y) / n.radius
+        v = ((1 + n.ellipse_x) * y - n.ellipse_y * x) / n.radius
+        r2 = u * u + v * v
+        inside = ((1 - np.sqrt(r2)) * (n.radius / self._step) + 0.5).clip(0, 1)
+        pupil = inside * (1 + n.slope_x * u + n.slope_y * v + n.apodisation_2 * r2 + n.apodisation_4 * r2 * r2).clip(0)
+        blur = np.exp(-2 * (np.pi * n.blur) ** 2 * (self._fx**2 + self._fy**2))
+        image = scipy.fft.irfft2(scipy.fft.rfft2(pupil) * self._transfer * blur, pupil.shape, overwrite_x=True)
+        return np.asarray(spline_filter(image + n.stray, mode="grid-wrap"))
+
+    def at(self, samples: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return values of `samples`'s samples at offsets in pixels from the image of the lens's regular place."""
+        middle = self._count // 2
+        places = np.stack([y / self._step + middle, x / self._step + middle])
+        return map_coordinates(samples, places, prefilter=False, mode="grid-wrap")
+
+
+def _wave_transfer(camera: PlenopticCamera, wavelength: float, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:
+    """Return the optical transfer function of a lens for light of the pupil, at frequencies per pixel.
+
+    The autocorrelation of the aperture, with the phase of its defocus, at distances of wavelength times distance times
+    frequency (Goodman, equation 6-28).
+    """
+    length = wavelength * 1e-6
+    reach = length * camera.reduced_distance / camera.pixel_size
+    lag = reach * float(fx[0, 1])
+    half = int(np.ceil(camera.lattice.aperture_reach / lag))
+    refuse_if(half > _WIDEST, f"wavelength = {wavelength:g}: the lenses are too large for it; fit by rays")
+    aperture = camera.lattice.aperture_image(lag, 1.0)
+    size = len(aperture)
+    offset = (np.arange(size) - size // 2) * lag
+    curvature = np.pi / length * camera.pupil_shift(camera.mla_focal_length) / camera.pupil_distance
+    field = aperture / aperture.max() * np.exp(1j * curvature * (offset**2 + offset[:, None] ** 2))
+    padded = scipy.fft.fft2(field, (2 * size, 2 * size))
+    correlation = scipy.fft.ifft2(np.abs(padded) ** 2)
+    correlation = correlation / correlation[0, 0].real
+    across, down = (np.rint(each * reach / lag).astype(int) for each in (fx, fy))
+    within = (np.abs(across) < size) & (np.abs(down) < size)
+    return np.where(within, correlation[down % (2 * size), across % (2 * size)], 0)

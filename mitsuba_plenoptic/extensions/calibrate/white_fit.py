@@ -1,0 +1,194 @@
+"""Fit of a camera to its white picture: array, pupil over the field, blur, stray light, brightness of lenses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.ndimage
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...runtime.limits import single_threaded_blas
+from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
+from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, Zones
+from .micro_image import MicroImageModel, PupilNumbers
+from .white_centres import find_centres
+from .white_frames import WhiteFrame
+
+_WITHHELD = 1 / 3
+"""Part of the lenses that a fit does not see."""
+
+_WHOLE, _FEWEST = 0.95, 16
+"""Part of a cell's pixels that a whole micro-image has, and whole micro-images that are needed."""
+
+_MOST_STRUCTURE, _MOST_OUTLIERS = 0.035, 0.05
+"""Structure of the residual, and part of the pixels off the model, above which a picture is not evenly white."""
+
+_BLUR, _STRAY = 0.7, 0.02
+"""Blur in pixels and stray light with which fits start."""
+
+
+@dataclass(frozen=True)
+class WhiteFit:
+    """A camera fitted to its white picture, and how well lenses that were withheld from the fit agree.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The fitted camera.
+    wavelength : float or None
+        Wavelength of the fit in nanometres; None for a fit by rays.
+    frame : WhiteFrame
+        The picture, with the pixels that count.
+    array : ArrayFit
+        Pitches, rotation, offset and warp.
+    field : FieldNumbers
+        The pupil over the field, blur and stray light.
+    deviations : dict of str to array
+        Standard deviations of the field's coefficients, from lenses drawn again.
+    place, lens : (n, 2) arrays
+        Fitted place in pixels, where the first pixel's centre is 0, and index along and across the rows, of each whole
+        micro-image.
+    off_array : (n, 2) array
+        Places less those of the fitted array, in pixels.
+    brightness : (n,) array
+        Light in the middle of each micro-image, in units of the picture.
+    withheld : (n,) bool array
+        Lenses that the fit has not seen.
+    judgement : Judgement
+        Agreement of the withheld lenses.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float | None
+    frame: WhiteFrame
+    array: ArrayFit
+    field: FieldNumbers
+    deviations: dict[str, np.ndarray]
+    place: np.ndarray
+    lens: np.ndarray
+    off_array: np.ndarray
+    brightness: np.ndarray
+    withheld: np.ndarray
+    judgement: Judgement
+
+    def lens_index(self) -> dict[str, object]:
+        """Return how the centres that `find_centres` counts are the camera's lenses, as files of cameras state."""
+        along, row = self.array.nearest
+        # Rows are shifted by half a pitch where indices are not whole.
+        shifted = np.unique(self.lens[:, 0][self.lens[:, 1] % 2 == 1] % 1)
+        even = np.unique(self.lens[:, 0][self.lens[:, 1] % 2 == 0] % 1)
+        odd_rows = float(shifted[0] - even[0]) if len(shifted) and len(even) else 0.0
+        return {"odd_rows": odd_rows, "row_sign": 1, "first": [int(along // 1), int(row)]}
+
+
+@single_threaded_blas()
+def fit_white(
+    white: np.ndarray,
+    camera: PlenopticCamera,
+    *,
+    dark: np.ndarray | None = None,
+    wavelength: float | None = 550.0,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> WhiteFit:
+    """Fit a camera to a picture of something evenly white.
+
+    Parameters
+    ----------
+    white : (rows, columns) array
+        Values of the sensor, proportional to light.
+    camera : PlenopticCamera
+        The camera as it is known: main lens, microlenses' focal length, their distance to the detector, pixels. The
+        size of the picture replaces its resolution, with pixels of the same size.
+    dark : (rows, columns) array, optional
+        A picture without light.
+    wavelength : float, optional
+        Wavelength in nanometres; None fits by rays.
+    seed : int
+        Seed that chooses the third of the lenses to be withheld.
+    progress : callable, optional
+        Called with the finished and the whole number of steps.
+
+    Returns
+    -------
+    WhiteFit
+
+    Raises
+    ------
+    InputError
+        If the pictures cannot be of such a camera, or are not evenly white.
+    """
+    show = progress or (lambda done, total: None)
+    frame, generator = WhiteFrame.of(white, dark), np.random.default_rng(seed)
+    size = frame.light.shape[::-1]
+    camera = of_size(camera, size)
+    centres = find_centres(filled(frame))
+    require_alike(centres.grid, camera)
+    lens, sure = lattice_index(centres.grid, centres.lens), ~centres.doubtful
+    array = fit_array(centres.pixel[sure], lens[sure], camera)
+    camera = camera.replace(**array.lattice_parameters())
+    place = places(array, lens, camera)
+    recording = WhiteRecording(frame, camera, MicroImageModel(camera, wavelength))
+    whole = recording.pixels(place)[3].sum(1)
+    used = whole > _WHOLE * camera.lattice.cell_area * (camera.image_growth / camera.pixel_size) ** 2
+    place, lens = place[used], lens[used]
+    refuse_if(len(place) < _FEWEST, f"white: {len(place)} whole micro-images are seen: at least {_FEWEST} are needed")
+    withheld = generator.random(len(place)) < _WITHHELD
+    # First one pupil for all lenses, from a few of them.
+    start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=_BLUR, stray=_STRAY)
+    field = FieldNumbers(size, 0, start)
+    few = Zones(place, ~withheld, ZONE_LENSES // 4, generator)
+    recording.fit(place, few, field, lambda done, total: show(done, 4 * total))
+    field = FieldNumbers(size, int((~withheld).sum()), PupilNumbers(*field.values(place[:1])[0]))
+    zones = Zones(place, ~withheld, ZONE_LENSES, generator)
+    equations = recording.fit(place, zones, field, lambda done, total: show(done + total, 4 * total))
+    deviations = field.deviations(equations, generator)
+    everything = Zones(place, np.ones(len(place), bool))
+    found = recording.judged(place, everything, field, lambda done, total: show(done + 2 * total, 4 * total))
+    # Places become those of the array alone, fitted to lenses that are not withheld.
+    array = fit_array(found.place[~withheld], lens[~withheld], camera)
+    for name in ("centre_x", "centre_y"):
+        field.coefficients[name] = np.zeros_like(field.coefficients[name])
+    at_array = places(array, lens, camera)
+    tested = Zones(at_array, withheld)
+    judgement = recording.judged(at_array, tested, field, lambda done, total: show(done + 3 * total, 4 * total))
+    refuse_if(
+        judgement.structure > _MOST_STRUCTURE or judgement.outliers > _MOST_OUTLIERS,
+        f"white: its micro-images differ from those of something evenly white by {judgement.structure:.1%} of their "
+        f"light, apart from noise (at most {_MOST_STRUCTURE:.1%}), and by more at {judgement.outliers:.1%} of the "
+        f"pixels (at most {_MOST_OUTLIERS:.0%}): it is no white picture, or not by this camera",
+    )
+    return WhiteFit(
+        camera=camera,
+        wavelength=wavelength,
+        frame=frame,
+        array=array,
+        field=field,
+        deviations=deviations,
+        place=found.place,
+        lens=lens,
+        off_array=found.place - at_array,
+        brightness=found.brightness,
+        withheld=withheld,
+        judgement=judgement,
+    )
+
+
+def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:
+    """Return a camera with a full film of columns and rows, and pixels as large as before."""
+    if camera.crop_size == size and not camera.is_cropped:
+        return camera
+    refuse_if(
+        camera.crop_size == size[::-1],
+        f"white of {size[0]} x {size[1]} pixels: the camera has {size[1]} x {size[0]}: is the picture turned?",
+    )
+    width = camera.pixel_size * size[0]
+    return camera.replace(resolution=size, detector_width=width, crop_offset=(0, 0), crop_size=size)
+
+
+def filled(frame: WhiteFrame) -> np.ndarray:
+    """Return the light of a white picture, with medians of neighbours where pixels are saturated or defective."""
+    return np.where(frame.good, frame.light, scipy.ndimage.median_filter(frame.light, 5))

@@ -1,0 +1,98 @@
+"""White pictures and dark frames as sensors record them: dark signal, saturated, dead and unlit pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import refuse_if
+from ...io.captures import as_array, require_pixels
+
+_SHARED = 1e-4
+"""Part of the pixels with the picture's largest value from which on this value is saturation."""
+
+_MOST_SATURATED = 0.1
+"""Part of the pixels that may be saturated."""
+
+_UNLIT = 0.1
+"""Mean of an outer row or column, over the median of all, below which it lies beyond the lit part of the sensor."""
+
+_HOT = 10.0
+"""Deviations of a dark frame beyond which a pixel is defective."""
+
+
+@dataclass(frozen=True)
+class WhiteFrame:
+    """A white picture less its dark frame, with a mask of the pixels that count.
+
+    Attributes
+    ----------
+    light : (rows, columns) float64 array
+        Values proportional to light.
+    good : (rows, columns) bool array
+        Pixels that are lit, and neither saturated nor defective.
+    saturated, defective, unlit : int
+        Numbers of pixels that are not good: at the picture's largest value, defective in the dark frame, and in rows
+        and columns outside the lit part of the sensor.
+    """
+
+    light: np.ndarray
+    good: np.ndarray
+    saturated: int
+    defective: int
+    unlit: int
+
+    @classmethod
+    def of(cls, white: np.ndarray, dark: np.ndarray | None = None) -> WhiteFrame:
+        """Return the frame of a white picture (rows, columns) and a dark one of the same size.
+
+        Raises
+        ------
+        InputError
+            If a picture has several channels, their sizes differ, or too much is saturated or dark.
+        """
+        light = single_channel("white", white)
+        saturated = light >= light.max()
+        if saturated.mean() < _SHARED:
+            saturated[:] = False
+        refuse_if(
+            saturated.mean() > _MOST_SATURATED,
+            f"white: {saturated.mean():.0%} of its pixels have its largest value: at most {_MOST_SATURATED:.0%} may be "
+            "saturated",
+        )
+        defective = np.zeros(light.shape, bool)
+        if dark is not None:
+            dark = single_channel("dark", dark)
+            refuse_if(
+                dark.shape != light.shape,
+                f"dark of shape {dark.shape}: it must have the pixels of the white picture, {light.shape}",
+            )
+            away = dark - np.median(dark)
+            defective = np.abs(away) > _HOT * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
+            refuse_if(dark.mean() > 0.5 * light.mean(), "dark: it is not darker than half of the white picture")
+            light = light - dark
+        unlit = np.zeros(light.shape, bool)
+        for axis in (0, 1):
+            mean = light.mean(axis=1 - axis)
+            lit = np.flatnonzero(mean > _UNLIT * np.median(mean))
+            refuse_if(not len(lit), "white: it is dark")
+            outer = np.ones(len(mean), bool)
+            outer[lit[0] : lit[-1] + 1] = False
+            unlit |= outer[:, None] if axis == 0 else outer
+        defective &= ~unlit
+        good = ~(saturated | defective | unlit)
+        return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
+
+
+def single_channel(name: str, picture: np.ndarray) -> np.ndarray:
+    """Return a picture of one channel as (rows, columns) numbers; refuse others."""
+    values = np.array(as_array(name, picture), np.float64)
+    refuse_if(
+        values.ndim == 3 and values.shape[2] != 1,
+        f"{name} of shape {values.shape}: it must have one channel, for one range of wavelengths",
+    )
+    values = values[..., 0] if values.ndim == 3 else values
+    refuse_if(values.ndim != 2, f"{name} of shape {values.shape}: it must be a picture")
+    require_pixels(name, values)
+    return values

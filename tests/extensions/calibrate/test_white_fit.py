@@ -1,0 +1,106 @@
+"""Cameras fitted to white pictures that other parts of the package draw, by rays and by waves."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import scipy.ndimage
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.extensions.calibrate.white_fit import fit_white
+from mitsuba_plenoptic.views import white_image
+
+THIN = PlenopticCamera(
+    focal_length=50, aperture_radius=3.2, focus_distance=400, mla_focal_length=0.8, mla_pitch=0.1, mla_rotation=0.2,
+    mla_offset=(0.013, -0.021), detector_width=1.6, resolution=(240, 200),
+)  # fmt: skip
+
+HEXAGONAL = THIN.replace(mla_lattice="hexagonal", mla_rotation=-0.3)
+
+
+def recorded(light, seed=0, photons=20000, dark=100.0):
+    """White and dark pictures of a sensor with noise of photons."""
+    generator = np.random.default_rng(seed)
+    white = generator.poisson(photons * light.clip(0)) + generator.normal(dark, 2, light.shape)
+    return white, generator.normal(dark, 2, light.shape)
+
+
+@pytest.mark.parametrize("camera", [THIN, HEXAGONAL], ids=["square", "hexagonal"])
+def test_numbers_of_a_drawn_white_are_found(camera):
+    light = scipy.ndimage.gaussian_filter(white_image(camera), 0.8) * 0.97 + 0.03
+    white, dark = recorded(light)
+    start = camera.replace(mla_pitch=0.0992, mla_rotation=0.0, mla_offset=(0, 0), aperture_radius=2.8)
+    found = fit_white(white, start, dark=dark, wavelength=None)
+    array, numbers = found.array, {name: values[0] for name, values in found.field.coefficients.items()}
+    assert array.pitches == pytest.approx((0.1, 0.1), rel=2e-4)
+    assert array.rotation == pytest.approx(camera.mla_rotation, abs=0.02)
+    assert numbers["radius"] == pytest.approx(camera.pupil_radius / camera.pupil_step, rel=2e-3)
+    assert numbers["blur"] == pytest.approx(0.8, rel=0.02)
+    # Stray light relative to an even pupil's light.
+    assert numbers["stray"] == pytest.approx(0.03 / 0.97, rel=0.1)
+    for name in ("ellipse_x", "ellipse_y", "slope_x", "slope_y"):
+        assert abs(numbers[name]) < 5 * found.deviations[name][0] + 1e-3
+    places = found.place[found.withheld]
+    assert len(places) > 30
+    assert np.sqrt((found.off_array[found.withheld] ** 2).mean(0)).max() < 0.02
+    # Nothing but noise of photons is left.
+    assert found.judgement.systematic < 0.006
+    assert found.judgement.residual < 0.011
+
+
+def test_waves_are_told_from_rays():
+    """The white of a wave capture is fitted by waves without a blur; rays explain its diffraction by a wide one."""
+    camera = THIN.replace(
+        mla_pitch=0.08, mla_focal_length=1.6, detector_distance=1.6, aperture_radius=1.3, resolution=(160, 120)
+    )
+    camera = camera.replace(detector_width=0.8)
+    scene = {"type": "scene", "lamp": {"type": "constant"}}
+    waves = {"type": "plenoptic_wave", "wavelength": 550.0, "child": {"type": "direct"}}
+    light = render_capture(mi.load_dict(scene | {"camera": camera.to_sensor(), "integrator": waves}), spp=256).image
+    found = {length: fit_white(light, camera, wavelength=length) for length in (550.0, None)}
+    radius, blur = ({key: fit.field.coefficients[name][0] for key, fit in found.items()} for name in ("radius", "blur"))
+    assert radius[550.0] == pytest.approx(camera.pupil_radius / camera.pupil_step, rel=2e-3)
+    assert abs(blur[550.0]) < 0.25 < 0.7 < blur[None]
+    waves, rays = (found[length].judgement for length in (550.0, None))
+    assert waves.mean_image < 0.003
+    assert rays.mean_image > 2 * waves.mean_image
+
+
+SMALL = THIN.replace(resolution=(150, 120), detector_width=1.0)
+WHITE, DARK = recorded(white_image(SMALL))
+
+
+def scene_like(light):
+    """A picture whose micro-images differ, as those of a scene do."""
+    texture = scipy.ndimage.gaussian_filter(np.random.default_rng(5).random(light.shape), 2)
+    return light * (0.3 + 0.7 * texture / texture.max()) ** 3
+
+
+@pytest.mark.parametrize(
+    ("white", "dark", "camera", "words"),
+    [
+        (WHITE, DARK[:-1], SMALL, "dark of shape"),
+        (scene_like(WHITE - DARK), None, SMALL, "no white picture"),
+        (WHITE, DARK, SMALL.replace(mla_pitch=0.2), "pixels apart"),
+        (WHITE, DARK, SMALL.replace(mla_pitch=0.11), "pixels apart"),
+        (WHITE, DARK, SMALL.replace(mla_lattice="hexagonal"), "rows that are not shifted"),
+        (WHITE.T, DARK.T, SMALL, "is the picture turned"),
+        (WHITE.clip(None, 15000), DARK, SMALL, "may be saturated"),
+        (np.stack([WHITE] * 3, axis=-1), None, SMALL, "one channel"),
+        (DARK, WHITE, SMALL, "dark: it is not darker"),
+    ],
+)
+def test_wrong_pictures_are_refused(white, dark, camera, words):
+    with pytest.raises(InputError, match=words):
+        fit_white(white, camera, dark=dark, wavelength=None)
+
+
+def test_eight_bits_mirrored_pictures_and_dust_are_fitted():
+    light = (WHITE - DARK).clip(0)
+    light[40:44, 60:66] *= 0.3
+    light[80, 30:33] = light.max()
+    found = fit_white(np.round(light[:, ::-1] / light.max() * 250), SMALL, wavelength=None)
+    assert found.array.rotation == pytest.approx(-SMALL.mla_rotation, abs=0.05)
+    assert found.field.coefficients["radius"][0] == pytest.approx(SMALL.pupil_radius / SMALL.pupil_step, rel=5e-3)
+    assert 10 / light.size < found.judgement.outliers < 60 / light.size * 3
