@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, refuse_if
-from ..lattice import NO_LATTICE, Lattice, make_lattice
+from ..lattice import NO_LATTICE, Displacement, Lattice, make_lattice
 from ..prescription import Prescription
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
@@ -114,7 +115,34 @@ class CameraGeometry(CameraParameters):
             offset=self.mla_offset,
             aperture=self.mla_aperture,
             fill=self.mla_fill,
+            displacement=self.displacement(self.detector_distance),
         )
+
+    def displacement(self, detector_distance: Any) -> Displacement | None:
+        """Return the displacement of the lenses from their regular positions; None for a regular array.
+
+        Parameters
+        ----------
+        detector_distance : float or Dr.Jit array
+            Distance in mm from the array to the detector, over which `mla_cra` is kept.
+        """
+        self.require_array("displacement")
+        found = Displacement(
+            warp=self.mla_warp,
+            chief_rays=self.mla_cra,
+            distance=detector_distance,
+            medium=self.mla_medium,
+            deviation=self.mla_jitter[0],
+            seed=self.mla_seed,
+        )
+        return found if found.is_smooth or found.deviation else None
+
+    def nearer(self, reach: float) -> float:
+        """Return the distance in mm by which displacements bring lenses, in regular arrays `reach` away, nearer."""
+        if (moved := self.lattice.displacement) is None:
+            return 0.0
+        half = np.array([self.detector_width, self.detector_height]) / 2
+        return moved.farthest_irregular + moved.most_smooth(-half, half)[1] * (reach + self.lattice.cell_reach)
 
     @property
     def lenses_like_bins(self) -> bool:

@@ -31,6 +31,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
+from ..light.lens_kinds import irregularities
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
@@ -126,6 +127,11 @@ class LensTile:
         lattice = self.camera.lattice
         return max(self.camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
 
+    @cached_property
+    def own_width(self) -> float:
+        """Extent in mm, around a lens along either axis, of the chief rays of its pixels: its displaced cell."""
+        return self.cell_width + 2 * self.camera.nearer(0.0)
+
     @property
     def lens_width(self) -> float:
         """Extent in mm of an aperture along either axis."""
@@ -147,7 +153,7 @@ class LensTile:
     def pixels(self) -> int:
         """Largest number of pixels, along an axis, that belong to one lens."""
         growth = self.camera.micro_image_pitch / self.camera.mla_pitch
-        return math.ceil(self.cell_width * growth / self.camera.pixel_size) + 1
+        return math.ceil(self.own_width * growth / self.camera.pixel_size) + 1
 
     @cached_property
     def padded(self) -> int:
@@ -284,7 +290,7 @@ class LensSet:
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size
         low, high = rays.chief_point(ends, camera.mla_distance, camera.reduced_distance).T
-        half = tile.cell_width / 2
+        half = tile.own_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
         position = self.centre / camera.mla_pitch
@@ -340,7 +346,7 @@ class LensSet:
             shift=[shift[1][:, :, None], shift[0][:, None, :]],
             # Without the direction to the main lens's centre, and without its curvature.
             tilt=[phasor((c[:, None] * tile.cell + tile.cell**2 / 2) / wave_path) for c in centre.T[::-1]],
-            focal_length=types[lens_type.astype(int)],
+            focal_length=types[lens_type.astype(int)] * irregularities(camera, *self._index[which].T)[2],
             aperture=self._aperture,
         )
 
@@ -380,7 +386,7 @@ class _DetectorSamples:
         camera, n = tile.camera, tile.subsamples
         b, z = camera.mla_distance, camera.reduced_distance
         offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
-        edge = rays.chief_detector_point(centre - tile.cell_width / 2, b, z)
+        edge = rays.chief_detector_point(centre - tile.own_width / 2, b, z)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
         parts = (np.arange(n) + 0.5) / n
         coordinate = ((pixel[..., None] + parts).reshape(len(centre), -1) - half) * camera.pixel_size

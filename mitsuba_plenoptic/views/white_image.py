@@ -21,7 +21,8 @@ from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
 from ..light.lens_kinds import regular_array
-from ..light.random_numbers import even_steps, hashed
+from ..lattice.displacement import hashed
+from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
 from ..runtime.backend import array_module

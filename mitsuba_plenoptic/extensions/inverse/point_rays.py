@@ -132,6 +132,10 @@ class PointRays:
     ) -> None:
         require_known_to(camera, Captures.POINTS, "points are followed")
         require_no_shape(camera, "points are followed by rays")
+        refuse_if(
+            bool(camera.mla_warp),
+            f"mla_warp = {short_repr(camera.mla_warp)}: points are followed by rays through cameras without it only",
+        )
         require_no_glass(camera, "points are followed at one wavelength;")
         camera.require_no_objective("points are followed by rays")
         refuse_if(
