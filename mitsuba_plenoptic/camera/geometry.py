@@ -137,12 +137,22 @@ class CameraGeometry(CameraParameters):
         )
         return found if found.is_smooth or found.deviation else None
 
-    def nearer(self, reach: float) -> float:
-        """Return the distance in mm by which displacements bring lenses, in regular arrays `reach` away, nearer."""
-        if (moved := self.lattice.displacement) is None:
-            return 0.0
+    @cached_property
+    def most_displaced(self) -> tuple[float, float]:
+        """Largest smooth displacement of a lens over the detector in mm, and largest change per mm; 0 if regular."""
         half = np.array([self.detector_width, self.detector_height]) / 2
-        return moved.farthest_irregular + moved.most_smooth(-half, half)[1] * (reach + self.lattice.cell_reach)
+        moved = self.lattice.displacement
+        return (0.0, 0.0) if moved is None else moved.most_smooth(-half, half)
+
+    def nearer(self, reach: float) -> float:
+        """Return by how many mm displacements and tilt bring lenses nearer that light a point from `reach` away."""
+        across, up = np.abs(np.tan(np.deg2rad(self.mla_tilt)))
+        rise = float(self.detector_width * across + self.detector_height * up) / 2
+        # Where the array is far from the detector, micro-images are larger.
+        found = reach * rise / self.detector_distance
+        if (moved := self.lattice.displacement) is None:
+            return found
+        return found + moved.farthest_irregular + self.most_displaced[1] * (reach + self.lattice.cell_reach)
 
     @property
     def lenses_like_bins(self) -> bool:

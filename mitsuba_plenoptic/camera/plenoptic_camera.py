@@ -145,7 +145,8 @@ def require_small_warp(camera: CameraGeometry) -> None:
     moved, slope = Displacement(warp=camera.mla_warp).most_smooth(-half, half)
     most, rule = MOST_WARP * min(camera.mla_pitches), f"mla_warp = {short_repr(camera.mla_warp)}: the displacement"
     refuse_if(
-        not moved < most, f"{rule} is up to {moved:.3g} mm over the detector: it must be less than half a pitch, {most:g}"
+        not moved < most,
+        f"{rule} is up to {moved:.3g} mm over the detector: it must be less than half a pitch, {most:g}",
     )
     refuse_if(
         not slope < MOST_WARP_SLOPE,

@@ -268,7 +268,7 @@ class Lattice(abc.ABC):
         if self.displacement is None:
             return x, y
         index = self.cell(x, y)
-        return tuple(  # type: ignore[return-value]
+        return tuple(
             place - now + before
             for place, now, before in zip((x, y), self.centre(*index), self.regular.centre(*index), strict=True)
         )

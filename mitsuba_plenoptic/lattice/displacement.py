@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from ..runtime.backend import module_of, turn
 
+Corner = Sequence[float] | NDArray[np.float64]
+"""X and y of a corner of a rectangle."""
+
 MOST_DEVIATIONS = 3.0
 """Standard deviations at which deviates are clipped."""
 
@@ -95,7 +98,7 @@ class Displacement:
         """Largest irregular displacement in millimetres."""
         return math.sqrt(2) * MOST_DEVIATIONS * self.deviation
 
-    def most_smooth(self, low: Sequence[float], high: Sequence[float]) -> tuple[float, float]:
+    def most_smooth(self, low: Corner, high: Corner) -> tuple[float, float]:
         """Return the largest smooth displacement in a rectangle, in mm, and the largest change of one per mm."""
         x, y = np.meshgrid(*(np.linspace(*ends, _ALONG) for ends in zip(low, high, strict=True)))
         moved, slopes = np.array(self._moved(x, y)), []
@@ -121,13 +124,15 @@ class Displacement:
 def deviates(seed: int, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return three normal deviates, clipped at `MOST_DEVIATIONS`, for each lens of an array with a given seed."""
     start = int(hashed(np.array([seed], np.uint32))[0])
-    lens, module = hashed(hashed(_words(i) ^ start) ^ _words(j)), module_of(i)
-    found = []
-    for number in range(3):
+    module, found = module_of(i), []
+    # Single numbers of NumPy warn where arrays of them wrap round.
+    with np.errstate(over="ignore"):
+        lens = hashed(hashed(_words(i) ^ start) ^ _words(j))
+        drawn = [hashed(lens ^ (0x9E3779B9 * (number + 1) & 0xFFFFFFFF)) >> 9 for number in range(6)]
+    for words in zip(drawn[::2], drawn[1::2], strict=True):
         # Two uniform numbers make a normal one (Box and Muller 1958).
-        words = [hashed(lens ^ (0x9E3779B9 * (2 * number + part + 1) & 0xFFFFFFFF)) >> 9 for part in (0, 1)]
         if module is dr:
-            words = [dr.float32_array_t(type(word))(word) for word in words]
+            words = tuple(dr.float32_array_t(type(word))(word) for word in words)
         first, second = ((word + 0.5) * 2.0**-23 for word in words)
         deviate = module.sqrt(-2 * module.log(first)) * module.cos(2 * math.pi * second)
         found.append(module.clip(deviate, -MOST_DEVIATIONS, MOST_DEVIATIONS))

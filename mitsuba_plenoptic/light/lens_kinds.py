@@ -28,6 +28,7 @@ from ..lattice.displacement import MOST_DEVIATIONS, deviates
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, module_of
 
+
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
     (place, focal), (x, y, f) = camera.mla_jitter, deviates(camera.mla_seed, i, j)
@@ -48,7 +49,11 @@ def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
         return camera
     edges = (camera.pixel_coordinates(axis)[[0, -1]] + 0.5 * camera.pixel_size * np.array([-1, 1]) for axis in (0, 1))
     place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
-    shift = np.stack(Displacement(chief_rays=camera.mla_cra, distance=camera.detector_distance, medium=camera.mla_medium).smooth(*place))
+    shift = np.stack(
+        Displacement(chief_rays=camera.mla_cra, distance=camera.detector_distance, medium=camera.mla_medium).smooth(
+            *place
+        )
+    )
     middle, moved = place.mean((1, 2)), shift.mean((1, 2))
     about = place - middle[:, None, None]
     stretch = 1 + (about * shift).sum() / (about**2).sum()

@@ -260,7 +260,9 @@ class PlaneFactor(ArrayFactor):
             (types.Float64(place) + 0.5) * dr.opaque(types.Float64, side / count)
             for place, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
         )
-        centred = self._camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0), mla_warp=(), mla_cra=(), mla_jitter=(0.0, 0.0))
+        centred = self._camera.replace(
+            mla_rotation=0.0, mla_offset=(0.0, 0.0), mla_warp=(), mla_cra=(), mla_jitter=(0.0, 0.0)
+        )
         samples = transmission(centred, self._wavelength, x, y)
         if power:
             *offset, which = from_centre(centred, x, y)

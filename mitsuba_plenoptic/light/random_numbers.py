@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray

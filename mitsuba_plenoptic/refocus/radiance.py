@@ -77,9 +77,7 @@ _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
 
-def as_reference(
-    white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any
-) -> np.ndarray:
+def as_reference(white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any) -> np.ndarray:
     """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture to be divided.
 
     Refused is a white wave capture that lost another part of the light at the edges of its micro-images. The camera of

@@ -1,10 +1,11 @@
-r"""Captures of tilted arrays as upright arrays record them, and the displacement of single micro-images.
+r"""Captures of tilted arrays as upright arrays would have recorded them.
 
 A tilted array has each lens at its own height h, towards the main lens. A ray through the pupil point P and the lens's
-centre c meets the detector at :math:`p = c - (z + h)(P - c) / (b - h)`. In a camera whose array stands upright, the lens
-on the same chief ray is at :math:`c b / (b - h)`, and the ray through its centre and P meets the detector around the
-same point, at distances smaller by the factor :math:`(z + h) b / (b - h) z`. So every micro-image of the tilted array
-is one of the upright array, enlarged about its chief ray, and the lenses are displaced by :math:`c h / b`, a warp.
+centre c meets the detector at :math:`p = c - (z + h)(P - c) / (b - h)`. In a camera whose array stands upright, the
+lens on the same chief ray is at :math:`c b / (b - h)`, and the ray through its centre and P meets the detector around
+the same point, at distances smaller by the factor :math:`(z + h) b / (b - h) z`. So every micro-image of the tilted
+array is one of the upright array, enlarged about its chief ray, and the lenses are displaced by :math:`c h / b`, a
+warp.
 
 Both rays come from the same point of the object for P on the axis. For others they are :math:`h P / b` apart on the
 array: the tilt displaces lenses along the light, out of focus by their heights.
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
 from ..camera import PlenopticCamera
+from ..errors import naming
 from ..lattice.displacement import WARP_POWERS
-from ..optics import rays
 
 _BLOCK = 2**20
 """Pixels that are looked up together."""
@@ -40,7 +41,8 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
         across, up = np.tan(np.deg2rad(camera.mla_tilt)) / camera.pupil_distance
         warp[0, :2] += across, up
         warp[1, 1:3] += across, up
-    return camera.replace(mla_tilt=(0.0, 0.0), mla_warp=tuple(warp.ravel().tolist()))
+    with naming(f"mla_tilt = {camera.mla_tilt}"):
+        return camera.replace(mla_tilt=(0.0, 0.0), mla_warp=tuple(warp.ravel().tolist()))
 
 
 def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
@@ -69,7 +71,7 @@ def _enlarged(camera: PlenopticCamera, upright: PlenopticCamera) -> Iterator[tup
     height = max(1, _BLOCK // px.size)
     for first in range(0, down.size, height):
         p = np.meshgrid(px, down[first : first + height])
-        cells = upright.lattice.cell(*(rays.chief_point(q, b, z) if finite else q for q in p))
+        cells = upright.lattice.cell(*(q / upright.image_growth for q in p))
         rise = sum(slope * c for slope, c in zip(slopes, camera.lattice.centre(*cells), strict=True))
         larger = (z + rise / n) / z * (b / (b - rise) if finite else 1.0)
         chief = [c * upright.image_growth for c in upright.lattice.centre(*cells)]

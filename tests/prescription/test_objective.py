@@ -74,7 +74,6 @@ def test_what_no_objective_has_is_refused(values, message):
         ({"aperture_radius": 4}, "aperture_radius = 4: with this main_lens it is 5"),
         ({"mla_distance": 190}, "mla_distance = 190: with this main_lens it is 200"),
         ({"focus_distance": 10}, "focus_distance = 10: an objective is focused on its native object plane"),
-        ({"mla_tilt": (1, 0)}, r"mla_tilt = \(1.0, 0.0\): behind an objective it must be 0"),
         ({"wavefront": (0, 0, 0, 0.1)}, "a main_lens brings its own"),
     ],
 )

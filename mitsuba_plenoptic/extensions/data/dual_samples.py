@@ -69,7 +69,7 @@ def _lens_indices(camera: PlenopticCamera) -> list[np.ndarray]:
             camera.crop_offset, camera.crop_size, camera.resolution, camera.mla_offset, strict=True
         )
     ]
-    return np.meshgrid(*index)
+    return list(np.meshgrid(*index))
 
 
 def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:

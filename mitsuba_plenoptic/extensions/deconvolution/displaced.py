@@ -15,7 +15,6 @@ from scipy.sparse import csr_array
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
-from ...optics import rays
 from ...points.field_grid import Grid
 from ...runtime.batches import Box
 from ...runtime.limits import require_memory
@@ -44,8 +43,7 @@ class MovedSamples:
         """Return the map to the samples of a box of the grid, with all samples that are moved into the box."""
         if (moved := camera.lattice.displacement) is None:
             return cls(target, target, None)
-        half = np.array([camera.detector_width, camera.detector_height]) / 2
-        farthest = (moved.most_smooth(-half, half)[0] + moved.farthest_irregular) * camera.image_growth
+        farthest = (camera.most_displaced[0] + moved.farthest_irregular) * camera.image_growth
         more = np.ceil(farthest / grid.pitch).astype(int) + 1
         source = Box(
             target.left - int(more[0]), target.top - int(more[1]),
@@ -85,10 +83,9 @@ def _shifts(
     camera: PlenopticCamera, grid: Grid, column: NDArray[np.int64], row: NDArray[np.int64]
 ) -> list[NDArray[np.float64]]:
     """Return the displacements along x and y, in samples, of the micro-images to which samples belong."""
-    place = turn(*(np.stack([column, row]) * grid.pitch[:, None] + grid.origin[:, None]), grid.rotation)
-    if camera.lens_data.converges:
-        place = tuple(rays.chief_point(p, camera.pupil_distance, camera.reduced_distance) for p in place)  # type: ignore[assignment]
-    index = camera.lattice.regular.cell(*place)
+    u, v = (index * step + start for index, step, start in zip((column, row), grid.pitch, grid.origin, strict=True))
+    x, y = turn(u / camera.image_growth, v / camera.image_growth, grid.rotation)
+    index = camera.lattice.regular.cell(x, y)
     moved = [
         camera.image_growth * (now - before)
         for now, before in zip(camera.lattice.centre(*index), camera.lattice.regular.centre(*index), strict=True)
