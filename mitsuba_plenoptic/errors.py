@@ -343,7 +343,7 @@ MOST_JITTER = 0.1
 WARP_TERMS = 14
 """Coefficients of a warp: of seven terms along x, then along y."""
 
-MOST_WARP, MOST_WARP_SLOPE = 0.5, 0.05
+MOST_WARP, MOST_WARP_SLOPE = 0.5, 0.1
 """Displacement of a warped array's lenses over the pitch, and its change per mm of their positions, at most."""
 
 MOST_SEED = 2**32 - 1

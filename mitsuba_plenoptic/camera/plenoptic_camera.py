@@ -180,6 +180,14 @@ def require_round(camera: CameraGeometry, what: str) -> None:
         refuse_if(value is not None, f"{name} = {value}: {what} through round apertures only; leave it out")
 
 
+def require_no_warp(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera with smoothly displaced lenses; `what` begins the rule."""
+    refuse_if(
+        bool(camera.mla_warp),
+        f"mla_warp = {short_repr(camera.mla_warp)}: {what} through cameras without it only; leave it out",
+    )
+
+
 def require_no_shape(camera: CameraGeometry, what: str) -> None:
     """Refuse a camera with shaped microlenses, for computations with parabolic ones; `what` begins the rule."""
     refuse_if(

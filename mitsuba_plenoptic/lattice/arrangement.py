@@ -25,7 +25,7 @@ import numpy as np
 
 from ..runtime.backend import floor, is_zero, maximum, minimum, module_of, turn
 from ..runtime.limits import require_memory
-from .displacement import Displacement
+from .lens_shifts import Displacement
 
 # Points across a sample for the fraction of it that is aperture.
 _POINTS = 8

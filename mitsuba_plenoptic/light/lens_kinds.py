@@ -24,7 +24,7 @@ from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal
 from ..errors import InputError
 from ..lattice import Displacement
-from ..lattice.displacement import MOST_DEVIATIONS, deviates
+from ..lattice.lens_shifts import MOST_DEVIATIONS, deviates
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, module_of
 

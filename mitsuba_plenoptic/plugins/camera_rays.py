@@ -22,7 +22,7 @@ from ..design.quantities import (
     turns_cosines,
 )
 from ..lattice import make_lattice
-from ..lattice.displacement import MOST_DEVIATIONS
+from ..lattice.lens_shifts import MOST_DEVIATIONS
 from ..lenses.common import main_lens
 from ..lenses.main_lens import MainLens, Pair, Traced
 from ..light.lens_kinds import irregularities

@@ -46,14 +46,11 @@ from .methods import (
 )
 from .radiance import as_reference
 from .results import Reconstruction
-from .straight import straightened, straightened_image
+from .straight import displaced_image, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
 
 _PROGRESS_STEPS = 1000
-
-_DISPLACED = ("mla_jitter", "mla_cra")
-"""Parameters that displace lenses, as all methods know."""
 
 _LONG = 30.0
 """Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
@@ -208,7 +205,7 @@ def reconstruct(
     distances = require_distances(distance, camera)
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        require_ideal(camera, besides=_DISPLACED)
+        require_ideal(camera, besides=("mla_jitter",))
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:
@@ -250,7 +247,10 @@ def reconstruct(
             checkpoint=used["checkpoint"],
             batch_map=used["batch_map"],
         )
-        images = _refocused(task, chosen, settings)
+        images = [
+            dataclasses.replace(made, image=displaced_image(made.image, tilted, oversample))
+            for made in _refocused(task, chosen, settings)
+        ]
     settings |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     settings |= {"white": "capture"} if reference is not None else {}
     results = [

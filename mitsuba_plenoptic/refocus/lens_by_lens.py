@@ -127,11 +127,6 @@ class LensTile:
         lattice = self.camera.lattice
         return max(self.camera.mla_pitches) if lattice.axis_aligned else 2 * float(lattice.cell_corners().max())
 
-    @cached_property
-    def own_width(self) -> float:
-        """Extent in mm, around a lens along either axis, of the chief rays of its pixels: its displaced cell."""
-        return self.cell_width + 2 * self.camera.nearer(0.0)
-
     @property
     def lens_width(self) -> float:
         """Extent in mm of an aperture along either axis."""
@@ -153,7 +148,7 @@ class LensTile:
     def pixels(self) -> int:
         """Largest number of pixels, along an axis, that belong to one lens."""
         growth = self.camera.micro_image_pitch / self.camera.mla_pitch
-        return math.ceil(self.own_width * growth / self.camera.pixel_size) + 1
+        return math.ceil(self.cell_width * growth / self.camera.pixel_size) + 1
 
     @cached_property
     def padded(self) -> int:
@@ -290,7 +285,7 @@ class LensSet:
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size
         low, high = rays.chief_point(ends, camera.mla_distance, camera.reduced_distance).T
-        half = tile.own_width / 2
+        half = tile.cell_width / 2
         self.tile, self._index = tile, camera.lattice.lenses_within(tuple(low - half), tuple(high + half))
         self.centre = np.stack(camera.lattice.centre(*self._index.T.astype(np.float64)), axis=-1)
         position = self.centre / camera.mla_pitch
@@ -386,7 +381,7 @@ class _DetectorSamples:
         camera, n = tile.camera, tile.subsamples
         b, z = camera.mla_distance, camera.reduced_distance
         offset, size, half = camera.crop_offset[axis], camera.crop_size[axis], camera.resolution[axis] / 2
-        edge = rays.chief_detector_point(centre - tile.own_width / 2, b, z)
+        edge = rays.chief_detector_point(centre - tile.cell_width / 2, b, z)
         pixel = np.floor(edge / camera.pixel_size + half + 1e-9).astype(np.int64)[:, None] + np.arange(tile.pixels)
         parts = (np.arange(n) + 0.5) / n
         coordinate = ((pixel[..., None] + parts).reshape(len(centre), -1) - half) * camera.pixel_size

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
-from ..lattice.displacement import WARP_POWERS, Displacement
+from ..lattice.lens_shifts import WARP_POWERS, Displacement
 from ..optics import rays
 from ..runtime.limits import require_memory
 

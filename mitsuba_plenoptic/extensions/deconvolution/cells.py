@@ -200,9 +200,6 @@ def bins_matrix(cells: BinCells, lit: CellSet, camera: PlenopticCamera, distance
     x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
     x, y = np.broadcast_arrays(x, y[:, None])
     x, y = cells.grid.lens.stretch(x, y, camera, distance)
-    if (moved := camera.lattice.displacement) is not None:
-        # Bins are displaced like the lenses before them.
-        x, y = moved.regular(x, y)
     u, v = turn(x.ravel(), y.ravel(), -camera.mla_rotation)
     across, down = cells.bins
     width, height = cells.bin_sizes

@@ -32,7 +32,6 @@ from ...points.units import radiance_weight
 from ...runtime.backend import backend
 from ...runtime.batches import Box, Job, Part
 from .cells import BinCells, bins_matrix, to_bins
-from .displaced import MovedSamples, regular_camera
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, require_response_memory, zones
 from .variation import TotalVariation
 
@@ -238,17 +237,15 @@ class Response(StoredResponse):
     ) -> None:
         job = job or Job()
         self._batches: Batches = ray_batches
-        regular = regular_camera(camera)
         if wavelength is None:
-            grid, self._together = ray_grid(regular), 1
+            grid, self._together = ray_grid(camera), 1
         else:
-            fine, self._together = wave_grid(regular, distances, wavelength)
+            fine, self._together = wave_grid(camera, distances, wavelength)
             grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
         self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
-        self._moved = MovedSamples.of(camera, grid, self._recorder.box)
-        self._sampled = self.cells.holding(self._moved.source)
+        self._sampled = self.cells.holding(self._recorder.box)
         each = [self._kernel_memory(distance, oversample) for distance in distances]
         alike = _alike(camera, wavelength)
         groups = self._zones(max(each), alike)
@@ -370,14 +367,14 @@ class Response(StoredResponse):
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
         for plane, radiance in zip(self.planes, values, strict=True):
             plane.add_forward(radiance, samples)
-        sums = self._moved.forward(self.cells.join(libraries.to_host(samples), self._sampled, self._moved.source))
+        sums = self.cells.join(libraries.to_host(samples), self._sampled, self._recorder.box)
         return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
         libraries = backend()
-        sums = self._moved.adjoint(libraries.to_host(self._recorder.spread(image[..., None])[0]))
-        samples = libraries.arrays.asarray(self.cells.split(sums, self._moved.source, self._sampled))
+        sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
+        samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))
         return [plane.adjoint(samples) for plane in self.planes]
 
 
