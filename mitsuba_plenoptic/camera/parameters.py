@@ -413,7 +413,7 @@ class CoreParameters:
             "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
             "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1, for rays, "
             "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.light.lens_kinds`. "
-            "Decoding and refocusing assume the regular array."
+            "Decoding assumes the regular array."
         ),
         form=Form.PLACE,
         known_to=Captures.RAYS | Captures.SCENES,
@@ -461,8 +461,8 @@ class CoreParameters:
             "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
             "the last beyond. A lens at this height is shifted towards the axis as far as its chief ray moves on the "
             "way to the detector, be that a fraction of a pitch or several. If the tangent of the angle is "
-            "proportional to the height, a smaller `mla_pitch` describes the same array. Captures of points, fits, "
-            "decoding and refocusing take the nearest regular array."
+            "proportional to the height, a smaller `mla_pitch` describes the same array. Captures of points, fits "
+            "and decoding take the nearest regular array."
         ),
         form=Form.NUMBERS,
         otherwise="no shift",

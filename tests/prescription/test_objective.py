@@ -82,6 +82,14 @@ def test_what_does_not_go_with_an_objective_is_refused(values, message):
         PlenopticCamera(main_lens=AIR, **values)
 
 
+def test_arrays_in_the_image_of_the_stop_stand_upright():
+    assert PlenopticCamera(main_lens=AIR, mla_tilt=(1.0, 0.0)).mla_tilt == (1.0, 0.0)
+    with pytest.raises(
+        InputError, match=r"mla_tilt = \(1.0, 0.0\): an array in the image of the stop must stand upright"
+    ):
+        PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, mla_tilt=(1.0, 0.0))
+
+
 def test_presets_have_touching_micro_images():
     for name, half_angle in (("lfm", math.asin(0.5)), ("lfm_water", math.asin(0.5 / 1.33))):
         camera = PlenopticCamera.preset(name)
