@@ -340,6 +340,12 @@ MOST_STRETCH = 10.0
 MOST_JITTER = 0.1
 """Standard deviation of lenses' positions, over the pitch, and of their focal lengths, over these, at most."""
 
+WARP_TERMS = 14
+"""Coefficients of a warp: of seven terms along x, then along y."""
+
+MOST_WARP, MOST_WARP_SLOPE = 0.5, 0.1
+"""Displacement of a warped array's lenses over the pitch, and its change per mm of their positions, at most."""
+
 MOST_SEED = 2**32 - 1
 """Seed of an array's irregularities at most."""
 
@@ -414,6 +420,15 @@ def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
         raise InputError(f"{name} = {short_repr(value)}: it must be at most {MOST_ABERRATIONS} numbers")
     bound = STRONGEST_ABERRATION
     return require_numbers(name, value, count=len(value), minimum=-bound, maximum=bound)
+
+
+def require_warp(name: str, value: Any) -> tuple[float, ...]:
+    """Return up to 14 coefficients of a warp, filled up with zeros; none if all are zero."""
+    value = _plain(value)
+    if not isinstance(value, (tuple, list)) or len(value) > WARP_TERMS:
+        raise InputError(f"{name} = {short_repr(value)}: it must be at most {WARP_TERMS} numbers")
+    numbers = require_numbers(name, value, count=len(value))
+    return numbers + (0.0,) * (WARP_TERMS - len(numbers)) if any(numbers) else ()
 
 
 def require_response(name: str, value: Any) -> tuple[float, ...]:

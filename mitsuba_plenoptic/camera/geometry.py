@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, refuse_if
-from ..lattice import NO_LATTICE, Lattice, make_lattice
+from ..lattice import NO_LATTICE, Displacement, Lattice, make_lattice
 from ..prescription import Prescription
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
@@ -114,7 +115,44 @@ class CameraGeometry(CameraParameters):
             offset=self.mla_offset,
             aperture=self.mla_aperture,
             fill=self.mla_fill,
+            displacement=self.displacement(self.detector_distance),
         )
+
+    def displacement(self, detector_distance: Any) -> Displacement | None:
+        """Return the displacement of the lenses from their regular positions; None for a regular array.
+
+        Parameters
+        ----------
+        detector_distance : float or Dr.Jit array
+            Distance in mm from the array to the detector, over which `mla_cra` is kept.
+        """
+        self.require_array("displacement")
+        found = Displacement(
+            warp=self.mla_warp,
+            chief_rays=self.mla_cra,
+            distance=detector_distance,
+            medium=self.mla_medium,
+            deviation=self.mla_jitter[0],
+            seed=self.mla_seed,
+        )
+        return found if found.is_smooth or found.deviation else None
+
+    @cached_property
+    def most_displaced(self) -> tuple[float, float]:
+        """Largest smooth displacement of a lens over the detector in mm, and largest change per mm; 0 if regular."""
+        half = np.array([self.detector_width, self.detector_height]) / 2
+        moved = self.lattice.displacement
+        return (0.0, 0.0) if moved is None else moved.most_smooth(-half, half)
+
+    def nearer(self, reach: float) -> float:
+        """Return by how many mm displacements and tilt bring lenses nearer that light a point from `reach` away."""
+        across, up = np.abs(np.tan(np.deg2rad(self.mla_tilt)))
+        rise = float(self.detector_width * across + self.detector_height * up) / 2
+        # Where the array is far from the detector, micro-images are larger.
+        found = reach * rise / self.detector_distance
+        if (moved := self.lattice.displacement) is None:
+            return found
+        return found + moved.farthest_irregular + self.most_displaced[1] * (reach + self.lattice.cell_reach)
 
     @property
     def lenses_like_bins(self) -> bool:

@@ -30,6 +30,7 @@ from ..errors import (
     require_pixels,
     require_place,
     require_response,
+    require_warp,
     require_wavefront,
 )
 from ..extension import entries, place
@@ -412,10 +413,25 @@ class CoreParameters:
             "Standard deviations of what is irregular in the array: of the lenses' positions along x and along y, in "
             "millimetres and at most 0.1 of the pitch, and of their focal lengths, relative and at most 0.1, for rays, "
             "signed rays, and waves of points by method ``full_field``; see `mitsuba_plenoptic.light.lens_kinds`. "
-            "Decoding and refocusing assume the regular array."
+            "Decoding assumes the regular array."
         ),
         form=Form.PLACE,
         known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
+    )
+    mla_warp: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(),
+        check=require_warp,
+        words=(
+            "Smooth displacement of the lenses from their regular positions (x, y) in millimetres, as by a relay or a "
+            "mount: up to 14 coefficients, of :math:`x^2, xy, y^2` in 1/mm and of :math:`x^3, x^2 y, x y^2, y^3` in "
+            "1/mm², first of the displacement along x, then of that along y. The displacement must stay below half a "
+            "pitch over the detector, and its change per millimetre below 0.1. Lenses keep their size and shape."
+        ),
+        form=Form.NUMBERS,
+        otherwise="a regular array",
+        unit=("1/mm", "1/mm", "1/mm", "1/mm²", "1/mm²", "1/mm²", "1/mm²") * 2,
+        known_to=Captures.ALL,
         of_array=True,
     )
     mla_figure_error: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
@@ -445,8 +461,8 @@ class CoreParameters:
             "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
             "the last beyond. A lens at this height is shifted towards the axis as far as its chief ray moves on the "
             "way to the detector, be that a fraction of a pitch or several. If the tangent of the angle is "
-            "proportional to the height, a smaller `mla_pitch` describes the same array. Captures of points, fits, "
-            "decoding and refocusing take the nearest regular array."
+            "proportional to the height, a smaller `mla_pitch` describes the same array. Captures of points, fits "
+            "and decoding take the nearest regular array."
         ),
         form=Form.NUMBERS,
         otherwise="no shift",

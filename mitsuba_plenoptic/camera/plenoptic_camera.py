@@ -16,6 +16,8 @@ import numpy as np
 
 from ..errors import (
     MOST_JITTER,
+    MOST_WARP,
+    MOST_WARP_SLOPE,
     NO_RECORD,
     InputError,
     did_you_mean,
@@ -28,7 +30,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, missing
-from ..lattice import LATTICES, NO_LATTICE
+from ..lattice import LATTICES, NO_LATTICE, Displacement
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
@@ -124,6 +126,7 @@ def require_whole(camera: CameraGeometry) -> None:
     if camera.has_array:
         if camera.mla_shape is not None:
             require_cover(camera.mla_shape, camera.lattice)
+        require_small_warp(camera)
         rise = reach * np.hypot(*np.tan(np.deg2rad(camera.mla_tilt)))
         refuse_if(
             rise >= min(camera.detector_distance, camera.mla_distance),
@@ -133,6 +136,21 @@ def require_whole(camera: CameraGeometry) -> None:
     refuse_if(
         np.min(1 + radius * (3 * k1 + radius * (5 * k2 + radius * 7 * k3))) <= 0,
         f"distortion = {camera.distortion}: it folds the image within {reach:.3g} mm of the axis",
+    )
+
+
+def require_small_warp(camera: CameraGeometry) -> None:
+    """Refuse a warp by half a pitch or more, or one that changes lenses' distances much, over the detector."""
+    half = np.array([camera.detector_width, camera.detector_height]) / 2
+    moved, slope = Displacement(warp=camera.mla_warp).most_smooth(-half, half)
+    most, rule = MOST_WARP * min(camera.mla_pitches), f"mla_warp = {short_repr(camera.mla_warp)}: the displacement"
+    refuse_if(
+        not moved < most,
+        f"{rule} is up to {moved:.3g} mm over the detector: it must be less than half a pitch, {most:g}",
+    )
+    refuse_if(
+        not slope < MOST_WARP_SLOPE,
+        f"{rule} changes by up to {slope:.3g} mm per mm over the detector: it must be less than {MOST_WARP_SLOPE:g}",
     )
 
 
@@ -146,12 +164,12 @@ def require_known_to(
             raise InputError(f"{name} = {value}: {what} through cameras without it only; {instead}leave it out")
 
 
-def require_ideal(camera: CameraGeometry, *, in_full: bool = False) -> None:
-    """Refuse a camera with features that the wave model of points does not support.
+def require_ideal(camera: CameraGeometry, *, in_full: bool = False, besides: Sequence[str] = ()) -> None:
+    """Refuse a camera with features that the wave model of points does not support, except those named in `besides`.
 
     Among these are irregular arrays and phase screens, except where fields are computed in full.
     """
-    besides = ("mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()
+    besides = (*besides, *(("mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()))
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
@@ -160,6 +178,14 @@ def require_round(camera: CameraGeometry, what: str) -> None:
     for name in ("aperture_blades", "aperture_image"):
         value = getattr(camera, name)
         refuse_if(value is not None, f"{name} = {value}: {what} through round apertures only; leave it out")
+
+
+def require_no_warp(camera: CameraGeometry, what: str) -> None:
+    """Refuse a camera with smoothly displaced lenses; `what` begins the rule."""
+    refuse_if(
+        bool(camera.mla_warp),
+        f"mla_warp = {short_repr(camera.mla_warp)}: {what} through cameras without it only; leave it out",
+    )
 
 
 def require_no_shape(camera: CameraGeometry, what: str) -> None:

@@ -9,5 +9,6 @@ from ..runtime.backend import turn
 from . import hexagonal as hexagonal
 from . import square as square
 from .arrangement import APERTURES, LATTICES, NO_LATTICE, Lattice, make_lattice, register
+from .lens_shifts import Displacement
 
-__all__ = ["APERTURES", "LATTICES", "NO_LATTICE", "Lattice", "make_lattice", "register", "turn"]
+__all__ = ["APERTURES", "LATTICES", "NO_LATTICE", "Displacement", "Lattice", "make_lattice", "register", "turn"]

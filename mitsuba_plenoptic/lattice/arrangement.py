@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import abc
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ..runtime.backend import floor, is_zero, maximum, minimum, module_of, turn
 from ..runtime.limits import require_memory
+from .lens_shifts import Displacement
 
 # Points across a sample for the fraction of it that is aperture.
 _POINTS = 8
@@ -58,6 +59,9 @@ class Lattice(abc.ABC):
     fill : float
         Width of the aperture (for a disc its diameter, else the distance of opposite sides) over the pitch, at most 1.
         The rest of the cell is opaque.
+    displacement : Displacement, optional
+        Displacement of the lenses from these regular positions. Cells move with smooth displacements, but keep their
+        size in the formulas of sizes; irregular displacements move lenses within their cells.
     """
 
     pitches: tuple[Any, Any]
@@ -65,6 +69,7 @@ class Lattice(abc.ABC):
     offset: tuple[Any, Any] = (0.0, 0.0)
     aperture: str = "cell"
     fill: Any = 1.0
+    displacement: Displacement | None = None
 
     # -- what a lattice defines ----------------------------------------------------------------------
 
@@ -216,25 +221,57 @@ class Lattice(abc.ABC):
     @property
     def axis_aligned(self) -> bool:
         """Whether cells are rectangles along x and y, so that an index along x follows from x alone."""
+        return self.displacement is None and self._upright
+
+    @property
+    def _upright(self) -> bool:
         return self.rectangular and self.stagger == 1 and is_zero(self.rotation)
 
     @property
     def separable(self) -> bool:
         """Whether cells and apertures are products of an interval along x and one along y."""
-        return self.axis_aligned and self.aperture == "cell"
+        return self.axis_aligned and self.has_upright_apertures
+
+    @property
+    def has_upright_apertures(self) -> bool:
+        """Whether each aperture is a product of an interval along x and one along y, wherever it lies."""
+        return self._upright and self.aperture == "cell"
+
+    @property
+    def regular(self) -> Lattice:
+        """The lattice without displacements."""
+        return self if self.displacement is None else replace(self, displacement=None)
 
     # -- cells ---------------------------------------------------------------------------------------
 
     def cell(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return the indices, integers as floats, of the cell that holds a point."""
+        if self.displacement is not None:
+            x, y = self.displacement.regular(x, y)
         u, v = self.to_frame(x - self.offset[0], y - self.offset[1])
         return self.unit_cell(u / self.pitches[0], v / self.row_distance)
 
     def centre(self, i: Any, j: Any) -> tuple[Any, Any]:
-        """Return the centre of a cell."""
+        """Return the centre of a lens: of its cell but for irregular displacements."""
         u, v = self.unit_centre(i, j)
         x, y = self.from_frame(u * self.pitches[0], v * self.row_distance)
-        return x + self.offset[0], y + self.offset[1]
+        x, y = x + self.offset[0], y + self.offset[1]
+        if self.displacement is not None:
+            moved = [self.displacement.smooth(x, y)]
+            if self.displacement.deviation:
+                moved.append(self.displacement.irregular(i, j))
+            x, y = (place + sum(shifts) for place, shifts in zip((x, y), zip(*moved, strict=True), strict=True))
+        return x, y
+
+    def in_regular_array(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the points of the regular array that lie by their lenses' centres as given points lie by theirs."""
+        if self.displacement is None:
+            return x, y
+        index = self.cell(x, y)
+        return tuple(
+            place - now + before
+            for place, now, before in zip((x, y), self.centre(*index), self.regular.centre(*index), strict=True)
+        )
 
     def axis_cell(self, coordinate: Any, axis: int) -> Any:
         """Return the index along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
@@ -376,8 +413,10 @@ class Lattice(abc.ABC):
         (lenses, 2) int array
             Their indices i and j, by j and then by i.
         """
-        corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
-        origin = np.array(self.centre(0.0, 0.0))
+        moved = self.displacement
+        far = 0.0 if moved is None else moved.most_smooth(low, high)[0] + moved.farthest_irregular
+        corners = np.array([[x, y] for x in (low[0] - far, high[0] + far) for y in (low[1] - far, high[1] + far)])
+        origin = np.array(self.regular.centre(0.0, 0.0))
         ends = np.linalg.solve(np.array(self.basis).T, (corners - origin).T)
         first, last = np.floor(ends.min(1)), np.ceil(ends.max(1))
         require_memory(60.0 * float(np.prod(last - first + 1)), f"{np.prod(last - first + 1):.3g} lenses")

@@ -87,8 +87,8 @@ class LensWaves:
 
     @property
     def lattice(self) -> Lattice:
-        """The microlens lattice."""
-        return self.camera.lattice
+        """The regular microlens lattice: kernels are those of a lens among neighbours at regular distances."""
+        return self.camera.lattice.regular
 
     @cached_property
     def _lens_kinds(self) -> LensKinds:

@@ -43,7 +43,8 @@ class LensWindow:
     @classmethod
     def of(cls, system: OpticalSystem) -> LensWindow:
         """Return the window of a camera's recorded pixels."""
-        camera, lattice = system.camera, system.lattice
+        # Only where points lie depends on it.
+        camera, lattice = system.camera, system.lattice.regular
         edges = np.array([[0, 0], camera.crop_size]) + camera.crop_offset - np.array(camera.resolution) / 2
         recorded = system.lens.chief_point(edges * camera.pixel_size, camera.reduced_distance)
         pitch = max(camera.mla_pitches)

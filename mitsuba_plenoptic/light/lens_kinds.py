@@ -23,49 +23,16 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..camera.entry import one_if_equal
 from ..errors import InputError
+from ..lattice import Displacement
+from ..lattice.lens_shifts import MOST_DEVIATIONS, deviates
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, module_of
-from .random_numbers import hashed
-
-MOST_DEVIATIONS = 3.0
-"""Standard deviations at which deviates are clipped."""
 
 
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:
     """Return the displacements of lenses along x and y, in millimetres, and the factors on their focal lengths."""
-    place, focal = camera.mla_jitter
-    start = int(hashed(np.array([camera.mla_seed], np.uint32))[0])
-    lens, module = hashed(hashed(_words(i) ^ start) ^ _words(j)), dr if dr.is_array_v(i) else np
-    deviates = []
-    for number in range(3):
-        # Two uniform numbers make a normal one (Box and Muller 1958).
-        words = [hashed(lens ^ (0x9E3779B9 * (2 * number + part + 1) & 0xFFFFFFFF)) >> 9 for part in (0, 1)]
-        if module is dr:
-            words = [dr.float32_array_t(type(word))(word) for word in words]
-        first, second = ((word + 0.5) * 2.0**-23 for word in words)
-        deviate = module.sqrt(-2 * module.log(first)) * module.cos(2 * math.pi * second)
-        deviates.append(module.clip(deviate, -MOST_DEVIATIONS, MOST_DEVIATIONS))
-    x, y, f = deviates
+    (place, focal), (x, y, f) = camera.mla_jitter, deviates(camera.mla_seed, i, j)
     return place * x, place * y, 1 + focal * f
-
-
-def chief_ray_shift(camera: PlenopticCamera, x: Any, y: Any, detector_distance: Any = None) -> tuple[Any, Any]:
-    """Return the displacement in mm, towards the axis, of lenses at regular positions that `mla_cra` aligns."""
-    if not camera.mla_cra:
-        return 0.0, 0.0
-    z = camera.detector_distance if detector_distance is None else detector_distance
-    module = dr if dr.is_array_v(x) else np
-    height = module.sqrt(x * x + y * y)
-    angle = sum(
-        math.radians(angles[1] - angles[0]) * module.clip((height - low) / (high - low), 0, 1)
-        for (low, high), angles in zip(
-            itertools.pairwise(camera.mla_cra[::2]), itertools.pairwise(camera.mla_cra[1::2]), strict=True
-        )
-    )
-    # Snell's law at the border of the medium behind the lenses.
-    sine = module.sin(angle) / camera.mla_medium
-    scale = -z * sine / module.sqrt(1 - sine * sine) / module.maximum(height, 1e-9)
-    return scale * x, scale * y
 
 
 _PLACES = 33
@@ -82,7 +49,11 @@ def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
         return camera
     edges = (camera.pixel_coordinates(axis)[[0, -1]] + 0.5 * camera.pixel_size * np.array([-1, 1]) for axis in (0, 1))
     place = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
-    shift = np.stack(chief_ray_shift(camera, *place))
+    shift = np.stack(
+        Displacement(chief_rays=camera.mla_cra, distance=camera.detector_distance, medium=camera.mla_medium).smooth(
+            *place
+        )
+    )
     middle, moved = place.mean((1, 2)), shift.mean((1, 2))
     about = place - middle[:, None, None]
     stretch = 1 + (about * shift).sum() / (about**2).sum()
@@ -91,13 +62,6 @@ def regular_array(camera: PlenopticCamera) -> PlenopticCamera:
         mla_pitch=one_if_equal(tuple((stretch * np.array(camera.mla_pitches)).tolist())),
         mla_offset=tuple((stretch * (np.array(camera.mla_offset) - middle) + middle + moved).tolist()),
     )
-
-
-def _words(index: Any) -> Any:
-    """Return indices as 32-bit integers, modulo 2^32."""
-    if not dr.is_array_v(index):
-        return np.asarray(index, np.int64).astype(np.uint32)
-    return dr.uint32_array_t(type(index))(dr.int32_array_t(type(index))(index))
 
 
 _COSINES = 32

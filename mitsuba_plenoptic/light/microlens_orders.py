@@ -99,6 +99,9 @@ class ArrayFactor(ABC):
     def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
         """Return the factor, or its derivative, at Dr.Jit float64 coordinates along its axes, as Complex2f."""
         types, camera = array_types(coordinates[0]), self._camera
+        if camera.lattice.displacement is not None:
+            # No factor of such an array is of one coordinate.
+            coordinates = camera.lattice.in_regular_array(*coordinates)
         if parameter not in self._tables:
             self._tables[parameter] = self._table(self.orders(parameter))
         table = types.UInt64(self._tables[parameter])
@@ -257,7 +260,9 @@ class PlaneFactor(ArrayFactor):
             (types.Float64(place) + 0.5) * dr.opaque(types.Float64, side / count)
             for place, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
         )
-        centred = self._camera.replace(mla_rotation=0.0, mla_offset=(0.0, 0.0))
+        centred = self._camera.replace(
+            mla_rotation=0.0, mla_offset=(0.0, 0.0), mla_warp=(), mla_cra=(), mla_jitter=(0.0, 0.0)
+        )
         samples = transmission(centred, self._wavelength, x, y)
         if power:
             *offset, which = from_centre(centred, x, y)

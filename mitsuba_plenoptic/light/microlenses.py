@@ -44,7 +44,12 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
     """Return the camera in the frame that is rotated with the lattice about the axis."""
     if not camera.mla_rotation:
         return camera
-    return camera.replace(mla_rotation=0.0, mla_offset=turn(*camera.mla_offset, -camera.mla_rotation))
+    moved, warp = camera.lattice.displacement, camera.mla_warp
+    return camera.replace(
+        mla_rotation=0.0,
+        mla_offset=turn(*camera.mla_offset, -camera.mla_rotation),
+        mla_warp=warp if moved is None else moved.turned(camera.mla_rotation).warp,
+    )
 
 
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
@@ -52,11 +57,12 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
     dx, dy, which = from_centre(camera, x, y)
     types = array_types(x)
     lattice, longer = _opaque_lattice(camera, types), 1.0
-    inside = lattice.in_aperture(dx, dy)
-    if any(camera.mla_jitter):
-        # The light of each cell passes its own lens, wherever this lies.
-        right, up, longer = (types.Float64(value) for value in irregularities(camera, *lattice.cell(x, y)))
-        dx, dy = dx - right, dy - up
+    # The light of each cell passes its own lens, wherever this lies; displaced cells have no gaps between them.
+    u, v = (x, y) if lattice.displacement is None else lattice.displacement.regular(x, y)
+    cx, cy = lattice.regular.centre(*lattice.cell(x, y))
+    inside = lattice.in_aperture(u - cx, v - cy)
+    if camera.mla_jitter[1]:
+        longer = types.Float64(irregularities(camera, *lattice.cell(x, y))[2])
     if camera.mla_shape is not None:
         waves = camera.mla_shape.waves(*lattice.to_frame(dx, dy), wavelength) / longer
     else:
@@ -91,6 +97,7 @@ def _opaque_lattice(camera: PlenopticCamera, types: Any) -> Lattice:
         offset=(x, y),
         aperture=camera.mla_aperture,
         fill=fill,
+        displacement=camera.lattice.displacement,
     )
 
 
@@ -99,8 +106,8 @@ def bend(camera: PlenopticCamera) -> float:
     lattice = camera.lattice
     if camera.mla_shape is not None:
         slopes = np.hypot(*camera.mla_shape.slopes(*lattice.to_frame(*aperture_points(lattice))))
-        return float(slopes.max()) * (math.sqrt(0.5) if lattice.separable else 1)
-    half = lattice.aperture_width / 2 if lattice.separable else lattice.aperture_reach
+        return float(slopes.max()) * (math.sqrt(0.5) if lattice.has_upright_apertures else 1)
+    half = lattice.aperture_width / 2 if lattice.has_upright_apertures else lattice.aperture_reach
     return float(half) / min(camera.reduced_focal_lengths)
 
 

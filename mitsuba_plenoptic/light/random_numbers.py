@@ -1,11 +1,10 @@
-"""Random numbers of rays and lenses: evenly spread sequences, hashed integers, and 16-bit words."""
+"""Random numbers of rays: evenly spread sequences, and 16-bit words."""
 
 from __future__ import annotations
 
 import functools
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -27,17 +26,6 @@ def even_steps(dimensions: int) -> NDArray[np.float64]:
 def even_words(dimensions: int) -> tuple[int, ...]:
     """Return the `even_steps` as integers in units of 2^-32, with which a sequence stays exact at any index."""
     return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
-
-
-def hashed(word: Any) -> Any:
-    """Return 32-bit hashes of words (Wellons 2018, "Prospecting for hash functions").
-
-    Words are NumPy or Dr.Jit arrays of unsigned integers.
-    """
-    kind = type(word) if dr.is_array_v(word) else np.uint32
-    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
-        word = (word ^ (word >> shift)) * kind(factor)
-    return word ^ (word >> 16)
 
 
 def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:

@@ -25,7 +25,7 @@ from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box
-from .lens_kinds import MOST_DEVIATIONS, LensKinds
+from .lens_kinds import LensKinds
 from .phase_space import PhaseSpace, TableNodes
 from .random_numbers import chances_of, even_steps
 from .signed_colours import Lanes
@@ -240,11 +240,10 @@ class Draws(DetectorGrid):
     def candidates(self) -> NDArray[np.int64]:
         """Lenses that can light a pixel, as lattice indices relative to the lens of the pixel's chief ray."""
         camera = self._camera
-        # Irregularities displace lenses by at most this distance.
-        beyond = MOST_DEVIATIONS * camera.mla_jitter[0] * math.sqrt(2)
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
         apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
-        found = camera.lattice.neighbours(apart * max(self.enlargements) + beyond)
+        reach = apart * max(self.enlargements)
+        found = camera.lattice.neighbours(reach + camera.nearer(reach))
         many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
         refuse_if(len(found) > _MOST_LENSES, f"{many}; waves of scenes are captured through at most {_MOST_LENSES}")
         return found

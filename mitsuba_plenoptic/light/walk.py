@@ -24,7 +24,7 @@ from ..lenses.main_lens import MainLens, Pair, Traced
 from ..optics import rays
 from ..runtime.backend import array_module, drjit_array
 from ..runtime.fft import rows_and_columns
-from .lens_kinds import FigureError, chief_ray_shift, irregularities
+from .lens_kinds import FigureError, irregularities
 from .optical_system import OpticalSystem
 
 _LANES = 2**22
@@ -118,29 +118,21 @@ class Walk(PupilWalk):
         if any(self.camera.mla_tilt):
             height = self.height(x, y)
             x, y = x + height * self.lens.slope_to(0.0, x), y + height * self.lens.slope_to(0.0, y)
-        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
-        return (x, y), self.lattice.cell(x - right, y - up)
-
-    def centre(self, i: Any, j: Any) -> Pair:
-        """Return the centres of lenses of a regular array, or of an array aligned to chief rays."""
-        x, y = self.lattice.centre(i, j)
-        right, up = chief_ray_shift(self.camera, x, y, self.detector_distance)
-        return x + right, y + up
+        return (x, y), self.lattice.cell(x, y)
 
     def lens_at(self, i: Any, j: Any) -> tuple[Pair, Any]:
         """Return the centres of lenses, irregular ones too, and the focal lengths, reduced by the medium's index."""
-        (x, y), f2 = self.centre(i, j), self.focal_lengths / self.medium
+        centre, f2 = self.lattice.centre(i, j), self.focal_lengths / self.medium
         if np.size(f2) == 1 if isinstance(f2, np.ndarray) else dr.width(f2) == 1:
             f2 = float(f2[0]) if isinstance(f2, np.ndarray) else f2
-        elif dr.is_array_v(x):
-            kind = dr.uint32_array_t(type(x))(self.lattice.lens_type(i, j))
-            f2 = dr.gather(type(x), f2 if dr.is_array_v(f2) else drjit_array(type(x), f2), kind)
+        elif dr.is_array_v(centre[0]):
+            kind, lane = self.lattice.lens_type(i, j), type(centre[0])
+            f2 = dr.gather(lane, f2 if dr.is_array_v(f2) else drjit_array(lane, f2), dr.uint32_array_t(lane)(kind))
         else:
             f2 = f2[np.asarray(self.lattice.lens_type(i, j), int)]
-        if any(self.camera.mla_jitter):
-            right, up, longer = irregularities(self.camera, i, j)
-            x, y, f2 = x + right, y + up, f2 * longer
-        return (x, y), f2
+        if self.camera.mla_jitter[1]:
+            f2 = f2 * irregularities(self.camera, i, j)[2]
+        return centre, f2
 
     def turn(self, passage: Passage) -> Pair:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""

@@ -22,9 +22,10 @@ from ..design.quantities import (
     turns_cosines,
 )
 from ..lattice import make_lattice
+from ..lattice.lens_shifts import MOST_DEVIATIONS
 from ..lenses.common import main_lens
 from ..lenses.main_lens import MainLens, Pair, Traced
-from ..light.lens_kinds import MOST_DEVIATIONS, irregularities
+from ..light.lens_kinds import irregularities
 from ..light.walk import Passage, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
@@ -222,6 +223,7 @@ class CameraRays(Walk):
             offset=(offset.x, offset.y),
             aperture=camera.mla_aperture,
             fill=numbers["mla_fill"],
+            displacement=camera.displacement(numbers["detector_distance"]),
         )
         return cls(
             camera,
@@ -247,12 +249,11 @@ class CameraRays(Walk):
         """Return the lenses from which the lenses of rays are drawn, at the wavelength that needs the most."""
         camera = self.camera
         seen = [camera] if self.dispersion is None else [camera, *self.dispersion.ends(camera)]
-        place, focal = (MOST_DEVIATIONS * deviation for deviation in camera.mla_jitter)
-        defocus = max(crosstalk_defocus(each) for each in seen)
-        # Irregularities displace lenses, and move their light, by at most this distance.
-        beyond += math.hypot(place, place) + focal * defocus
+        defocus, reach = max(crosstalk_defocus(each) for each in seen), max(crosstalk_reach(each) for each in seen)
+        # Displaced lenses are nearer, and irregular ones move their light, by at most this distance.
+        beyond += camera.nearer(reach) + MOST_DEVIATIONS * camera.mla_jitter[1] * defocus
         steps = max((crosstalk_neighbours(each, beyond=beyond) for each in seen), key=len)
-        limits, step = np.full(SECTORS, max(crosstalk_reach(each) for each in seen)), 1.0
+        limits, step = np.full(SECTORS, reach), 1.0
         if turns_cosines(camera):
             corner = math.hypot(*(np.abs(camera.pixel_coordinates(axis)).max() for axis in (0, 1)))
             radius = float(main_lens(camera).chief_point(corner + camera.pixel_size, camera.reduced_distance))

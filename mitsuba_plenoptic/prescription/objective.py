@@ -181,10 +181,13 @@ class Objective(LensData):
         )
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse further aberrations, and no or a tilted array."""
+        """Refuse further aberrations, no array, and a tilted one in the image of the stop."""
         camera.require_array(f"main_lens = {self.label}")
         require_alone(camera)
-        refuse_if(any(camera.mla_tilt), f"mla_tilt = {camera.mla_tilt}: behind an objective it must be 0")
+        refuse_if(
+            self.is_fourier and any(camera.mla_tilt),
+            f"mla_tilt = {camera.mla_tilt}: an array in the image of the stop must stand upright; leave it out",
+        )
 
     def require_distance(self, camera: Any, distance: float) -> None:
         """Refuse a depth that is not finite or not before the objective."""

@@ -21,7 +21,6 @@ from ..errors import (
 )
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
-from ..light.lens_kinds import regular_array
 from ..optics import guards
 from ..refocus_options import OPTIONS, MethodOptions, with_options
 from ..runtime.backend import one_at_a_time
@@ -41,13 +40,13 @@ from .methods import (
     require_image_memory,
     require_option,
     require_response,
-    require_upright,
     require_wavelengths,
     used_by,
     work_of,
 )
 from .radiance import as_reference
 from .results import Reconstruction
+from .straight import displaced_image, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
 
@@ -180,8 +179,9 @@ def reconstruct(
     recorded = capture
     capture = as_capture(capture, camera)
     capture.camera.require_array("reconstruct")
-    camera = regular_array(capture.camera)
-    capture = dataclasses.replace(capture, camera=camera)
+    tilted = capture.camera
+    camera, image = straightened(tilted), straightened_image(np.atleast_3d(capture.image), tilted)
+    capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     chosen = registered(method)
     if not camera.lens_data.converges and not chosen.as_it_is:
         methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is) or "of extension deconvolution"
@@ -189,7 +189,6 @@ def reconstruct(
             f"method = {method}: behind main_lens = {camera.lens_data.label} captures are reconstructed by the "
             f"camera's own point spreads; use {argument('method')} {methods}"
         )
-    require_upright(camera)
     used = used_by(
         chosen,
         white=white,
@@ -204,17 +203,16 @@ def reconstruct(
         settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)
     distances = require_distances(distance, camera)
-    image = capture.image if capture.image.ndim == 3 else capture.image[..., None]
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        require_ideal(camera)
+        require_ideal(camera, besides=("mla_jitter",))
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:
         # Images are formed by the lens as it should be.
         camera = camera.replace(wavefront=())
     require_image_memory(camera, distances, oversample, image.shape, white is not None and is_known(camera))
-    reference = None if white is None else as_reference(white, capture, recorded)
+    reference = None if white is None else as_reference(white, capture, tilted, recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
     def tell(seconds: float) -> None:
@@ -249,7 +247,10 @@ def reconstruct(
             checkpoint=used["checkpoint"],
             batch_map=used["batch_map"],
         )
-        images = _refocused(task, chosen, settings)
+        images = [
+            dataclasses.replace(made, image=displaced_image(made.image, tilted, oversample))
+            for made in _refocused(task, chosen, settings)
+        ]
     settings |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     settings |= {"white": "capture"} if reference is not None else {}
     results = [

@@ -31,6 +31,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..design import focus_type
+from ..light.lens_kinds import irregularities
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
@@ -340,7 +341,7 @@ class LensSet:
             shift=[shift[1][:, :, None], shift[0][:, None, :]],
             # Without the direction to the main lens's centre, and without its curvature.
             tilt=[phasor((c[:, None] * tile.cell + tile.cell**2 / 2) / wave_path) for c in centre.T[::-1]],
-            focal_length=types[lens_type.astype(int)],
+            focal_length=types[lens_type.astype(int)] * irregularities(camera, *self._index[which].T)[2],
             aperture=self._aperture,
         )
 

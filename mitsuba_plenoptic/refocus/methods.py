@@ -203,14 +203,6 @@ def as_capture(capture: Capture | np.ndarray, camera: PlenopticCamera | None) ->
     return Capture(as_array("capture", capture), camera)
 
 
-def require_upright(camera: PlenopticCamera) -> None:
-    """Refuse a tilted array behind a real main lens."""
-    refuse_if(
-        not camera.lens_data.is_thin and any(camera.mla_tilt),
-        f"mla_tilt = {camera.mla_tilt}: captures through a main_lens are reconstructed with 0 only",
-    )
-
-
 def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     """Return the distances; refuse one that does not lie before the camera."""
     try:

@@ -46,6 +46,7 @@ from .lens_by_lens import (
 from .methods import Progress, Task, portion
 from .ray_sums import ray_sums
 from .splatting import thin_places
+from .straight import straightened_image
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""
@@ -76,14 +77,14 @@ _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
 
 
-def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -> np.ndarray:
+def as_reference(white: Capture | np.ndarray, capture: Capture, tilted: PlenopticCamera, recorded: Any) -> np.ndarray:
     """Return a recorded white image, scaled to a radiance of 1, with the channels of the capture to be divided.
 
     Refused is a white wave capture that lost another part of the light at the edges of its micro-images. The camera of
-    white must be that of the capture, or that with which the capture was `recorded`.
+    white must be the capture's before it was straightened, `tilted`, or that with which the capture was `recorded`.
     """
     image = np.atleast_3d(capture.image)
-    cameras = [taken.camera for taken in (capture, recorded) if isinstance(taken, Capture)]
+    cameras = [tilted, *([recorded.camera] if isinstance(recorded, Capture) else [])]
     pixels = recorded_white(white, image.shape, cameras)
     if isinstance(white, Capture):
         refuse_if(
@@ -99,6 +100,7 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, recorded: Any) -
             f"white of {short_repr(white.wavelength)} nm: the capture is of {short_repr(capture.wavelength)} nm; "
             "it must be of the same wavelengths",
         )
+    pixels = straightened_image(pixels, tilted)
     scaled = recorded_white(pixels, pixels.shape, [capture.camera], white_pixels(capture.camera))
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 

@@ -170,6 +170,8 @@ def _lattice(camera: PlenopticCamera, bins: str = "") -> list[_Line]:
         lattice.append(f"moved by ({', '.join(map(_four, camera.mla_offset))}) mm")
     if any(camera.mla_tilt):
         lattice.append(f"tilted by ({', '.join(map(_four, camera.mla_tilt))}) deg")
+    if camera.mla_warp:
+        lattice.append(f"displaced by up to {_four(camera.most_displaced[0] / camera.pixel_size)} pixels")
     medium = []
     if camera.mla_medium != 1:
         medium = [("medium behind it", f"{camera.mla_medium:g}", "", "refractive index, by which z is divided below")]

@@ -205,7 +205,7 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
     Lenses beyond the grid's edge are left out, so that weights there sum to less than 1.
     """
     rows, columns = lenses.shape
-    dx, dy = (bins.centres().reshape(-1, 2) - lenses.offset).T
+    dx, dy = (lenses.regular(bins.centres().reshape(-1, 2)) - lenses.offset).T
     cosine, sine = math.cos(lenses.rotation), math.sin(lenses.rotation)
     x, y = (cosine * dx + sine * dy) / lenses.spacing[0], (cosine * dy - sine * dx) / lenses.spacing[1]
     entries = []

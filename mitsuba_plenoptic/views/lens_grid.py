@@ -7,14 +7,15 @@ which they belong.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair
+from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
+from ..lattice.lens_shifts import WARP_POWERS, Displacement
 from ..optics import rays
 from ..runtime.limits import require_memory
 
@@ -42,6 +43,11 @@ class LensGrid:
         (clockwise as one looks at the picture).
     shifted_rows : {0, 1}, optional
         Which rows are shifted by half a spacing: the even or the odd ones. None: a rectangular grid.
+    warp : tuple of 14 floats, optional
+        Coefficients of a smooth displacement from these rows and columns in pixels, along columns, then along rows:
+        those of `mla_warp`, over positions in pixels from `middle`.
+    middle : (float, float)
+        Column and row coordinate from which positions count in the warp: the camera's axis.
 
     Raises
     ------
@@ -55,6 +61,8 @@ class LensGrid:
     shape: tuple[int, int]
     rotation: float = 0.0
     shifted_rows: int | None = None
+    warp: tuple[float, ...] = ()
+    middle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         spacing = require_pair("spacing", self.spacing, "(along a row, between rows)")
@@ -69,6 +77,8 @@ class LensGrid:
             shape=tuple(require_count("shape", each, maximum=MOST_PIXELS) for each in shape),
             rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
         )
+        put(self, warp=require_warp("warp", self.warp))
+        put(self, middle=tuple(require_number("middle", each, minimum=-1e9, maximum=1e9) for each in self.middle))
         if self.shifted_rows is not None:
             put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
@@ -96,10 +106,20 @@ class LensGrid:
             column += 0.5 * (row % 2 == self.shifted_rows)
         along, across = column * self.spacing[0], row * self.spacing[1]
         cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
-        return np.stack(
+        regular = np.stack(
             [self.offset[0] + cosine * along - sine * across, self.offset[1] + sine * along + cosine * across],
             axis=-1,
         )
+        if not self.warp:
+            return regular
+        moved = Displacement(self.warp).smooth(*np.moveaxis(regular - self.middle, -1, 0))
+        return np.asarray(regular + np.stack(moved, axis=-1))
+
+    def regular(self, places: np.ndarray) -> np.ndarray:
+        """Return the positions (n, 2) from which the warp displaces to given ones."""
+        if not self.warp:
+            return places
+        return np.asarray(self.middle + np.stack(Displacement(self.warp).regular(*(places - self.middle).T), axis=-1))
 
 
 def bin_grid(camera: PlenopticCamera) -> LensGrid:
@@ -140,9 +160,9 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
         If no micro-image is centred in the recorded window.
     """
     camera.require_array("lens_grid")
-    lattice = camera.lattice
+    lattice = camera.lattice.regular
     if lattice.axis_aligned and lattice.aspect == 1 and lattice.offset == (0, 0):
-        return bin_grid(camera)
+        return _warped(bin_grid(camera), camera)
     refuse_if(
         not len(micro_image_centres(camera, 0)),
         f"crop_size = {camera.crop_size}: no micro-image is centred in the recorded window",
@@ -150,7 +170,19 @@ def lens_grid(camera: PlenopticCamera) -> LensGrid:
     scale = rays.chief_detector_point(1 / camera.pixel_size, camera.mla_distance, camera.reduced_distance)
     vectors, shifted = lattice_rows(np.array(lattice.basis) * scale)
     x, y = lattice.centre(0.0, 0.0)
-    return covering_grid(camera.shape, np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)]), vectors, shifted)
+    origin = np.array([_pixel(camera, x, 0), _pixel(camera, y, 1)])
+    return _warped(covering_grid(camera.shape, origin, vectors, shifted), camera)
+
+
+def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
+    """Return the grid of a regular array with the displacement of the camera's lenses."""
+    if not camera.mla_warp:
+        return grid
+    # From millimetres on the array to pixels.
+    size = camera.pixel_size / camera.image_growth
+    warp = [number * size ** (sum(powers) - 1) for number, powers in zip(camera.mla_warp, WARP_POWERS * 2, strict=True)]
+    x, y = np.array(camera.resolution) / 2 - camera.crop_offset
+    return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
 
 
 def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:

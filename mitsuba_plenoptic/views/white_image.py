@@ -20,8 +20,9 @@ from ..camera.aperture import Opening, Round
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
+from ..lattice.lens_shifts import hashed
 from ..light.lens_kinds import regular_array
-from ..light.random_numbers import even_steps, hashed
+from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
 from ..runtime.backend import array_module

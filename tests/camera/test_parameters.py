@@ -91,6 +91,7 @@ OTHER = {
     "phase_screen": {"waves": np.outer(range(5), range(6)).tolist(), "width": 12.5},
     "mla_jitter": (0.0011, 0.023),
     "mla_seed": 4294967295,
+    "mla_warp": (1e-5, 0.0, -2e-5, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1e-6),
     "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),
     "pixel_crosstalk": 0.02,
     "pixel_response": (0.0, 1.0, 20.0, 0.3),

@@ -26,7 +26,7 @@ def test_full_fields_of_irregular_arrays_against_explicit_sums(changes):
 
     def path(x, y):
         i, j = camera.lattice.cell(x, y)
-        cx, cy = camera.lattice.centre(i, j)
+        cx, cy = camera.lattice.regular.centre(i, j)
         right, up, longer = irregularities(camera, i, j)
         r2 = (x - cx - right) ** 2 + (y - cy - up) ** 2
         own = 0.5 * (np.sqrt(0.25**2 - r2) - 0.25) if camera.mla_shape else -r2 / (2 * 0.512)

@@ -239,11 +239,11 @@ def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
 def test_the_command_shows_one_line(tmp_path, capsys):
     given = tmp_path / "camera.json"
     # The lenses that are tried are those around the chief ray's lens, which is found for slow changes of its shift.
-    cra = {"mla_cra": (0, 0, 0.5, 5.0)}
+    cra = {"mla_cra": (0, 0, 0.25, 0, 0.2505, 8.0)}
     camera = PlenopticCamera(resolution=(64, 64), detector_width=1.024, aperture_radius=7.3, **cra)
     given.write_text(camera.to_json())
     assert main(["render", "white", "-o", str(tmp_path / "raw.exr"), "--spp", "1", "--camera", str(given)]) == 0
     # One more line tells that so large pixels do not refocus.
     lines = [line for line in capsys.readouterr().err.splitlines() if "warning" in line and "refocusing" not in line]
     assert len(lines) == 1
-    assert lines[0].startswith("mitsuba-plenoptic: warning: 3.")
+    assert lines[0].startswith("mitsuba-plenoptic: warning: 0.2")

@@ -74,13 +74,20 @@ def test_what_no_objective_has_is_refused(values, message):
         ({"aperture_radius": 4}, "aperture_radius = 4: with this main_lens it is 5"),
         ({"mla_distance": 190}, "mla_distance = 190: with this main_lens it is 200"),
         ({"focus_distance": 10}, "focus_distance = 10: an objective is focused on its native object plane"),
-        ({"mla_tilt": (1, 0)}, r"mla_tilt = \(1.0, 0.0\): behind an objective it must be 0"),
         ({"wavefront": (0, 0, 0, 0.1)}, "a main_lens brings its own"),
     ],
 )
 def test_what_does_not_go_with_an_objective_is_refused(values, message):
     with pytest.raises(InputError, match=message):
         PlenopticCamera(main_lens=AIR, **values)
+
+
+def test_arrays_in_the_image_of_the_stop_stand_upright():
+    assert PlenopticCamera(main_lens=AIR, mla_tilt=(1.0, 0.0)).mla_tilt == (1.0, 0.0)
+    with pytest.raises(
+        InputError, match=r"mla_tilt = \(1.0, 0.0\): an array in the image of the stop must stand upright"
+    ):
+        PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, mla_tilt=(1.0, 0.0))
 
 
 def test_presets_have_touching_micro_images():

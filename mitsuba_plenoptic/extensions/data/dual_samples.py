@@ -10,7 +10,6 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...io.captures import Capture
-from ...light.lens_kinds import chief_ray_shift
 from ...light.render_capture import plenoptic_sensor, render_capture
 from ...plugins.other_camera import with_camera
 from ...runtime.backend import drjit_array
@@ -42,9 +41,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     sensor = plenoptic_sensor(scene)
     camera = PlenopticCamera.from_sensor(sensor)
     rows, columns = (count // ACROSS for count in camera.shape)
-    regular = _lens_centres(camera)
-    shift = chief_ray_shift(camera, *regular)
-    x, y = (drjit_array(mi.Float, place + aside) for place, aside in zip(regular, shift, strict=True))
+    x, y = (drjit_array(mi.Float, place) for place in camera.lattice.centre(*_lens_indices(camera)))
     hits = FirstHits(scene, sensor, ["depth"])
 
     def of_lenses(index: Any) -> tuple[Any, Any]:
@@ -64,16 +61,15 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     }
 
 
-def _lens_centres(camera: PlenopticCamera) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y of the recorded lenses' centres, (rows, columns), before the shifts by `mla_cra`."""
+def _lens_indices(camera: PlenopticCamera) -> list[np.ndarray]:
+    """Return both lattice indices of the recorded lenses, (rows, columns)."""
     index = [
         np.floor(((first + ACROSS * np.arange(size // ACROSS) + 1) - count / 2 - offset / camera.pixel_size) / ACROSS)
         for first, size, count, offset in zip(
             camera.crop_offset, camera.crop_size, camera.resolution, camera.mla_offset, strict=True
         )
     ]
-    x, y = camera.lattice.centre(*np.meshgrid(*index))
-    return x, y
+    return list(np.meshgrid(*index))
 
 
 def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
@@ -81,9 +77,9 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
 
     Lenses aligned to chief rays are placed with the smaller pitch that fits the recorded lenses best.
     """
-    b, (x, y) = camera.pupil_distance, _lens_centres(camera)
-    right, up = chief_ray_shift(camera, x, y)
-    pitch = camera.mla_pitch * (1 + float((x * right + y * up).sum() / (x * x + y * y).sum()))
+    b, index = camera.pupil_distance, _lens_indices(camera)
+    (x, y), (right, up) = camera.lattice.regular.centre(*index), camera.lattice.centre(*index)
+    pitch = camera.mla_pitch * float((x * right + y * up).sum() / (x * x + y * y).sum())
     z = _FILLED * pitch * b * _STOPPED / (2 * camera.pupil_radius)
     return camera.replace(
         aperture_radius=camera.aperture_radius / _STOPPED,

@@ -52,7 +52,9 @@ def lattice_from_white(camera: PlenopticCamera, white: Any) -> PlenopticCamera:
 def _fitted(camera: PlenopticCamera, position: NDArray[np.float64]) -> PlenopticCamera:
     """Return the camera with an array adjusted so that its lenses nearest to the given positions lie on them."""
     lattice = camera.lattice
-    i, j = lattice.cell(*position.T)
+    if lattice.displacement is not None:
+        position = np.stack(lattice.displacement.regular(*position.T), axis=-1)
+    i, j = lattice.regular.cell(*position.T)
     u, v = (np.asarray(part, np.float64) for part in lattice.unit_centre(i, j))
     v = v * lattice.row_ratio
     x, y = position.T

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_ideal, require_no_shape
+from ...camera.plenoptic_camera import require_ideal, require_no_shape, require_no_warp
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
 from ...io.captures import as_array, require_pixels
 from ...light.lens_kinds import regular_array
@@ -72,6 +72,7 @@ class RayRefocus:
     def __init__(
         self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
     ) -> None:
+        require_no_warp(camera, "reconstructions have derivatives")
         camera = regular_array(camera)
         camera.require_no_objective("captures are refocused by rays")
         self.camera, self._distance = camera, require_number("distance", distance, finite=False)
@@ -235,6 +236,7 @@ class CoherentRefocus:
         self, camera: PlenopticCamera, distance: float, wavelength: float, *, interleave: int = 1, oversample: int = 1
     ) -> None:
         camera.require_thin("captures are reconstructed")
+        require_no_warp(camera, "reconstructions have derivatives")
         camera = regular_array(camera)
         require_ideal(camera)
         require_no_shape(camera, "captures are reconstructed by waves")
@@ -425,6 +427,7 @@ class DeconvolvedRefocus:
         iterations: int = DEFAULT_ITERATIONS,
         oversample: int = 1,
     ) -> None:
+        require_no_warp(camera, "reconstructions have derivatives")
         camera = regular_array(camera)
         self.camera, self.iterations = camera, require_count("iterations", iterations)
         distance, oversample = (

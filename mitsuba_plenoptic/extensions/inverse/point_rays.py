@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.entry import Captures
-from ...camera.plenoptic_camera import require_known_to, require_no_glass, require_no_shape
+from ...camera.plenoptic_camera import require_known_to, require_no_glass, require_no_shape, require_no_warp
 from ...camera.vector import CameraVector
 from ...errors import refuse_if, short_repr
 from ...lattice import make_lattice
@@ -132,6 +132,7 @@ class PointRays:
     ) -> None:
         require_known_to(camera, Captures.POINTS, "points are followed")
         require_no_shape(camera, "points are followed by rays")
+        require_no_warp(camera, "points are followed by rays")
         require_no_glass(camera, "points are followed at one wavelength;")
         camera.require_no_objective("points are followed by rays")
         refuse_if(

@@ -44,7 +44,7 @@ def require_pixel_pairs(camera: CameraGeometry) -> None:
     """Refuse a camera whose recorded pixels are not whole lenses of 2 x 2 pixels."""
     camera.require_array("photodiodes")
     refuse_if(
-        not camera.lattice.axis_aligned,
+        not camera.lattice.regular.axis_aligned,
         f"mla_lattice = {camera.mla_lattice}, mla_rotation = {camera.mla_rotation:g}: lenses over photodiodes must be "
         "upright squares",
     )

@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, short_repr
-from ...light.lens_kinds import chief_ray_shift
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Walk
 from ...optics.waves import in_millimetres
@@ -67,6 +66,7 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
         ("mla_tilt", any(camera.mla_tilt), "0"),
         ("mla_jitter", any(camera.mla_jitter), "0"),
+        ("mla_warp", bool(camera.mla_warp), "left out"),
         ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),
         ("main_lens", camera.objective is not None, "no objective"),
         ("resolution", any(size % 2 for size in camera.resolution), "even"),
@@ -97,17 +97,10 @@ def _offsets(camera: PlenopticCamera, count: int, axis: int) -> NDArray[np.float
     return (index + 0.5) * (max(count, 1) * camera.pixel_size - camera.mla_pitch) - camera.mla_offset[axis]
 
 
-def lens_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any]:
-    """Return the positions of lenses aligned to chief rays, by lattice indices."""
-    centre = camera.lattice.centre(x, y)
-    right, up = chief_ray_shift(camera, *centre)
-    return centre[0] + right, centre[1] + up
-
-
 def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
     """Return the positions of the centres of lenses' pixels relative to the lenses' centres, by lattice indices."""
     width = count * camera.pixel_size
-    return [(index + 0.5) * width - c for index, c in zip((x, y), lens_centre(camera, x, y), strict=True)]
+    return [(index + 0.5) * width - c for index, c in zip((x, y), camera.lattice.centre(x, y), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -217,7 +210,7 @@ class PlaneWaveResponses:
 
     def _place(self, x: float, y: float) -> list[float]:
         """Return the position x, y in mm of a lens with given lattice indices."""
-        return [float(c) for c in lens_centre(self.camera, x, y)]
+        return [float(c) for c in self.camera.lattice.centre(x, y)]
 
     def chief(self, x: float, y: float) -> list[float]:
         """Return the direction cosines, at a lens, of the light from the pupil's centre."""

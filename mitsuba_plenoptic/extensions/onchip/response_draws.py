@@ -17,7 +17,7 @@ from ...lenses.main_lens import Pair
 from ...light.random_numbers import chances_of, even_words
 from ...light.walk import Walk
 from ...runtime.backend import drjit_array
-from .plane_waves import NEAR, lens_centre
+from .plane_waves import NEAR
 from .response_tables import PhotodiodeResponses, TableWindow
 
 
@@ -71,7 +71,7 @@ class Tables:
         random = [mi.Float(word >> 8) * 2.0**-24 for word in words]
         chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
-        centre = lens_centre(self.camera, *index)
+        centre = self.camera.lattice.centre(*index)
         slope = [-system.lens.slope_to(P, c) for P, c in zip(pupil, centre, strict=True)]
         chief = [-system.lens.slope_to(0.0, c) for c in centre]
         cosine, middle = (dr.rsqrt(1 + dr.square(t[0]) + dr.square(t[1])) for t in (slope, chief))

@@ -24,7 +24,6 @@ from ...errors import (
 from ...io.captures import MODELS
 from ...lenses.common import main_lens
 from ...light.detector import mix_pixels
-from ...light.lens_kinds import chief_ray_shift
 from ...light.optical_system import OpticalSystem
 from ...light.sampling import footprint
 from ...points.point_spread import point_spread_function
@@ -163,7 +162,8 @@ def _around(
     offset = np.array(camera.mla_offset)
     index = np.floor((position - offset) / width)
     middle = (index + 0.5) * width + offset
-    shift = np.array(chief_ray_shift(camera, *middle))
+    moved = camera.lattice.displacement
+    shift = np.zeros(2) if moved is None else np.array(moved.smooth(*middle))
     corner = np.array(camera.resolution) / 2 + (index - count // 2) * ACROSS + np.rint(offset / camera.pixel_size)
     refuse_if(
         (corner < 0).any() or (corner + ACROSS * count > camera.resolution).any(),

@@ -23,7 +23,7 @@ import scipy.io
 import xarray as xr
 
 from ...camera import PlenopticCamera
-from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
+from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ...runtime.files import atomic_output, h5py_module, require_file, stored_array
 from ...runtime.limits import memory_limit, require_memory
 from ...views.coordinates import grid_of, light_field, require_light_field
@@ -221,6 +221,7 @@ def _read_model(group: Any) -> dict[str, Any]:
 
 
 def _to_model(grid: LensGrid) -> dict[str, Any]:
+    refuse_if(bool(grid.warp), f"warp = {short_repr(grid.warp)}: a lenslet grid model has none; leave out the camera's")
     rows, columns = grid.shape
     return {
         "HSpacing": grid.spacing[0],

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.entry import Captures
+from ...camera.plenoptic_camera import require_no_warp
 from ...camera.vector import change_of, parts_of, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
@@ -84,6 +85,7 @@ def values_of(camera: PlenopticCamera, wavelength: float, name: str) -> NDArray[
 
 def check_names(camera: PlenopticCamera, names: Iterable[str] | None) -> tuple[str, ...]:
     """Return the names of a camera's differentiable parameters, all of them for None; refuse other names."""
+    require_no_warp(camera, "points have derivatives")
     own = [name for name in DIFFERENTIABLE if len(values_of(camera, 1.0, name))]
     names = own if names is None else (names,) if isinstance(names, str) else tuple(names)
     for name in names:

@@ -8,7 +8,7 @@ import pytest
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.array_functions import CameraCapture
 from mitsuba_plenoptic.fitting import View
-from mitsuba_plenoptic.light.lens_kinds import chief_ray_shift, regular_array
+from mitsuba_plenoptic.light.lens_kinds import regular_array
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import brightness_of
 from mitsuba_plenoptic.refocus import RayRefocus
@@ -32,10 +32,10 @@ def test_regular_lenses_are_where_the_aligned_ones_are(name, part):
     camera, index = around(name, part)
     regular = regular_array(camera)
     i, j = (np.array([-2.0, 0.0, 2.0]) + start for start in index)
-    place, near = camera.lattice.centre(i, j), regular.lattice.centre(i, j)
+    place, near = camera.lattice.regular.centre(i, j), regular.lattice.centre(i, j)
     assert not regular.mla_cra
     assert regular_array(regular) is regular
-    shift = chief_ray_shift(camera, *place)
+    shift = np.array(camera.lattice.centre(i, j)) - place
     assert np.max(np.abs(shift)) > part * 2e-4
     for regular_place, aligned, aside in zip(near, place, shift, strict=True):
         assert regular_place == pytest.approx(aligned + aside, abs=2e-6)
@@ -45,8 +45,8 @@ def test_regular_lenses_are_where_the_aligned_ones_are(name, part):
 def test_points_are_captured_as_banks_have_them(name):
     camera, index = around(name, 0.9)
     (i, j), distance = index, 0.98 * camera.focus_distance
-    middle = np.array(camera.lattice.centre(float(i), float(j)))
-    lens = middle + np.array(chief_ray_shift(camera, *middle))
+    middle = np.array(camera.lattice.regular.centre(float(i), float(j)))
+    lens = np.array(camera.lattice.centre(float(i), float(j)))
     point = (*(-lens * distance / camera.mla_distance).tolist(), distance)
     operator = mp.CaptureOperator(camera, [point], wavelength=550, accuracy=0)
     field = [tuple(middle.tolist())]

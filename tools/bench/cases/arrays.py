@@ -350,8 +350,7 @@ def irregular(camera: PlenopticCamera) -> Callable[..., Any]:
     def path(x: Any, y: Any) -> Any:
         i, j = camera.lattice.cell(x, y)
         cx, cy = camera.lattice.centre(i, j)
-        right, up, longer = irregularities(camera, i, j)
-        return -((x - cx - right) ** 2 + (y - cy - up) ** 2) / (2 * 0.512) / longer
+        return -((x - cx) ** 2 + (y - cy) ** 2) / (2 * 0.512) / irregularities(camera, i, j)[2]
 
     return path
 

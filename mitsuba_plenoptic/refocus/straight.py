@@ -1,0 +1,115 @@
+r"""Captures of displaced or tilted lenses as a regular, upright array would have recorded them.
+
+A tilted array has each lens at its own height h, towards the main lens. A ray through the pupil point P and the lens's
+centre c meets the detector at :math:`p = c - (z + h)(P - c) / (b - h)`. In a camera whose array stands upright, the
+lens on the same chief ray is at :math:`c b / (b - h)`, and the ray through its centre and P meets the detector around
+the same point, at distances smaller by the factor :math:`(z + h) b / (b - h) z`. So every micro-image of the tilted
+array is one of the upright array, enlarged about its chief ray, and the lenses are displaced by :math:`c h / b`.
+
+A displaced lens moves its micro-image by its displacement, times :math:`(b + z) / b`. Every micro-image is moved back
+to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. What the lens
+has seen then counts to the regular position; where displacements are no small part of a lens, the refocused image is
+displaced at the end.
+
+Both rays through P come from the same point of the object for P on the axis. For others they are :math:`h P / b` apart
+on the array, a defocus that remains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, spline_filter
+
+from ..camera import PlenopticCamera
+from ..lattice import Displacement
+from ..lattice.lens_shifts import WARP_POWERS
+from ..light.lens_kinds import regular_array
+
+_BLOCK = 2**20
+"""Pixels that are looked up together."""
+
+_ORDER = 3
+"""Order of the splines between pixels."""
+
+_NEAR = 0.01
+"""Pixels by which micro-images may be displaced that stay as they are."""
+
+_ASIDE = 0.1
+"""Displacement of lenses over the pitch up to which images stay as they are."""
+
+
+def straightened(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera with an upright array of regular lenses; the same camera if it has one.
+
+    In the image of the stop displaced lenses see the object from other directions, which the response to points knows.
+    """
+    if camera.lens_data.images_stop or (camera.lattice.displacement is None and not any(camera.mla_tilt)):
+        return camera
+    regular = regular_array(camera)
+    return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
+
+
+def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it."""
+    regular = straightened(camera)
+    if regular is camera:
+        return image
+    found = np.empty_like(image)
+    splines = [spline_filter(channel, _ORDER) for channel in np.moveaxis(image.astype(np.float64), -1, 0)]
+    for rows, x, y in _seen(camera, regular):
+        for channel, spline in enumerate(splines):
+            found[rows, :, channel] = map_coordinates(spline, (y, x), order=_ORDER, mode="nearest", prefilter=False)
+        row, column = np.indices(x.shape)
+        still = np.maximum(abs(x - column), abs(y - row - rows.start)) < _NEAR
+        found[rows][still] = image[rows][still]
+    # Splines overshoot at the edges of micro-images.
+    return found.clip(image.min(), None)
+
+
+def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
+    """Yield rows of the regular camera's pixels, with the columns and rows, in fractions, that the camera has there."""
+    b, z, n = camera.pupil_distance, camera.reduced_distance, camera.mla_medium
+    slopes, growth = np.tan(np.deg2rad(camera.mla_tilt)), camera.image_growth
+    px, down = camera.pixel_coordinates(0), camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // px.size)
+    for first in range(0, down.size, height):
+        p = np.meshgrid(px, down[first : first + height])
+        cells = regular.lattice.cell(*(q / growth for q in p))
+        centre = camera.lattice.centre(*cells)
+        rise = sum(slope * c for slope, c in zip(slopes, centre, strict=True))
+        # Chief rays behind an objective are parallel to the axis.
+        nearer = 1 - (growth > 1) * rise / b
+        larger = (z + rise / n) / z / nearer
+        places = [
+            (c / nearer - larger * before) * growth + larger * q
+            for q, c, before in zip(p, centre, regular.lattice.centre(*cells), strict=True)
+        ]
+        x, y = (
+            place / camera.pixel_size + camera.resolution[axis] / 2 - 0.5 - camera.crop_offset[axis]
+            for axis, place in enumerate(places)
+        )
+        yield slice(first, first + len(x)), x, y
+
+
+def displaced_image(image: NDArray[np.float32], camera: PlenopticCamera, oversample: int) -> NDArray[np.float32]:
+    """Return a refocused image (rows, columns, channels) with its bins displaced like the camera's lenses."""
+    if straightened(camera) is camera:
+        return image
+    warp = np.array(camera.mla_warp or np.zeros(2 * len(WARP_POWERS))).reshape(2, -1)
+    # A tilt moves lenses by c h / b, where h is linear in c.
+    across, up = np.tan(np.deg2rad(camera.mla_tilt)) * (camera.image_growth > 1) / camera.pupil_distance
+    warp[0, :2] += across, up
+    warp[1, 1:3] += across, up
+    moved, rows, columns = Displacement(tuple(warp.ravel().tolist())), *image.shape[:2]
+    pitch = camera.mla_pitch / oversample
+    half = np.array([columns, rows]) * pitch / 2
+    if moved.most_smooth(-half, half)[0] <= _ASIDE * camera.mla_pitch:
+        return image
+    x, y = np.meshgrid(*((np.arange(size) - (size - 1) / 2) * pitch for size in (columns, rows)))
+    x, y = (place / pitch + (size - 1) / 2 for place, size in zip(moved.regular(x, y), (columns, rows), strict=True))
+    channels = [map_coordinates(each, (y, x), order=1, mode="nearest") for each in np.moveaxis(image, -1, 0)]
+    return np.stack(channels, axis=-1)

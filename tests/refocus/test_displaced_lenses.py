@@ -1,0 +1,132 @@
+"""Reconstructions of captures by cameras whose lenses are displaced or whose array is tilted, like those of others."""
+
+import functools
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from wave_cases import HALF
+
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic.refocus.straight import straightened, straightened_image
+from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.views import white_image
+
+STRAIGHT = PlenopticCamera(**HALF, resolution=(192, 192), detector_width=0.768)
+"""12 x 12 lenses of 16 x 16 pixels."""
+
+PIXEL = 0.004
+HALF_WIDTH = 0.384
+WARP = tuple(
+    (0.45 * PIXEL * np.array([0.5, -0.4, 0.3, 0.5, -0.35, 0.25, 0.2, -0.3, 0.5, 0.4, -0.3, 0.5, 0.2, -0.35])
+     / np.array(2 * [*3 * [HALF_WIDTH**2], *4 * [HALF_WIDTH**3]])).tolist()
+)  # fmt: skip
+"""Up to 0.6 pixels in the corners."""
+
+CAMERAS = {
+    "straight": {},
+    "warped": {"mla_warp": WARP},
+    "tilted": {"mla_tilt": (0.3, -0.2), "mla_warp": WARP},
+    "irregular": {"mla_jitter": (0.0005, 0.0), "mla_seed": 2},
+}
+METHODS = {
+    "coherent": {"method": "coherent"},
+    "partial": {"method": "partial", "interleave": 2},
+    "lens by lens": {"method": "partial", "interleave": "auto"},
+    "incoherent": {"method": "incoherent"},
+    "deconvolved": {"method": "deconvolved"},
+}
+DISTANCE = 114.0
+
+
+def wall(camera):
+    """Return a scene of a wall with a random texture, somewhat finer than the lenses."""
+    size = 1.3 * HALF_WIDTH * DISTANCE / camera.mla_distance
+    texture = mi.Bitmap(np.random.default_rng(3).random((24, 24, 1)).astype(np.float32))
+    light = {"type": "area", "radiance": {"type": "bitmap", "bitmap": texture, "raw": True}}
+    place = mi.ScalarTransform4f().translate([0, 0, DISTANCE]).rotate([0, 1, 0], 180).scale([size, size, 1])
+    wall = {"type": "rectangle", "to_world": place, "emitter": light}
+    return mi.load_dict({"type": "scene", "camera": camera.to_sensor(), "i": {"type": "path"}, "wall": wall})
+
+
+@functools.cache
+def capture(name):
+    mi.set_variant("llvm_ad_mono")
+    return render_capture(wall(STRAIGHT.replace(**CAMERAS[name])), model="wave", wavelength=633, spp=64)
+
+
+@functools.cache
+def reference():
+    mi.set_variant("llvm_ad_mono")
+    return thin_lens_image(wall(STRAIGHT), STRAIGHT, DISTANCE, 512)
+
+
+def correlation(image):
+    inner = np.s_[2:-2, 2:-2]
+    return np.corrcoef(image[inner].ravel(), reference()[inner].ravel())[0, 1]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "name",
+    ["tilted", pytest.param("warped", marks=pytest.mark.slow), pytest.param("irregular", marks=pytest.mark.slow)],
+)
+def test_displaced_lenses_are_refocused_as_well_as_regular_ones(name, method):
+    """The correlation with Mitsuba's thin lens is at most 0.002 below that of the straight camera."""
+    straight, found = (
+        correlation(reconstruct(capture(each), DISTANCE, **METHODS[method]).image) for each in ("straight", name)
+    )
+    assert straight > 0.9
+    assert found > straight - 0.002
+
+
+@pytest.mark.slow
+def test_a_regular_array_would_not_do():
+    """Lenses displaced by three times as much, refocused as if they were regular, and as they are."""
+    mi.set_variant("llvm_ad_mono")
+    camera = STRAIGHT.replace(mla_warp=tuple(3 * number for number in WARP))
+    taken = render_capture(wall(camera), model="wave", wavelength=633, spp=64)
+    known, unknown = (
+        correlation(reconstruct(taken, DISTANCE, method="coherent", camera=each).image) for each in (camera, STRAIGHT)
+    )
+    assert known - unknown > 0.005
+
+
+def test_white_captures_are_straightened():
+    """Micro-images computed for displaced and tilted lenses become those of the regular camera, but for their rims."""
+    camera = STRAIGHT.replace(mla_warp=WARP, mla_jitter=(0.0005, 0.0), mla_tilt=(2.0, -1.0))
+    assert straightened(camera) == STRAIGHT
+    expected, given = white_image(STRAIGHT), white_image(camera)
+    found = straightened_image(given[..., None], camera)[..., 0]
+    before, after = (np.sqrt(np.mean((image - expected) ** 2)) for image in (given, found))
+    assert after < 0.4 * before
+
+
+@pytest.mark.slow
+def test_images_behind_far_displaced_lenses_are_displaced():
+    """A point of the wall is where the straight camera has it, though its lens is a third of a pitch aside."""
+    mi.set_variant("llvm_ad_mono")
+    camera = STRAIGHT.replace(mla_warp=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.08))
+    assert 0.15 < camera.most_displaced[0] / camera.mla_pitch < 0.2
+    images = []
+    for taken in (STRAIGHT, camera):
+        capture = render_capture(wall(taken), spp=64)
+        images.append(reconstruct(capture, DISTANCE).image)
+    unmoved = reconstruct(straightened_image(capture.image[..., None], camera)[..., 0], DISTANCE, camera=STRAIGHT).image
+    ours, theirs = (np.corrcoef(images[0].ravel(), image.ravel())[0, 1] for image in (images[1], unmoved))
+    assert ours > theirs
+
+
+def test_a_white_reference_is_straightened_too():
+    camera = STRAIGHT.replace(mla_warp=WARP, mla_tilt=(1.0, 0.0))
+    white = Capture(white_image(camera), camera)
+    image = reconstruct(Capture(2 * white.image, camera), DISTANCE, white=white).image
+    assert np.nanmax(np.abs(image - 2)) < 0.02
+
+
+@pytest.mark.needs_extension("inverse")
+def test_gradients_of_reconstructions_refuse_a_warp():
+    from mitsuba_plenoptic.extensions.inverse.differentiable import RayRefocus
+
+    with pytest.raises(InputError, match=r"mla_warp = .*reconstructions have derivatives through cameras without it"):
+        RayRefocus(STRAIGHT.replace(mla_warp=WARP), DISTANCE)
