@@ -453,6 +453,17 @@ class CoreParameters:
         known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
+    detector_blur: Parameter[float, float] = Parameter(
+        default=0.0,
+        check=partial(require_number, minimum=0, maximum=1),
+        words=(
+            "Standard deviation, at most 1, of a Gaussian blur of the irradiance on the detector, by a relay lens or "
+            "the diffusion of charge in pixels. Rays cross the edges of crops; in wave captures, captures of points "
+            "and white images, light that would cross the edge stays. Decoding and method ``ray`` assume none."
+        ),
+        unit="mm",
+        known_to=Captures.RAYS | Captures.SCENES,
+    )
     pixel_crosstalk: Parameter[float, float] = Parameter(
         default=0.0,
         check=partial(require_number, minimum=0, maximum=0.25),

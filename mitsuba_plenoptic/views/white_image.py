@@ -20,6 +20,7 @@ from ..camera.aperture import Opening, Round
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
+from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps, hashed
 from ..light.walk import Passage, Walk, detector_rows
@@ -154,7 +155,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
-    pupil. Behind a real main lens rays are traced from the pixels.
+    pupil. Behind a real main lens rays are traced from the pixels. Light is mixed as pixels do it, see
+    `detector_blur` and `pixel_crosstalk`.
 
     Parameters
     ----------
@@ -176,7 +178,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     camera.require_array("white_image")
     camera = regular_array(camera)
     if grid is None and not camera.lens_data.is_thin:
-        return _traced(camera)
+        return mix_pixels(_traced(camera), camera)
     camera.require_thin("white images of a grid are computed")
     fractions = _Fractions(camera)
     half = fractions.half
@@ -219,7 +221,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         first = index.min(initial=image.size)
         added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
-    return image[half : half + rows, half : half + columns]
+    return mix_pixels(image[half : half + rows, half : half + columns], camera)
 
 
 def recorded_white(
