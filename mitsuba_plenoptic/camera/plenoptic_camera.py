@@ -32,6 +32,7 @@ from ..lattice import LATTICES, NO_LATTICE
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
+from .aperture import NOT_ROUND
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import NO_ARRAY_HERE, CameraGeometry
@@ -155,11 +156,12 @@ def require_ideal(camera: CameraGeometry, *, in_full: bool = False) -> None:
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
-def require_round(camera: CameraGeometry, what: str) -> None:
-    """Refuse a camera with blades or a picture in its aperture; `what` begins the rule."""
-    for name in ("aperture_blades", "aperture_image"):
+def require_round(camera: CameraGeometry, what: str, besides: Sequence[str] = ()) -> None:
+    """Refuse a camera whose aperture is not an evenly open disc, except as `besides` names; `what` begins the rule."""
+    for name, default in NOT_ROUND.items():
         value = getattr(camera, name)
-        refuse_if(value is not None, f"{name} = {value}: {what} through round apertures only; leave it out")
+        if name not in besides and value != default:
+            raise InputError(f"{name} = {value}: {what} through round apertures only; leave it out")
 
 
 def require_no_shape(camera: CameraGeometry, what: str) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..errors import refuse_if
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
@@ -282,9 +283,13 @@ class Draws(DetectorGrid):
         )
 
     def evenness(self, drawn: Drawn) -> Any:
-        """Return weights that make the rays of all cells uniform over the pupil."""
+        """Return weights that give the rays of all cells the density of the power over the pupil."""
         offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
-        return self.walk.through_centre(offset, drawn.height)[1]
+        even, aperture = self.walk.through_centre(offset, drawn.height)[1], self._camera.aperture
+        if aperture == Round():
+            return even
+        x, y = (P / self._camera.pupil_radius for P in drawn.inner)
+        return even * aperture.power(x, y)
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
         """Return where light that lands on detector points would land through the centres of its lenses."""

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..design.quantities import turns_cosines
 from ..lattice import Lattice
 from ..lenses.common import chief_points, main_lens
@@ -76,6 +77,17 @@ class PupilWalk:
         # Outside its border the map continues with the border's values, which lie outside the pupil.
         u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
         return u * c - v * s, u * s + v * c
+
+    def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
+        """Return the part of the power of rays from array positions that an aperture that is not round lets pass."""
+        aperture = self.camera.aperture
+        if aperture == Round():
+            return 1.0
+        pupil = tuple(self.lens.pupil_point(m, t, height) for m, t in zip(position, slope, strict=True))
+        # The map to the round pupil is that of a lens of plain numbers.
+        plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
+        x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
+        return aperture.power(x, y)
 
     @functools.cached_property
     def _round_pupil(self) -> Any:

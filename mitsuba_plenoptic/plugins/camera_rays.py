@@ -12,7 +12,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..camera.aperture import Round
 from ..design.quantities import (
     SECTORS,
     cosine_limits,
@@ -232,11 +231,6 @@ class CameraRays(Walk):
             camera.mla_medium,
             Dispersion.of(camera),
         )
-
-    def passed(self, point: tuple[Any, Any, Any]) -> Any:
-        """Return the part of the power that passes an aperture that is not round, in which rays start."""
-        x, y = (place / self.lens.pupil_radius for place in point[:2])
-        return 1.0 if self.camera.aperture == Round() else self.camera.aperture.power(x, y)
 
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
         """Return the changes of slope and place, at the array, of rays from a step beside through a lens point."""

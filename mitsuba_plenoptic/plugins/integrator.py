@@ -307,9 +307,11 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
             if camera.has_array:
-                require_round(camera, "waves of scenes are followed to microlenses")
-            if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
+                besides = () if small else ("pupil_apodisation",)
+                require_round(camera, "waves of scenes are followed to microlenses", besides)
+            if small:
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)

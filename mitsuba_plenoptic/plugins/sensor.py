@@ -264,6 +264,7 @@ def make_class() -> type:
                 # A pixel sees this square of the pupil through an ideal lens.
                 seen = dr.square(width * rays.lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
                 response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
+                response *= rays.passed(position, slope)
                 point, slope, open_ = rays.lens.trace(position, slope)
                 weight = weight * response
             else:
@@ -274,9 +275,9 @@ def make_class() -> type:
                 if self._response is not None:
                     mx, my = passage.point
                     weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
-                weight = weight * (tried * rays.out_of_array((px, py), passage)[1])
-            if self._given.has_array:
-                weight = weight * rays.passed(point)
+                before, even, _ = rays.out_of_array((px, py), passage)
+                passed = rays.passed(passage.point, before, rays.height(*passage.centre))
+                weight = weight * (tried * even * passed)
             open_ &= active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..camera.aperture import Round
+from ..camera.aperture import NOT_ROUND, Round
 from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io.checkpoints import digest
@@ -115,7 +115,7 @@ class CaptureOperator(CoherentPoints):
             raise InputError("wavelength, spectrum: give one of the two")
         camera = regular_array(camera)
         # An aperture that is not round is the power of every point's light over the pupil; sums of spreads are blurred.
-        open_ = camera.replace(aperture_blades=None, aperture_image=None, detector_blur=0.0)
+        open_ = camera.replace(**NOT_ROUND, detector_blur=0.0)
         require_ideal(open_, in_full=method == "full_field")
         if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
             raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
@@ -131,7 +131,11 @@ class CaptureOperator(CoherentPoints):
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if camera.aperture != Round():
-            refuse_if(pupil_weights is not None, "pupil_weights: points through blades or a picture take none")
+            refuse_if(pupil_weights is not None, "pupil_weights: points through apertures that are not round take none")
+            refuse_if(
+                method == "full_field" and bool(camera.lens_data.traced_surfaces),
+                f"pupil_apodisation = {camera.aperture}: method {method} takes none behind a main_lens; use patch",
+            )
             self._pupil_weights = PupilWeights.through(camera.aperture, len(self.points))
         system = system if camera == open_ else None
         if system is not None:

@@ -77,7 +77,7 @@ class PupilFraction:
             pupil = _square_in_aperture(half, samples, camera.aperture, radius)
         fraction = blur(pupil, lens)
         # The rounding of the transform is not light.
-        self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
+        self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=pupil.max()).astype(np.float32)
         self._half = half
         self.reach = half * self._step
 
@@ -378,8 +378,10 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
             dx, dy = camera.lattice.aperture_point(u, v)
             for across, down in around:
                 (cx, cy), f2 = walk.lens_at(i + across, j + down)
-                _, _, is_open = walk.trace(position, Passage((cx + dx, cy + dy), (cx, cy), f2))
-                total += dr.select(is_open, 1.0, 0.0)
+                passage = Passage((cx + dx, cy + dy), (cx, cy), f2)
+                _, _, is_open = walk.trace(position, passage)
+                slope, _, _ = walk.out_of_array(position, passage)
+                total += dr.select(is_open, walk.passed(passage.point, slope, walk.height(cx, cy)), 0.0)
             dr.eval(total)
         image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
     return image

@@ -66,6 +66,7 @@ OTHER = {
     "aperture_radius": 4.1,
     "aperture_blades": (6, 15.5),
     "aperture_image": {"transmission": [[0.0, 0.25], [1.0, 0.3333]]},
+    "pupil_apodisation": (-0.19, 0.05),
     "mla_distance": 130.7,
     "focus_distance": 300.9,
     "mla_focal_length": 0.5123,
