@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -272,6 +272,8 @@ class Apodised:
         return f"{self.a2:g}, {self.a4:g}"
 
 
+Table = TypeVar("Table", bound=Any)
+
 Opening = Round | Blades | Aperture | Apodised
 """What passes light: each has its `share`, `power`, `draws` and `cells`."""
 
@@ -288,23 +290,30 @@ def known_blades(name: str, value: Any) -> Blades | None:
     return Blades(require_count(name, parts[0], minimum=low, maximum=high), angle)
 
 
-def known_image(value: Any, resolve: Callable[[str], str] = str) -> Aperture | None:
-    """Return a picture in the pupil, given as such, as values, plain data, a file or JSON text; None means no picture.
+def known_table(name: str, kind: type[Table], value: Any, resolve: Callable[[str], str]) -> Table | None:
+    """Return a parameter with a table, given as such, as values, plain data, a file or JSON text; None means none.
 
-    `resolve` finds files by their names, for example in the folder of a scene.
+    The first field of its class is the table. `resolve` finds files by their names, for example in the folder of a
+    scene.
     """
-    if value is None or isinstance(value, Aperture):
+    if value is None or isinstance(value, kind):
         return value
-    with naming("aperture_image"):
+    table, *others = (field.name for field in fields(kind))
+    with naming(name):
         if isinstance(value, (str, Path)):
             is_json = str(value).lstrip().startswith("{") or Path(value).suffix.lower() == ".json"
             value = read_json_value(value, resolve) if is_json else Path(resolve(str(value)))
-        if isinstance(value, dict):
-            require_known("", value, ("transmission",))
-            refuse_if("transmission" not in value, "transmission is missing")
-            value = value["transmission"]
-            value = Path(resolve(value)) if isinstance(value, str) else value
-        return Aperture(value)
+        if not isinstance(value, dict):
+            return kind(value)
+        require_known("", value, (table, *others))
+        refuse_if(table not in value, f"{table} is missing")
+        given = value[table]
+        return kind(**value | {table: Path(resolve(given)) if isinstance(given, str) else given})
+
+
+def known_image(value: Any, resolve: Callable[[str], str] = str) -> Aperture | None:
+    """Return a picture in the pupil from any of its forms; None means no picture."""
+    return known_table("aperture_image", Aperture, value, resolve)
 
 
 def require_alone(camera: Any) -> None:

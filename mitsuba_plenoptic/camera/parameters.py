@@ -41,6 +41,7 @@ from ..prescription.lens_data import LensData
 from ..prescription.lens_file import lens_from_plain, read_lens
 from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
+from .lens_transmissions import LensTransmissions, known_transmissions
 from .phase_screen import PhaseScreen, known_screen
 
 if TYPE_CHECKING:
@@ -282,6 +283,21 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
+        of_array=True,
+    )
+    mla_transmissions: Parameter[Any, LensTransmissions | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_transmissions(value),
+        words=(
+            "Relative brightness of single lenses, from 0 to 4, see `LensTransmissions`: a table of rows and columns "
+            "of lenses around the axis, beyond which it is 1; as a file, as JSON text or a JSON file of its "
+            "parameters, in Python also as an array. For rays, waves of scenes, white images, decoding and method "
+            "``ray``, which divide it out, and for waves of points by method ``full_field``."
+        ),
+        form=Form.LENSES,
+        otherwise="equal lenses",
+        shortest=lambda table: table and table.to_plain(),
+        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     mla_medium: Parameter[float, float] = Parameter(

@@ -152,7 +152,7 @@ def require_ideal(camera: CameraGeometry, *, in_full: bool = False) -> None:
 
     Among these are irregular arrays and phase screens, except where fields are computed in full.
     """
-    besides = ("mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()
+    besides = ("mla_transmissions", "mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
@@ -458,7 +458,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     def __repr__(self) -> str:
         values = self.to_dict()
-        for name in ("phase_screen", "aperture_image"):
+        for name in ("phase_screen", "aperture_image", "mla_transmissions"):
             # Samples are too many to be read.
             values |= {name: getattr(self, name)} if name in values else {}
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in values.items())})"

@@ -154,6 +154,11 @@ class Walk(PupilWalk):
             x, y, f2 = x + right, y + up, f2 * longer
         return (x, y), f2
 
+    def transmission(self, i: Any, j: Any) -> Any:
+        """Return the relative brightness of lenses."""
+        table = self.camera.mla_transmissions
+        return 1.0 if table is None else table.at(self.camera.lattice, i, j)
+
     def turn(self, passage: Passage) -> Pair:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""
         (mx, my), (cx, cy), f2 = passage

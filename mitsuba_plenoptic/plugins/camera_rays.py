@@ -300,19 +300,19 @@ class CameraRays(Walk):
         """Return random points of the array through which rays from detector points pass.
 
         `pixel` is the detector point, a pair of Dr.Jit arrays. The index of the chosen candidate, and the number of
-        candidates from which it was drawn, are returned as well.
+        candidates from which it was drawn, times the brightness of its lens, are returned as well.
         """
         chief, cell = self.chief_cell(pixel)
         (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
         (cx, cy), f2 = self.lens_at(i, j)
         dx, dy = self.lattice.aperture_point(within, lens_sample[1])
-        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
+        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried * self.transmission(i, j)
 
-    def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
+    def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair, Any]:
         """Return random points of the lenses above detector points, and random points of the pupil.
 
         Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. The slopes towards the
-        pupil, and the column and row of each pixel under its lens, are returned as well.
+        pupil, the column and row of each pixel under its lens, and the brightness of lenses are returned as well.
         """
         offset = self.lattice.offset
         index, side, within = [], [], []
@@ -327,4 +327,4 @@ class CameraRays(Walk):
         point = cx + dx, cy + dy
         x, y = mi.warp.square_to_uniform_disk(pupil_sample)
         slope = tuple(self.lens.slope_to(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
-        return point, slope, (side[0], side[1])
+        return point, slope, (side[0], side[1]), self.transmission(*index)

@@ -260,11 +260,11 @@ def make_class() -> type:
                 weight = weight * rays.share
             elif self._table is not None:
                 # Rays go from the whole pupil to the pixels' lenses.
-                position, slope, side = rays.pass_pixel_lens((px, py), width, lens_sample)
+                position, slope, side, bright = rays.pass_pixel_lens((px, py), width, lens_sample)
                 # A pixel sees this square of the pupil through an ideal lens.
                 seen = dr.square(width * rays.lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
                 response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
-                response *= rays.passed(position, slope)
+                response *= rays.passed(position, slope) * bright
                 point, slope, open_ = rays.lens.trace(position, slope)
                 weight = weight * response
             else:

@@ -28,7 +28,7 @@ from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
-from .lens_grid import LensGrid, lens_numbers, lens_types, micro_image_centres
+from .lens_grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
 MINIMUM_WEIGHT = 0.1
@@ -202,7 +202,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
-        height = fractions.heights(row)
+        height, bright = fractions.heights(row), 1.0
+        if camera.mla_transmissions is not None:
+            bright = camera.mla_transmissions.at(camera.lattice, *lens_indices(camera, row))[:, None, None]
         if grid is None and any(camera.mla_tilt):
             # Where the tilt has moved them: c (b + z) / (b - h).
             middle = np.array(camera.resolution) / 2 - camera.crop_offset
@@ -212,7 +214,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         distance = camera.reduced_distance + height / camera.mla_medium
         step = camera.pixel_size * (camera.mla_distance - height) / distance
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
-        fraction = fractions(lens_types(camera, row), height, x, y)
+        fraction = fractions(lens_types(camera, row), height, x, y) * bright
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -378,10 +380,11 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
             dx, dy = camera.lattice.aperture_point(u, v)
             for across, down in around:
                 (cx, cy), f2 = walk.lens_at(i + across, j + down)
+                bright = walk.transmission(i + across, j + down)
                 passage = Passage((cx + dx, cy + dy), (cx, cy), f2)
                 _, _, is_open = walk.trace(position, passage)
                 slope, _, _ = walk.out_of_array(position, passage)
-                total += dr.select(is_open, walk.passed(passage.point, slope, walk.height(cx, cy)), 0.0)
+                total += dr.select(is_open, walk.passed(passage.point, slope, walk.height(cx, cy)) * bright, 0.0)
             dr.eval(total)
         image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
     return image

@@ -57,7 +57,7 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
-        known |= {"PhaseScreen", "Collimator", "Aperture"}
+        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
@@ -77,6 +77,7 @@ OTHER = {
     "mla_tilt": (0.1, -0.2),
     "mla_aperture": "circle",
     "mla_fill": 0.83,
+    "mla_transmissions": {"values": [[0.5, 1.0, 1.2], [1.0, 0.97531, 1.0]], "first": (-1, 3)},
     "mla_medium": 1.5,
     "mla_absorption": 0.3,
     "mla_shape": {"form": "conic", "curvature_radius": 0.25, "conic": -0.5, "coefficients": [3.0], "glass": 1.6},
