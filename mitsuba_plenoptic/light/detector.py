@@ -71,6 +71,9 @@ class Detector:
         Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
         it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
         Default: none.
+    stray_light : float
+        Light that lenses and walls scatter evenly over the detector, 0 to 1: the fraction of the capture's mean
+        irradiance, of each channel, that every pixel receives besides its own. It has noise like any light.
 
     Raises
     ------
@@ -86,6 +89,7 @@ class Detector:
     gain: float | None = None
     black_level: int | None = None
     mosaic: str | None = None
+    stray_light: float = 0.0
 
     def __post_init__(self) -> None:
         put(
@@ -95,6 +99,7 @@ class Detector:
             dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
             read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
             bits=require_count("bits", self.bits, maximum=16),
+            stray_light=require_number("stray_light", self.stray_light, minimum=0, maximum=1),
         )
         top, black = 2**self.bits - 1, self.black_level
         if black is None:
@@ -149,6 +154,9 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     few bits and a large full well, rounding displaces the mean by up to half a number, which is ``0.5 / (gain *
     quantum_efficiency * photons)`` in units of the capture.
 
+    Stray light remains in the result, as in a real picture. It is ``stray_light / (1 + stray_light)`` of the mean of
+    the result, of each channel; reconstructions take it for light of the scene unless it is subtracted before.
+
     Parameters
     ----------
     capture : Capture
@@ -190,6 +198,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     require_demosaiced(capture)
     refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
+    if detector.stray_light:
+        image = image + detector.stray_light * np.maximum(image, 0).mean((0, 1))
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
         refuse_if(
