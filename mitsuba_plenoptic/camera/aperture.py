@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -290,7 +291,7 @@ def known_blades(name: str, value: Any) -> Blades | None:
     return Blades(require_count(name, parts[0], minimum=low, maximum=high), angle)
 
 
-def known_table(name: str, kind: type[Table], value: Any, resolve: Callable[[str], str]) -> Table | None:
+def known_table(name: str, kind: type[Table], value: Any, resolve: Callable[[str], str] = str) -> Table | None:
     """Return a parameter with a table, given as such, as values, plain data, a file or JSON text; None means none.
 
     The first field of its class is the table. `resolve` finds files by their names, for example in the folder of a
@@ -311,9 +312,8 @@ def known_table(name: str, kind: type[Table], value: Any, resolve: Callable[[str
         return kind(**value | {table: Path(resolve(given)) if isinstance(given, str) else given})
 
 
-def known_image(value: Any, resolve: Callable[[str], str] = str) -> Aperture | None:
-    """Return a picture in the pupil from any of its forms; None means no picture."""
-    return known_table("aperture_image", Aperture, value, resolve)
+known_image = partial(known_table, "aperture_image", Aperture)
+"""Return a picture in the pupil from any of its forms; None means no picture."""
 
 
 def require_alone(camera: Any) -> None:

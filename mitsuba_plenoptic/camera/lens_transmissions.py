@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -112,6 +112,5 @@ class LensTransmissions:
         return f"LensTransmissions({rows} x {columns} values, first={self.first})"
 
 
-def known_transmissions(value: Any, resolve: Callable[[str], str] = str) -> LensTransmissions | None:
-    """Return the brightness of lenses from any of its forms; None means that lenses are equal."""
-    return known_table("mla_transmissions", LensTransmissions, value, resolve)
+known_transmissions = partial(known_table, "mla_transmissions", LensTransmissions)
+"""Return the brightness of lenses from any of its forms; None means that lenses are equal."""

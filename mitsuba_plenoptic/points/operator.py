@@ -117,8 +117,10 @@ class CaptureOperator(CoherentPoints):
         # An aperture that is not round is the power of every point's light over the pupil; sums of spreads are blurred.
         open_ = camera.replace(**NOT_ROUND, detector_blur=0.0)
         require_ideal(open_, in_full=method == "full_field")
-        if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
-            raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
+        uneven = pupil_weights is not None or camera.aperture != Round()
+        if camera.lens_data.traced_surfaces and method == "full_field" and uneven:
+            name = "pupil_weights" if pupil_weights is not None else f"pupil_apodisation = {camera.pupil_apodisation}"
+            raise InputError(f"{name}: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
@@ -132,10 +134,6 @@ class CaptureOperator(CoherentPoints):
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
         if camera.aperture != Round():
             refuse_if(pupil_weights is not None, "pupil_weights: points through apertures that are not round take none")
-            refuse_if(
-                method == "full_field" and bool(camera.lens_data.traced_surfaces),
-                f"pupil_apodisation = {camera.aperture}: method {method} takes none behind a main_lens; use patch",
-            )
             self._pupil_weights = PupilWeights.through(camera.aperture, len(self.points))
         system = system if camera == open_ else None
         if system is not None:
