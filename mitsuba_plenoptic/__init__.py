@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from . import shipped
     from .camera import PlenopticCamera
     from .camera.aperture import Aperture
+    from .camera.lens_transmissions import LensTransmissions
     from .camera.phase_screen import PhaseScreen, frozen_flow
     from .errors import InputError
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
         "InputError",
         "Job",
         "LensSystem",
+        "LensTransmissions",
         "Objective",
         "PhaseScreen",
         "PhysicsError",

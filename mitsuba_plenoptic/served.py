@@ -18,6 +18,7 @@ ROOT = __name__.rpartition(".")[0]
 _NAMES = {
     "camera": ("PlenopticCamera",),
     "camera.aperture": ("Aperture",),
+    "camera.lens_transmissions": ("LensTransmissions",),
     "light.render_capture": ("estimate_capture", "render_capture"),
     "light.scene": ("load_scene",),
     "scene_files": ("scene_path",),

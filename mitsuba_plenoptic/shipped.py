@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 SHIPPED: dict[str, dict[str, str]] = {
     "names": {
         "calibrate": "calibrate",
+        "photon_transfer": "calibrate",
         "fit": "inverse",
         "StoredOperator": "inverse",
         "volume_points": "inverse",
@@ -77,6 +78,7 @@ SHIPPED: dict[str, dict[str, str]] = {
 if TYPE_CHECKING:
     from .extensions.calibrate import calibration as calibration
     from .extensions.calibrate.calibration import calibrate as calibrate
+    from .extensions.calibrate.photon_transfer import photon_transfer as photon_transfer
     from .extensions.data import benchmark as benchmark
     from .extensions.data import dataset as dataset
     from .extensions.inverse import array_functions as array_functions
@@ -127,6 +129,7 @@ if TYPE_CHECKING:
         "match_halves",
         "onchip",
         "optimisation",
+        "photon_transfer",
         "psf_bank",
         "scene_functions",
         "view",

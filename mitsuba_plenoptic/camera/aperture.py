@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -44,6 +45,12 @@ _LARGEST = 512
 
 _DECIMALS = 4
 """Digits to which values of a picture are kept, as files hold them."""
+
+_STEPS = 1024
+"""Steps of the square of the radius in which the transmission of an apodised pupil is integrated."""
+
+NOT_ROUND = {"aperture_blades": None, "aperture_image": None, "pupil_apodisation": (0.0, 0.0)}
+"""Parameters of pupils that are not evenly open discs, with their defaults."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +232,50 @@ class Aperture:
         return f"Aperture({rows} x {columns} values)"
 
 
-Opening = Round | Blades | Aperture
+@dataclass(frozen=True)
+class Apodised:
+    """A round pupil whose transmission varies with the radius r over its own: 1 + a2 r^2 + a4 r^4, at least 0."""
+
+    a2: float
+    a4: float
+
+    def _power(self, square: Any) -> Any:
+        """Return the transmission at squares of the radius."""
+        return module_of(square).maximum(1 + square * (self.a2 + self.a4 * square), 0)
+
+    @property
+    def share(self) -> float:
+        """Mean power that passes, over the disc of the pupil; above 1 where the transmission rises."""
+        return float(self._power((np.arange(_STEPS) + 0.5) / _STEPS).mean())
+
+    def power(self, x: Any, y: Any) -> Any:
+        """Return the power that passes at points over the pupil's radius, relative to the centre; 0 outside."""
+        square = x * x + y * y
+        return select(square <= 1, self._power(square), 0.0)
+
+    def draws(self) -> Callable[[Any], tuple[Any, Any]]:
+        """Return a map from the unit square to the disc: the squares of radii have the density of the transmission."""
+        values = self._power(np.linspace(0, 1, _STEPS + 1)).astype(np.float32)
+        density = mi.ContinuousDistribution(mi.ScalarVector2f(0, 1), values)
+
+        def drawn(sample: Any) -> tuple[Any, Any]:
+            radius, (sine, cosine) = dr.sqrt(density.sample(sample[0])), dr.sincos(2 * math.pi * sample[1])
+            return radius * cosine, radius * sine
+
+        return drawn
+
+    def cells(self) -> NDArray[np.float64]:
+        """Return the power at the centres of small cells, which the circle cuts."""
+        along = ((np.arange(_CELLS) + 0.5) * (2 / _CELLS) - 1) ** 2
+        return np.asarray(self._power(along + along[:, None]))
+
+    def __str__(self) -> str:
+        return f"{self.a2:g}, {self.a4:g}"
+
+
+Table = TypeVar("Table", bound=Any)
+
+Opening = Round | Blades | Aperture | Apodised
 """What passes light: each has its `share`, `power`, `draws` and `cells`."""
 
 
@@ -241,29 +291,38 @@ def known_blades(name: str, value: Any) -> Blades | None:
     return Blades(require_count(name, parts[0], minimum=low, maximum=high), angle)
 
 
-def known_image(value: Any, resolve: Callable[[str], str] = str) -> Aperture | None:
-    """Return a picture in the pupil, given as such, as values, plain data, a file or JSON text; None means no picture.
+def known_table(name: str, kind: type[Table], value: Any, resolve: Callable[[str], str] = str) -> Table | None:
+    """Return a parameter with a table, given as such, as values, plain data, a file or JSON text; None means none.
 
-    `resolve` finds files by their names, for example in the folder of a scene.
+    The first field of its class is the table. `resolve` finds files by their names, for example in the folder of a
+    scene.
     """
-    if value is None or isinstance(value, Aperture):
+    if value is None or isinstance(value, kind):
         return value
-    with naming("aperture_image"):
+    table, *others = (field.name for field in fields(kind))
+    with naming(name):
         if isinstance(value, (str, Path)):
             is_json = str(value).lstrip().startswith("{") or Path(value).suffix.lower() == ".json"
             value = read_json_value(value, resolve) if is_json else Path(resolve(str(value)))
-        if isinstance(value, dict):
-            require_known("", value, ("transmission",))
-            refuse_if("transmission" not in value, "transmission is missing")
-            value = value["transmission"]
-            value = Path(resolve(value)) if isinstance(value, str) else value
-        return Aperture(value)
+        if not isinstance(value, dict):
+            return kind(value)
+        require_known("", value, (table, *others))
+        refuse_if(table not in value, f"{table} is missing")
+        given = value[table]
+        return kind(**value | {table: Path(resolve(given)) if isinstance(given, str) else given})
 
 
-def require_thin_alone(camera: Any) -> None:
-    """Refuse an aperture of a camera with a main lens that has a stop, or with another aperture."""
-    named = {name: getattr(camera, name) for name in ("aperture_blades", "aperture_image")}
-    given = {name: value for name, value in named.items() if value is not None}
-    refuse_if(len(given) > 1, "aperture_blades, aperture_image: give one of the two")
+known_image = partial(known_table, "aperture_image", Aperture)
+"""Return a picture in the pupil from any of its forms; None means no picture."""
+
+
+def require_alone(camera: Any) -> None:
+    """Refuse several descriptions of a pupil, and any that the camera's main lens does not have."""
+    given = {name: value for name in NOT_ROUND if (value := getattr(camera, name)) != NOT_ROUND[name]}
+    refuse_if(len(given) > 1, f"{', '.join(given)}: give one of them")
     for name, value in given.items():
-        refuse_if(camera.main_lens is not None, f"{name} = {value}: a main_lens has a round stop; leave one out")
+        if name == "pupil_apodisation":
+            images = camera.lens_data.images_stop
+            refuse_if(images, f"{name} = {value}: the array is in the image of the stop; leave it out")
+        else:
+            refuse_if(camera.main_lens is not None, f"{name} = {value}: a main_lens has a round stop; leave one out")

@@ -28,6 +28,7 @@ class Form(Enum):
     SHAPE = "MicrolensShape, path or dict", "|string|"
     SCREEN = "PhaseScreen, path or dict", "|string|"
     PICTURE = "Aperture, array, path or dict", "|string|"
+    LENSES = "LensTransmissions, array, path or dict", "|string|"
 
 
 class Captures(Flag):

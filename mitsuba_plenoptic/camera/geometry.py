@@ -12,7 +12,7 @@ from ..lattice import NO_LATTICE, Displacement, Lattice, make_lattice
 from ..prescription import Prescription
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
-from .aperture import Opening, Round
+from .aperture import Apodised, Opening, Round
 from .entry import record
 from .parameters import CameraParameters
 
@@ -62,8 +62,9 @@ class CameraGeometry(CameraParameters):
 
     @property
     def aperture(self) -> Opening:
-        """The aperture over the pupil's radius: blades, a picture, or a disc."""
-        return self.aperture_blades or self.aperture_image or Round()
+        """The aperture over the pupil's radius: blades, a picture, an apodised disc, or a disc."""
+        apodised = Apodised(*self.pupil_apodisation) if any(self.pupil_apodisation) else Round()
+        return self.aperture_blades or self.aperture_image or apodised
 
     @property
     def f_number(self) -> float:

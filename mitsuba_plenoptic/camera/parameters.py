@@ -40,8 +40,9 @@ from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import LensData
 from ..prescription.lens_file import lens_from_plain, read_lens
-from .aperture import Aperture, Blades, known_blades, known_image, require_thin_alone
+from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
+from .lens_transmissions import LensTransmissions, known_transmissions
 from .phase_screen import PhaseScreen, known_screen
 
 if TYPE_CHECKING:
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 
 LENS_MODELS = ("ideal", "parabolic")
 
+MOST_APODISATION = 4.0
+"""Largest coefficient of a pupil's transmission, which is then at most 9 times as high at the rim as at the centre."""
 
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
 
@@ -115,7 +118,7 @@ class CoreParameters:
         otherwise="a round aperture",
         shortest=lambda blades: blades and blades.to_plain(),
         known_to=Captures.RAYS | Captures.SCENES,
-        fit=require_thin_alone,
+        fit=require_alone,
     )
     aperture_image: Parameter[Any, Aperture | None] = Parameter(
         default=None,
@@ -129,7 +132,23 @@ class CoreParameters:
         otherwise="a round aperture",
         shortest=lambda image: image and image.to_plain(),
         known_to=Captures.RAYS | Captures.SCENES,
-        fit=require_thin_alone,
+        fit=require_alone,
+    )
+    pupil_apodisation: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+        default=(0.0, 0.0),
+        check=partial(require_numbers, count=2, minimum=-MOST_APODISATION, maximum=MOST_APODISATION),
+        words=(
+            "Coefficients a2 and a4, from -4 to 4, of the transmission of the main lens's pupil, :math:`T(r) = "
+            "\\max(0, 1 + a_2 (r/R)^2 + a_4 (r/R)^4)`: the part of the power that passes at a distance r from the "
+            "centre of the exit pupil of radius R, of an objective from that of its back focal plane, relative to the "
+            "centre. It may rise above 1. A scene of radiance 1 reads T within wide micro-images. For rays, waves of "
+            "scenes, waves of points, white images, decoding and method ``ray``."
+        ),
+        form=Form.PLACE,
+        otherwise="an evenly open pupil",
+        parts=("a2", "a4"),
+        known_to=Captures.RAYS | Captures.SCENES,
+        fit=require_alone,
     )
     mla_distance: Parameter[float | None, float] = Parameter(
         default=None,
@@ -265,6 +284,21 @@ class CoreParameters:
         known_to=Captures.ALL,
         gradients=Captures.ALL & ~Captures.SCENES,
         highest=1.0,
+        of_array=True,
+    )
+    mla_transmissions: Parameter[Any, LensTransmissions | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_transmissions(value),
+        words=(
+            "Relative brightness of single lenses, from 0 to 4, see `LensTransmissions`: a table of rows and columns "
+            "of lenses around the axis, beyond which it is 1; as a file, as JSON text or a JSON file of its "
+            "parameters, in Python also as an array. For rays, waves of scenes, white images, decoding and method "
+            "``ray``, which divide it out, and for waves of points by method ``full_field``."
+        ),
+        form=Form.LENSES,
+        otherwise="equal lenses",
+        shortest=lambda table: table and table.to_plain(),
+        known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )
     mla_medium: Parameter[float, float] = Parameter(
@@ -468,6 +502,17 @@ class CoreParameters:
         otherwise="no shift",
         known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
+    )
+    detector_blur: Parameter[float, float] = Parameter(
+        default=0.0,
+        check=partial(require_number, minimum=0, maximum=1),
+        words=(
+            "Standard deviation, at most 1, of a Gaussian blur of the irradiance on the detector, by a relay lens or "
+            "the diffusion of charge in pixels. Rays cross the edges of crops; in wave captures, captures of points "
+            "and white images, light that would cross the edge stays. Decoding and method ``ray`` assume none."
+        ),
+        unit="mm",
+        known_to=Captures.RAYS | Captures.SCENES,
     )
     pixel_crosstalk: Parameter[float, float] = Parameter(
         default=0.0,

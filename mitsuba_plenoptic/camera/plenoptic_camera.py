@@ -34,6 +34,7 @@ from ..lattice import LATTICES, NO_LATTICE, Displacement
 from ..microlens.shape import focal_length_of, require_cover
 from ..prescription.lens_data import SINGLE, THIN, image_distance
 from ..presets import PRESETS
+from .aperture import NOT_ROUND
 from .documentation import numpy_section, signature
 from .entry import Captures, record
 from .geometry import NO_ARRAY_HERE, CameraGeometry
@@ -169,15 +170,17 @@ def require_ideal(camera: CameraGeometry, *, in_full: bool = False, besides: Seq
 
     Among these are irregular arrays and phase screens, except where fields are computed in full.
     """
-    besides = (*besides, *(("mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()))
+    full = ("mla_transmissions", "mla_jitter", "mla_figure_error", "phase_screen") if in_full else ()
+    besides = (*besides, *full)
     require_known_to(camera, Captures.POINTS, "waves of points are followed", "use ray captures, or ", besides)
 
 
-def require_round(camera: CameraGeometry, what: str) -> None:
-    """Refuse a camera with blades or a picture in its aperture; `what` begins the rule."""
-    for name in ("aperture_blades", "aperture_image"):
+def require_round(camera: CameraGeometry, what: str, besides: Sequence[str] = ()) -> None:
+    """Refuse a camera whose aperture is not an evenly open disc, except as `besides` names; `what` begins the rule."""
+    for name, default in NOT_ROUND.items():
         value = getattr(camera, name)
-        refuse_if(value is not None, f"{name} = {value}: {what} through round apertures only; leave it out")
+        if name not in besides and value != default:
+            raise InputError(f"{name} = {value}: {what} through round apertures only; leave it out")
 
 
 def require_no_warp(camera: CameraGeometry, what: str) -> None:
@@ -482,7 +485,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
     def __repr__(self) -> str:
         values = self.to_dict()
-        for name in ("phase_screen", "aperture_image"):
+        for name in ("phase_screen", "aperture_image", "mla_transmissions"):
             # Samples are too many to be read.
             values |= {name: getattr(self, name)} if name in values else {}
         return f"PlenopticCamera({', '.join(f'{name}={value!r}' for name, value in values.items())})"

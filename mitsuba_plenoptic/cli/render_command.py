@@ -252,6 +252,9 @@ def expose(
             help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
         ),
     ] = None,
+    stray_light: Annotated[
+        float, numeric("Light spread evenly over the detector, over the capture's mean.", unit="FRACTION")
+    ] = 0.0,
     seed: Annotated[int, numeric("Seed of the noise.")] = 0,
 ) -> None:
     """Add what a real detector does: photon and read noise, saturation, digital numbers.
@@ -284,6 +287,7 @@ def expose(
         gain=gain,
         black_level=black_level,
         mosaic=mosaic,
+        stray_light=stray_light,
     )
     exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)

@@ -431,8 +431,8 @@ def white_mean(camera: PlenopticCamera) -> float:
     The closed form needs no capture.
 
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the mean
-    radiance over the aperture; each :math:`A ((b + z)/b)^2` of the detector holds one, A being the area of a cell of
-    the lattice.
+    radiance over the aperture, less what the main lens's `aperture` keeps out; each :math:`A ((b + z)/b)^2` of the
+    detector holds one, A being the area of a cell of the lattice.
 
     Parameters
     ----------
@@ -440,7 +440,7 @@ def white_mean(camera: PlenopticCamera) -> float:
         The camera.
     """
     growth = camera.micro_image_pitch / camera.mla_pitch
-    return math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
+    return camera.aperture.share * math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
 
 
 def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
@@ -27,6 +28,9 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
+
+# Distance in standard deviations of a blur beyond which noise is not spread.
+_BLUR_REACH = 5
 
 
 @suggest_keywords
@@ -67,6 +71,9 @@ class Detector:
         Colours of the filters on the first two pixels of the detector's first row and of its second, repeated all over
         it; of a quad Bayer mosaic on the first two squares of 2 x 2 pixels, each of which may lie under one lens.
         Default: none.
+    stray_light : float
+        Light that lenses and walls scatter evenly over the detector, 0 to 1: the fraction of the capture's mean
+        irradiance, of each channel, that every pixel receives besides its own. It has noise like any light.
 
     Raises
     ------
@@ -82,6 +89,7 @@ class Detector:
     gain: float | None = None
     black_level: int | None = None
     mosaic: str | None = None
+    stray_light: float = 0.0
 
     def __post_init__(self) -> None:
         put(
@@ -91,6 +99,7 @@ class Detector:
             dark_electrons=require_number("dark_electrons", self.dark_electrons, minimum=0, maximum=_LARGEST),
             read_noise=require_number("read_noise", self.read_noise, minimum=0, maximum=_LARGEST),
             bits=require_count("bits", self.bits, maximum=16),
+            stray_light=require_number("stray_light", self.stray_light, minimum=0, maximum=1),
         )
         top, black = 2**self.bits - 1, self.black_level
         if black is None:
@@ -145,6 +154,9 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     few bits and a large full well, rounding displaces the mean by up to half a number, which is ``0.5 / (gain *
     quantum_efficiency * photons)`` in units of the capture.
 
+    Stray light remains in the result, as in a real picture. It is ``stray_light / (1 + stray_light)`` of the mean of
+    the result, of each channel; reconstructions take it for light of the scene unless it is subtracted before.
+
     Parameters
     ----------
     capture : Capture
@@ -186,6 +198,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
     require_demosaiced(capture)
     refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
     image, wavelength = capture.image, capture.wavelength
+    if detector.stray_light:
+        image = image + detector.stray_light * np.maximum(image, 0).mean((0, 1))
     extra: dict[str, Any] = {}
     if detector.mosaic is not None:
         refuse_if(
@@ -217,27 +231,38 @@ def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])
 
 
-def mix_pixels(image: NDArray[Any], fraction: float) -> NDArray[Any]:
-    """Return an image with a fraction of each pixel moved to each neighbour; `image` is (rows, columns[, channels]).
+def mix_pixels(image: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
+    """Return what the pixels of a camera record of noise-free light (rows, columns[, channels]) that falls on pixels.
 
-    Light that would leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint.
+    The relay and the pixels blur it by `detector_blur`, and neighbours receive `pixel_crosstalk`. Light that would
+    leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint.
     """
-    if not fraction:
-        return image
-    result = (1 - 4 * fraction) * image
-    for axis in (0, 1):
-        for step, edge in ((1, slice(0, 1)), (-1, slice(-1, None))):
-            neighbour = np.roll(image, step, axis)
-            at_edge = (slice(None),) * axis + (edge,)
-            neighbour[at_edge] = image[at_edge]
-            result += fraction * neighbour
+    result, fraction, blur = image, camera.pixel_crosstalk or 0.0, camera.detector_blur / camera.pixel_size
+    if blur:
+        # Cosine transforms continue the image by its mirror image. Samples of a narrow Gaussian would blur too little.
+        turns = [np.pi * np.arange(count) / count for count in image.shape[:2]]
+        passed = np.exp(-0.5 * blur**2 * (turns[0][:, None] ** 2 + turns[1] ** 2)).astype(image.dtype)
+        spectrum = scipy.fft.dctn(image, axes=(0, 1), norm="ortho")
+        spectrum *= passed.reshape(*passed.shape, *[1] * (image.ndim - 2))
+        result = scipy.fft.idctn(spectrum, axes=(0, 1), norm="ortho", overwrite_x=True)
+    if fraction:
+        light = result
+        result = (1 - 4 * fraction) * light
+        for axis in (0, 1):
+            for step, edge in ((1, slice(0, 1)), (-1, slice(-1, None))):
+                neighbour = np.roll(light, step, axis)
+                at_edge = (slice(None),) * axis + (edge,)
+                neighbour[at_edge] = light[at_edge]
+                result += fraction * neighbour
     return np.asarray(result, image.dtype)
 
 
-def mix_deviations(deviation: NDArray[Any], fraction: float) -> NDArray[Any]:
+def mix_deviations(deviation: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
     """Return the standard deviations after `mix_pixels`, given the deviations of independent pixels before."""
-    own, given = (1 - 4 * fraction) ** 2, fraction**2
-    variance = deviation**2
-    # Squared weights: the sum of all is less than 1, because neighbours average each other.
-    total = own + 4 * given
-    return np.asarray(np.sqrt(total * mix_pixels(variance, given / total)), deviation.dtype)
+    reach = 2 + math.ceil(_BLUR_REACH * camera.detector_blur / camera.pixel_size)
+    impulse = np.zeros((2 * reach + 1,) * 2 + (1,) * (deviation.ndim - 2))
+    impulse[reach, reach] = 1
+    edges = [(reach, reach)] * 2 + [(0, 0)] * (deviation.ndim - 2)
+    variance = np.pad(np.square(deviation, dtype=np.float64), edges, mode="symmetric")
+    squares = scipy.signal.fftconvolve(variance, mix_pixels(impulse, camera) ** 2, mode="valid", axes=(0, 1))
+    return np.asarray(np.sqrt(np.maximum(squares, 0)), deviation.dtype)

@@ -33,6 +33,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, empty_packets
@@ -87,6 +88,9 @@ pupil's pattern there, which linear interpolation between fewer samples leaves u
 
 _SUBSAMPLES = 4
 """Gauss-Legendre nodes, per direction and side, of the average of the pupil's overlap around a table node."""
+
+_DARK = 0.01
+"""Smallest transmission of an apodised pupil in its overlaps, which are divided by it."""
 
 _PACKET = 4
 """Count of coefficients that are gathered at a time."""
@@ -216,7 +220,7 @@ class PhaseSpace(ArrayKernels):
         camera = self.camera
         return (
             *(camera.mla_lattice, camera.mla_pitches, camera.mla_aperture, camera.mla_fill),
-            *(camera.pupil_radius, camera.pupil_distance, self.wavelength, *self.nodes),
+            *(camera.pupil_radius, camera.pupil_distance, camera.aperture, self.wavelength, *self.nodes),
             self.functions.combined.tobytes(),
         )
 
@@ -280,7 +284,8 @@ class PhaseSpace(ArrayKernels):
         lag_v: NDArray[np.float32],
         radius: float,
     ) -> NDArray[np.float32]:
-        """Return O_P, averaged over the part of the pupil for which interpolation uses a node."""
+        """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
+        aperture, even = self.camera.aperture, self.camera.aperture == Round()
         abscissae, weights = np.polynomial.legendre.leggauss(_SUBSAMPLES)
         aside, weights = (abscissae + 1) / 2, weights * (1 - (abscissae + 1) / 2)
         steps = np.concatenate([-aside, aside])
@@ -297,8 +302,17 @@ class PhaseSpace(ArrayKernels):
             for part, share in zip(steps, weights, strict=True):
                 Pu, Pv = (np.float32(distance * f(angle + part * turn)) for f in (math.cos, math.sin))
                 # Both points P + lag / 2 and P - lag / 2 are within the pupil.
-                total += np.float32(area * share) * (np.abs(Pu * lag_u + Pv * lag_v) <= rest - np.float32(distance**2))
-                scale += area * share
+                both: Any = np.abs(Pu * lag_u + Pv * lag_v) <= rest - np.float32(distance**2)
+                power = 1.0
+                if not even:
+                    ends = [
+                        [(P + side * lag / 2) / radius for P, lag in ((Pu, lag_u), (Pv, lag_v))] for side in (1, -1)
+                    ]
+                    # Where no light passes, the light of what is tabulated is multiplied by 0.
+                    both = both * np.sqrt(math.prod(np.maximum(aperture.power(*end), _DARK) for end in ends))
+                    power = max(float(aperture.power(Pu / radius, Pv / radius)), _DARK)
+                total += np.float32(area * share) * both
+                scale += area * share * power
         return np.asarray(total / np.float32(scale))
 
     @property

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..errors import refuse_if
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
@@ -71,6 +72,8 @@ class Drawn(NamedTuple):
     chance: tuple[Any, Any, Any, Any]
     # Whether the pupil transmits them.
     open: Any
+    # Relative brightness of the lens.
+    brightness: Any = 1.0
 
     @property
     def kept(self) -> Kept:
@@ -144,6 +147,8 @@ class Aims(NamedTuple):
     # Distance by which the lenses are nearer to the main lens than the lens on the axis.
     height: Any
     kind: Any
+    # Relative brightness of the lenses.
+    brightness: Any = 1.0
 
     def at(self, own: Any) -> Aims:
         """Return the aims of some cells or pixels, computed once for all of their rays."""
@@ -151,8 +156,8 @@ class Aims(NamedTuple):
         middle, centre = (
             tuple(dr.gather(mi.Float, value, own) for value in pair) for pair in (self.middle, self.centre)
         )
-        height, kind = dr.gather(mi.Float, mi.Float(self.height), own), dr.gather(mi.UInt32, mi.UInt32(self.kind), own)
-        return Aims(middle, centre, height, kind)
+        height, bright = (dr.gather(mi.Float, mi.Float(value), own) for value in (self.height, self.brightness))
+        return Aims(middle, centre, height, dr.gather(mi.UInt32, mi.UInt32(self.kind), own), bright)
 
 
 class DetectorGrid:
@@ -270,7 +275,7 @@ class Draws(DetectorGrid):
         i, j = (index + dr.gather(mi.Float, steps, pixels.lens) for index, steps in zip(cell, self._steps, strict=True))
         centre, _ = self.walk.lens_at(i, j)
         height = self.walk.height(*centre)
-        return Aims((x, y), centre, height, self.kinds.number(i, j, height))
+        return Aims((x, y), centre, height, self.kinds.number(i, j, height), self.walk.transmission(i, j))
 
     def seen(self, detector: Pair, aims: Aims) -> Pair:
         """Return the pupil points whose light lands on detector points, as a mean over a lens."""
@@ -281,9 +286,13 @@ class Draws(DetectorGrid):
         )
 
     def evenness(self, drawn: Drawn) -> Any:
-        """Return weights that make the rays of all cells uniform over the pupil."""
+        """Return weights that give the rays of all cells the density of the power over the pupil and behind lenses."""
         offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
-        return self.walk.through_centre(offset, drawn.height)[1]
+        even, aperture = self.walk.through_centre(offset, drawn.height)[1] * drawn.brightness, self._camera.aperture
+        if aperture == Round():
+            return even
+        x, y = (P / self._camera.pupil_radius for P in drawn.inner)
+        return even * aperture.power(x, y)
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
         """Return where light that lands on detector points would land through the centres of its lenses."""
@@ -348,7 +357,8 @@ class Draws(DetectorGrid):
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
         place = tuple(c + m - x for c, m, x in zip(aims.centre, point, aside, strict=True))
         detector = x - aims.centre[0], y - aims.centre[1]
-        return Drawn(pupil, inner, point, place, detector, aims.height, aims.kind, weight, chance, is_open)
+        kind, bright = aims.kind, aims.brightness
+        return Drawn(pupil, inner, point, place, detector, aims.height, kind, weight, chance, is_open, bright)
 
     def crossed(self, drawn: Drawn) -> Pair:
         """Return the lateral path of light in the medium behind the lens, and the medium's depth."""

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import Round
 from ..design.quantities import turns_cosines
 from ..lattice import Lattice
 from ..lenses.common import chief_points, main_lens
@@ -77,6 +78,17 @@ class PupilWalk:
         u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
         return u * c - v * s, u * s + v * c
 
+    def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
+        """Return the part of the power of rays from array positions that an aperture that is not round lets pass."""
+        aperture = self.camera.aperture
+        if aperture == Round():
+            return 1.0
+        pupil = tuple(self.lens.pupil_point(m, t, height) for m, t in zip(position, slope, strict=True))
+        # The map to the round pupil is that of a lens of plain numbers.
+        plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
+        x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
+        return aperture.power(x, y)
+
     @functools.cached_property
     def _round_pupil(self) -> Any:
         assert self.lens.round_map is not None
@@ -133,6 +145,11 @@ class Walk(PupilWalk):
         if self.camera.mla_jitter[1]:
             f2 = f2 * irregularities(self.camera, i, j)[2]
         return centre, f2
+
+    def transmission(self, i: Any, j: Any) -> Any:
+        """Return the relative brightness of lenses."""
+        table = self.camera.mla_transmissions
+        return 1.0 if table is None else table.at(self.camera.lattice, i, j)
 
     def turn(self, passage: Passage) -> Pair:
         """Return the changes that lenses cause in rays' direction cosines, or slopes, at given points."""

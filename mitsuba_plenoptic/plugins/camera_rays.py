@@ -12,7 +12,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..camera.aperture import Round
 from ..design.quantities import (
     SECTORS,
     cosine_limits,
@@ -235,11 +234,6 @@ class CameraRays(Walk):
             Dispersion.of(camera),
         )
 
-    def passed(self, point: tuple[Any, Any, Any]) -> Any:
-        """Return the part of the power that passes an aperture that is not round, in which rays start."""
-        x, y = (place / self.lens.pupil_radius for place in point[:2])
-        return 1.0 if self.camera.aperture == Round() else self.camera.aperture.power(x, y)
-
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
         """Return the changes of slope and place, at the array, of rays from a step beside through a lens point."""
         z = self.detector_distance / self.medium
@@ -307,19 +301,19 @@ class CameraRays(Walk):
         """Return random points of the array through which rays from detector points pass.
 
         `pixel` is the detector point, a pair of Dr.Jit arrays. The index of the chosen candidate, and the number of
-        candidates from which it was drawn, are returned as well.
+        candidates from which it was drawn, times the brightness of its lens, are returned as well.
         """
         chief, cell = self.chief_cell(pixel)
         (i, j), within, candidate, tried = self._draw(candidates, chief, cell, lens_sample[0])
         (cx, cy), f2 = self.lens_at(i, j)
         dx, dy = self.lattice.aperture_point(within, lens_sample[1])
-        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried
+        return Passage((cx + dx, cy + dy), (cx, cy), f2), candidate, tried * self.transmission(i, j)
 
-    def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair]:
+    def pass_pixel_lens(self, pixel: Pair, pixel_size: Any, pupil_sample: Any) -> tuple[Pair, Pair, Pair, Any]:
         """Return random points of the lenses above detector points, and random points of the pupil.
 
         Lenses cover 2 x 2 pixels; the position within a pixel chooses the point of the lens. The slopes towards the
-        pupil, and the column and row of each pixel under its lens, are returned as well.
+        pupil, the column and row of each pixel under its lens, and the brightness of lenses are returned as well.
         """
         offset = self.lattice.offset
         index, side, within = [], [], []
@@ -334,4 +328,4 @@ class CameraRays(Walk):
         point = cx + dx, cy + dy
         x, y = mi.warp.square_to_uniform_disk(pupil_sample)
         slope = tuple(self.lens.slope_to(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
-        return point, slope, (side[0], side[1])
+        return point, slope, (side[0], side[1]), self.transmission(*index)

@@ -215,7 +215,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=True)
             with guards.watch():
                 change = gradients.forward({name: tangent(sensor, name) for name in names})
-            return develop(sensor.film(), mix_pixels(change, gradients.capture.camera.pixel_crosstalk))
+            return develop(sensor.film(), mix_pixels(change, gradients.capture.camera))
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -225,7 +225,7 @@ def make_class() -> type:
             names, gradients = self._gradients(scene, params, sensor, seed, spp, forward=False)
             shape = *gradients.capture.camera.shape, gradients.capture.colours.spectrum.channels
             with guards.watch():
-                back = mix_pixels(develop_back(sensor.film(), grad_in, shape), gradients.capture.camera.pixel_crosstalk)
+                back = mix_pixels(develop_back(sensor.film(), grad_in, shape), gradients.capture.camera)
                 found = gradients.backward(back, names)
             for name, gradient in found.items():
                 accumulate(sensor, name, gradient)
@@ -251,15 +251,16 @@ def make_class() -> type:
             self, scene: Any, sensor: Any, *, seed: int, spp: int, job: Job | None = None, noise: bool = False
         ) -> Any:
             """Return the film that holds the computed capture."""
-            crosstalk, film = PlenopticCamera.from_sensor(sensor).pixel_crosstalk, sensor.film()
+            camera, film = PlenopticCamera.from_sensor(sensor), sensor.film()
             require_wave_film(film)
             capture = self._capture(scene, sensor)
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
             channels = image.shape[2] // (2 if noise else 1)
-            if crosstalk:
+            if camera.pixel_crosstalk or camera.detector_blur:
                 light, deviation = image[..., :channels], image[..., channels:]
-                image = np.concatenate([mix_pixels(light, crosstalk), mix_deviations(deviation, crosstalk)], axis=2)
+                light = mix_pixels(light, camera)
+                image = np.concatenate([light, mix_deviations(deviation, camera)], axis=2) if noise else light
             put(film, image, channels)
             return film
 
@@ -279,7 +280,8 @@ def make_class() -> type:
         def _capture(self, scene: Any, sensor: Any) -> SignedCapture | PointsCapture:
             if self.method == SIGNED_RAYS:
                 return self._signed(scene, sensor)
-            camera = regular_array(PlenopticCamera.from_sensor(sensor))
+            # The image is blurred when it is recorded.
+            camera = regular_array(PlenopticCamera.from_sensor(sensor)).replace(detector_blur=0.0)
             require_ideal(camera)
             spectrum, upsampling = self.spectrum_of(scene, sensor), None
             if mi.is_spectral:
@@ -305,9 +307,11 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
+            small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
             if camera.has_array:
-                require_round(camera, "waves of scenes are followed to microlenses")
-            if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
+                besides = () if small else ("pupil_apodisation",)
+                require_round(camera, "waves of scenes are followed to microlenses", besides)
+            if small:
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)

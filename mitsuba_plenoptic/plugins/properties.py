@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera, film_numbers
 from ..camera.aperture import known_image
 from ..camera.entry import Form
+from ..camera.lens_transmissions import known_transmissions
 from ..camera.parameters import PARAMETERS
 from ..camera.phase_screen import known_screen
 from ..errors import (
@@ -112,6 +113,7 @@ _TEXTS: dict[Form, tuple[Callable[..., Any], str]] = {
     Form.SHAPE: (known_shape, "a JSON file, or its content"),
     Form.SCREEN: (known_screen, "a JSON file, or its content"),
     Form.PICTURE: (known_image, "a picture, or JSON"),
+    Form.LENSES: (known_transmissions, "a table in a file, or JSON"),
 }
 """Readers of values that are given as files or their texts, and what these are."""
 

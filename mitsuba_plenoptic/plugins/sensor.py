@@ -250,6 +250,8 @@ def make_class() -> type:
                 light, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
                 rays, weight = light.of(rays), weight * share
             px, py = self._on_detector(film_sample)
+            if self.detector_blur:
+                px, py = self._blurred((px, py), film_sample, lens_sample)
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
             if not self._given.has_array:
@@ -258,10 +260,11 @@ def make_class() -> type:
                 weight = weight * rays.share
             elif self._table is not None:
                 # Rays go from the whole pupil to the pixels' lenses.
-                position, slope, side = rays.pass_pixel_lens((px, py), width, lens_sample)
+                position, slope, side, bright = rays.pass_pixel_lens((px, py), width, lens_sample)
                 # A pixel sees this square of the pupil through an ideal lens.
                 seen = dr.square(width * rays.lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
                 response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
+                response *= rays.passed(position, slope) * bright
                 point, slope, open_ = rays.lens.trace(position, slope)
                 weight = weight * response
             else:
@@ -272,9 +275,9 @@ def make_class() -> type:
                 if self._response is not None:
                     mx, my = passage.point
                     weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
-                weight = weight * (tried * rays.out_of_array((px, py), passage)[1])
-            if self._given.has_array:
-                weight = weight * rays.passed(point)
+                before, even, _ = rays.out_of_array((px, py), passage)
+                passed = rays.passed(passage.point, before, rays.height(*passage.centre))
+                weight = weight * (tried * even * passed)
             open_ &= active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.
@@ -295,6 +298,15 @@ def make_class() -> type:
                     setattr(ray, f"d_{name}", to_world @ dr.normalize(mi.Vector3f(*turned, 1)))
                 ray.has_differentials = True
             return ray, dr.select(open_, weight, 0)
+
+        def _blurred(self, pixel: Pair, film_sample: Any, lens_sample: Any) -> Pair:
+            """Return points displaced at random by the blur, which the samples' own digits decide."""
+            numbers = [mi.Float(sample[axis]) for sample in (film_sample, lens_sample) for axis in (0, 1)]
+            digits = [mi.UInt32(dr.reinterpret_array(dr.uint_array_t(mi.Float), number)) for number in numbers]
+            own, other = digits[0] ^ mi.sample_tea_32(digits[2], digits[3])[0], digits[1]
+            chance = mi.Point2f(mi.sample_tea_float32(own, other), mi.sample_tea_float32(other, own))
+            x, y = self.detector_blur * mi.warp.square_to_std_normal(chance)
+            return pixel[0] + x, pixel[1] + y
 
         def _through_walls(self, pixel: Pair, sample: Any) -> tuple[Pair, Any]:
             """Return points of the four neighbouring pixels for light that crosses walls, and the unused sample."""

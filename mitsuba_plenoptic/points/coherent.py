@@ -27,7 +27,7 @@ from ..runtime.fft import Field, fft, fft2, resting_drjit
 from ..runtime.limits import check_memory
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
-from .full_field import detector_spectrum, pass_microlenses, pixel_integrals
+from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pixel_integrals
 from .nonuniform import POINT_BYTES
 from .pupil_sums import Layer, carrier_type, layers
 
@@ -105,6 +105,7 @@ class CoherentFields:
             with resting_drjit():
                 field = fft2(spectrum, inverse=True).conj()
             pass_microlenses(self.system, grids, field)
+            pass_brightness(self.system, grids, field)
             field = field.conj()
         if plane != "pupil":
             # Back from the array to the pupil.

@@ -134,6 +134,7 @@ def _arrival(
 def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Return the spectrum, on the detector, of the field that reaches the MLA, whose memory is reused."""
     if microlenses and system.camera.has_array:
+        pass_brightness(system, grids, samples)
         before = _passed_power(system, grids, samples)
         pass_microlenses(system, grids, samples)
         if before > 0:
@@ -142,6 +143,15 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
         spectrum = fft2(samples)
     camera = system.camera
     return advance(spectrum, grids.pitch, camera.space_behind[0], camera.medium_wavelength(system.wavelength))
+
+
+def pass_brightness(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
+    """Multiply a field before the array, in place, by the square root of the brightness of the lenses it meets."""
+    table, lattice = system.camera.mla_transmissions, system.lattice
+    if table is not None:
+        for block, x, y in _places(grids):
+            amplitude = dr.sqrt(table.at(lattice, *lattice.cell(x, y)))
+            samples[block] *= backend().from_drjit(amplitude).reshape(samples[block].shape).astype(np.float32)
 
 
 def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.aperture import NOT_ROUND, Round
 from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
 from ..io.checkpoints import digest
+from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
@@ -112,11 +114,13 @@ class CaptureOperator(CoherentPoints):
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         camera = regular_array(camera)
-        # An aperture that is not round is the power of every point's light over the pupil.
-        open_ = camera.replace(aperture_blades=None, aperture_image=None)
+        # An aperture that is not round is the power of every point's light over the pupil; sums of spreads are blurred.
+        open_ = camera.replace(**NOT_ROUND, detector_blur=0.0)
         require_ideal(open_, in_full=method == "full_field")
-        if camera.lens_data.traced_surfaces and method == "full_field" and pupil_weights is not None:
-            raise InputError(f"pupil_weights: method {method} takes none behind a main_lens; use patch")
+        uneven = pupil_weights is not None or camera.aperture != Round()
+        if camera.lens_data.traced_surfaces and method == "full_field" and uneven:
+            name = "pupil_weights" if pupil_weights is not None else f"pupil_apodisation = {camera.pupil_apodisation}"
+            raise InputError(f"{name}: method {method} takes none behind a main_lens; use patch")
         self.camera, self.points = camera, check_positions(points, camera, virtual=require_flag("virtual", virtual))
         self.spectrum = spectrum
         self._channels = WeightChannels(None if wavelength is None else require_wavelength(wavelength), spectrum)
@@ -128,9 +132,10 @@ class CaptureOperator(CoherentPoints):
         )
         self._method, self._accuracy = method, chosen_accuracy(accuracy, method)
         self._pupil_weights = PupilWeights.of(pupil_weights, len(self.points))
-        if camera != open_:
-            refuse_if(pupil_weights is not None, "pupil_weights: points through blades or a picture take none")
-            self._pupil_weights, system = PupilWeights.through(camera.aperture, len(self.points)), None
+        if camera.aperture != Round():
+            refuse_if(pupil_weights is not None, "pupil_weights: points through apertures that are not round take none")
+            self._pupil_weights = PupilWeights.through(camera.aperture, len(self.points))
+        system = system if camera == open_ else None
         if system is not None:
             bound = system.wavelength
             refuse_if(
@@ -182,7 +187,7 @@ class CaptureOperator(CoherentPoints):
             If too much of the light is lost (see `optics.guards`).
         """
         with guards.watch():
-            image = self._image(self._check(weights), job or Job())
+            image = mix_pixels(self._image(self._check(weights), job or Job()), self.camera)
         return image[..., 0] if np.ndim(weights) == 1 and image.shape[2] == 1 else image
 
     def _image(self, weights: NDArray[np.float64], job: Job) -> NDArray[Any]:
@@ -221,7 +226,7 @@ class CaptureOperator(CoherentPoints):
         InputError
             If the image has another shape or is not finite, or the work would need too much memory.
         """
-        channels = self._channels.check_image(image, self.camera.shape, self._dtype)
+        channels = mix_pixels(self._channels.check_image(image, self.camera.shape, self._dtype), self.camera)
         wavelengths, _ = self._channels.mixing(channels.shape[2])
         result = np.zeros((len(self.points), len(wavelengths)))
         with guards.watch():
@@ -302,6 +307,7 @@ class CaptureOperator(CoherentPoints):
         refuse_if(not checked, "directions: give at least one")
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         image = self._for_derivatives().jvp(factors, checked, wavelengths, matrix, job or Job())
+        image = mix_pixels(image.reshape(*self.camera.shape, -1), self.camera)
         made = np.moveaxis(image.reshape(*self.camera.shape, len(checked), len(matrix)), 2, 0)
         flat = np.ndim(weights) == 1 and len(matrix) == 1
         return np.ascontiguousarray(made[..., 0] if flat else made)
@@ -339,7 +345,7 @@ class CaptureOperator(CoherentPoints):
             As for `derivative`.
         """
         factors, chosen = self._check(weights), check_names(self.camera, names)
-        channels = self._channels.check_image(image_gradient, self.camera.shape)
+        channels = mix_pixels(self._channels.check_image(image_gradient, self.camera.shape), self.camera)
         wavelengths, matrix = self._channels.mixing(factors.shape[1])
         if channels.shape[2] != len(matrix):
             raise InputError(f"image of shape {np.shape(image_gradient)}: the weights make {len(matrix)} channels")
@@ -349,7 +355,8 @@ class CaptureOperator(CoherentPoints):
         """Return the derivatives of the sums; refuse methods without derivatives."""
         refuse_if(self._method != "patch", f"method = {self._method}: it has no derivatives; use patch")
         self.camera.require_no_objective("derivatives of wave captures are found")
-        require_ideal(self.camera)
+        spreading = self.camera.replace(detector_blur=0.0)
+        require_ideal(spreading)
         require_no_shape(self.camera, "derivatives of wave captures are found")
         require_no_glass(self.camera, "there are no derivatives of cameras that disperse light;")
         if (spectrum := self._channels.spectrum) is not None and spectrum.nodes:
@@ -357,7 +364,7 @@ class CaptureOperator(CoherentPoints):
                 f"spectrum: nodes = {spectrum.nodes}: there are no derivatives between nodes; leave them out"
             )
         if self._differentials is None:
-            self._differentials = Differentials(self.camera, len(self.points), self._plans.made_by(DerivativePlan))
+            self._differentials = Differentials(spreading, len(self.points), self._plans.made_by(DerivativePlan))
         return self._differentials
 
     def estimate(self, job: Job | None = None) -> Cost:

@@ -203,6 +203,14 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> np.ndarray:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
+def lens_indices(camera: PlenopticCamera, centres: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
+    p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
+    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
+    i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
+    return i, j
+
+
 def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     """Return the lens type of each micro-image: the index of its focal length.
 
@@ -210,10 +218,7 @@ def lens_types(camera: PlenopticCamera, centres: np.ndarray) -> np.ndarray:
     """
     if len(camera.mla_focal_lengths) == 1:
         return np.zeros(centres.shape[:-1], dtype=np.int64)
-    p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
-    chief = rays.chief_point(p, camera.mla_distance, camera.reduced_distance)
-    i, j = camera.lattice.cell(chief[..., 0], chief[..., 1])
-    return camera.lattice.lens_type(i, j).astype(np.int64)
+    return camera.lattice.lens_type(*lens_indices(camera, centres)).astype(np.int64)
 
 
 def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:

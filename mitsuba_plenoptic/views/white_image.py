@@ -21,6 +21,7 @@ from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
 from ..lattice.lens_shifts import hashed
+from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
@@ -28,7 +29,7 @@ from ..optics import rays
 from ..runtime.backend import array_module
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
-from .lens_grid import LensGrid, lens_numbers, lens_types, micro_image_centres
+from .lens_grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
 MINIMUM_WEIGHT = 0.1
@@ -77,7 +78,7 @@ class PupilFraction:
             pupil = _square_in_aperture(half, samples, camera.aperture, radius)
         fraction = blur(pupil, lens)
         # The rounding of the transform is not light.
-        self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=1).astype(np.float32)
+        self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=pupil.max()).astype(np.float32)
         self._half = half
         self.reach = half * self._step
 
@@ -155,7 +156,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
 
     Behind a thin main lens the value of a pixel is its `PupilFraction`; where micro-images overlap, their light adds.
     Each lens of a tilted array has its own distances; distortion changes nothing, as rays keep their position on the
-    pupil. Behind a real main lens rays are traced from the pixels.
+    pupil. Behind a real main lens rays are traced from the pixels. Light is mixed as pixels do it, see
+    `detector_blur` and `pixel_crosstalk`.
 
     Parameters
     ----------
@@ -177,7 +179,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     camera.require_array("white_image")
     camera = regular_array(camera)
     if grid is None and not camera.lens_data.is_thin:
-        return _traced(camera)
+        return mix_pixels(_traced(camera), camera)
     camera.require_thin("white images of a grid are computed")
     fractions = _Fractions(camera)
     half = fractions.half
@@ -201,7 +203,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
-        height = fractions.heights(row)
+        height, bright = fractions.heights(row), 1.0
+        if camera.mla_transmissions is not None:
+            bright = camera.mla_transmissions.at(camera.lattice, *lens_indices(camera, row))[:, None, None]
         if grid is None and any(camera.mla_tilt):
             # Where the tilt has moved them: c (b + z) / (b - h).
             middle = np.array(camera.resolution) / 2 - camera.crop_offset
@@ -211,7 +215,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         distance = camera.reduced_distance + height / camera.mla_medium
         step = camera.pixel_size * (camera.mla_distance - height) / distance
         x, y = ((base[:, axis, None] + window + 0.5 - row[:, axis, None]) * step[:, None] for axis in (0, 1))
-        fraction = fractions(lens_types(camera, row), height, x, y)
+        fraction = fractions(lens_types(camera, row), height, x, y) * bright
         down = base[:, 1, None, None] + window[:, None] + half
         across = base[:, 0, None, None] + window + half
         keep = (down >= 0) & (down < image.shape[0]) & (across >= 0) & (across < image.shape[1])
@@ -220,7 +224,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         first = index.min(initial=image.size)
         added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
-    return image[half : half + rows, half : half + columns]
+    return mix_pixels(image[half : half + rows, half : half + columns], camera)
 
 
 def recorded_white(
@@ -377,8 +381,11 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
             dx, dy = camera.lattice.aperture_point(u, v)
             for across, down in around:
                 (cx, cy), f2 = walk.lens_at(i + across, j + down)
-                _, _, is_open = walk.trace(position, Passage((cx + dx, cy + dy), (cx, cy), f2))
-                total += dr.select(is_open, 1.0, 0.0)
+                bright = walk.transmission(i + across, j + down)
+                passage = Passage((cx + dx, cy + dy), (cx, cy), f2)
+                _, _, is_open = walk.trace(position, passage)
+                slope, _, _ = walk.out_of_array(position, passage)
+                total += dr.select(is_open, walk.passed(passage.point, slope, walk.height(cx, cy)) * bright, 0.0)
             dr.eval(total)
         image[rows] = (total / _RAYS).numpy().reshape(-1, camera.crop_size[0])
     return image

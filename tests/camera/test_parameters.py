@@ -57,7 +57,7 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
-        known |= {"PhaseScreen", "Collimator", "Aperture"}
+        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
@@ -66,6 +66,7 @@ OTHER = {
     "aperture_radius": 4.1,
     "aperture_blades": (6, 15.5),
     "aperture_image": {"transmission": [[0.0, 0.25], [1.0, 0.3333]]},
+    "pupil_apodisation": (-0.19, 0.05),
     "mla_distance": 130.7,
     "focus_distance": 300.9,
     "mla_focal_length": 0.5123,
@@ -76,6 +77,7 @@ OTHER = {
     "mla_tilt": (0.1, -0.2),
     "mla_aperture": "circle",
     "mla_fill": 0.83,
+    "mla_transmissions": {"values": [[0.5, 1.0, 1.2], [1.0, 0.97531, 1.0]], "first": (-1, 3)},
     "mla_medium": 1.5,
     "mla_absorption": 0.3,
     "mla_shape": {"form": "conic", "curvature_radius": 0.25, "conic": -0.5, "coefficients": [3.0], "glass": 1.6},
@@ -93,6 +95,7 @@ OTHER = {
     "mla_seed": 4294967295,
     "mla_warp": (1e-5, 0.0, -2e-5, 0.0, 0.0, 0.0, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1e-6),
     "mla_cra": (0.0, 0.0, 2.0, 10.0, 4.0, 25.0),
+    "detector_blur": 0.0021,
     "pixel_crosstalk": 0.02,
     "pixel_response": (0.0, 1.0, 20.0, 0.3),
     "photodiode_response": {"angles_x": [-20, 20], "angles_y": [-9, 9], "responses": [[[[1, 0], [1, 0.5]]]]},

@@ -116,7 +116,7 @@ BAD = {
         "aperture_image: transmission: 12 open cells are beyond a",
     ),
     "no file": ({"aperture_image": "nowhere.png"}, "aperture_image: nowhere.png: there is no such file"),
-    "both": ({"aperture_image": [[1]], "aperture_blades": 6}, "aperture_blades, aperture_image: give one of the two"),
+    "both": ({"aperture_image": [[1]], "aperture_blades": 6}, "aperture_blades, aperture_image: give one of them"),
     "prescription": (
         {"aperture_blades": 6, "main_lens": "tessar", "mla_distance": 55.0},
         "aperture_blades = 6: a main_lens has a round stop",
@@ -251,7 +251,7 @@ def test_other_methods_refuse_by_name(call):
 
 
 def test_pupil_weights_and_apertures_exclude_each_other():
-    with pytest.raises(InputError, match=r"^pupil_weights: points through blades or a picture take none$"):
+    with pytest.raises(InputError, match=r"^pupil_weights: points through apertures that are not round take none$"):
         mp.CaptureOperator(plenoptic(aperture_blades=5), [LAMP], wavelength=550.0, pupil_weights=np.ones((1, 2, 2)))
 
 

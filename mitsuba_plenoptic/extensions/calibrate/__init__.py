@@ -1,4 +1,4 @@
-"""Extension `calibrate`: a real camera's parameters from pictures of boards and white pictures.
+"""Extension `calibrate`: a real camera's parameters from pictures of boards, white pictures and dark ones.
 
 Centres of LFToolbox need the extension `raw`.
 """
@@ -6,7 +6,7 @@ Centres of LFToolbox need the extension `raw`.
 from ...extension import Extension
 
 EXTENSION = Extension(
-    names={"calibration": ("calibrate",)},
+    names={"calibration": ("calibrate",), "photon_transfer": ("photon_transfer",)},
     modules={"calibration": "calibration"},
     cameras={"libpleno": "calibrated_cameras:libpleno_camera"},
     commands={"calibrate": "calibrate_command"},

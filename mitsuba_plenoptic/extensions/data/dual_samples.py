@@ -91,6 +91,7 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
         mla_pitch=pitch,
         detector_width=camera.resolution[0] * pitch * (b + z) / (ACROSS * b),
         mla_cra=(),
+        detector_blur=0.0,
         pixel_crosstalk=0.0,
         pixel_response=(),
         photodiode_response=None,

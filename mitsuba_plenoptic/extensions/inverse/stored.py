@@ -103,6 +103,8 @@ class StoredOperator(CaptureOperator):
         InputError
             If the spreads take more memory than the budget, or the matrix would need too much memory.
         """
+        blur = self.camera.detector_blur
+        refuse_if(blur > 0, f"detector_blur = {blur:g}: matrices have the sharp spreads only; leave it out")
         matrices, parts = self._computed(job), list(self._channels.parts(1))
         mixed = [part.after @ part.before.T for part in parts]
         entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))

@@ -119,7 +119,7 @@ def psf_bank(
                 image = point_spread_function(local, point, wavelength=wavelength, method=method)
             else:
                 image = PointRays(local, point[None], wavelength).image(system, np.ones(1))
-            bank[index, number] = photodiodes(mix_pixels(image, camera.pixel_crosstalk), along, across)
+            bank[index, number] = photodiodes(mix_pixels(image, camera), along, across)
     steps = np.arange(count) - count // 2
     coordinates: dict[str, Any] = {
         "depth": ("depth", distances, {"units": "mm"}),
@@ -173,6 +173,7 @@ def _around(
         mla_cra=(),
         mla_offset=tuple((offset + shift).tolist()),
         pixel_crosstalk=0.0,
+        detector_blur=0.0,
         crop_offset=tuple(corner.astype(int).tolist()),
         crop_size=(ACROSS * count, ACROSS * count),
     )

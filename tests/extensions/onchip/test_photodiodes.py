@@ -91,16 +91,22 @@ def test_waves_shift_lenses_as_rays_do():
 
 def test_mixing_keeps_the_sum_and_is_its_own_adjoint():
     a, b = np.random.default_rng(0).random((2, 9, 7, 3))
-    mixed = mix_pixels(a, 0.07)
+    camera = PlenopticCamera(pixel_crosstalk=0.07)
+    mixed = mix_pixels(a, camera)
     assert mixed.sum() == pytest.approx(a.sum())
     assert mixed[3, 3, 1] == pytest.approx(
         0.72 * a[3, 3, 1] + 0.07 * (a[2, 3, 1] + a[4, 3, 1] + a[3, 2, 1] + a[3, 4, 1])
     )
-    assert np.sum(mixed * b) == pytest.approx(np.sum(a * mix_pixels(b, 0.07)))
-    assert mix_pixels(np.ones((3, 4)), 0.2) == pytest.approx(np.ones((3, 4)))
+    assert np.sum(mixed * b) == pytest.approx(np.sum(a * mix_pixels(b, camera)))
+    assert mix_pixels(np.ones((3, 4)), camera) == pytest.approx(np.ones((3, 4)))
+
+
+@pytest.mark.parametrize("blur", [0.0, 0.0014])
+def test_deviations_of_mixed_pixels(blur):
+    camera = PlenopticCamera(pixel_crosstalk=0.1, detector_blur=blur)
     draws = np.random.default_rng(1).normal(size=(4000, 5, 5)) * np.arange(1, 6)
-    spread = np.std([mix_pixels(draw, 0.1) for draw in draws], axis=0)
-    assert mix_deviations(np.broadcast_to(np.arange(1.0, 6), (5, 5)), 0.1)[1:-1, 1:-1] == pytest.approx(
+    spread = np.std([mix_pixels(draw, camera) for draw in draws], axis=0)
+    assert mix_deviations(np.broadcast_to(np.arange(1.0, 6), (5, 5)), camera)[1:-1, 1:-1] == pytest.approx(
         spread[1:-1, 1:-1], rel=0.06
     )
 
@@ -116,7 +122,7 @@ def test_captures_with_crosstalk_are_mixed_captures(model):
         render_capture(scene_of(camera.replace(pixel_crosstalk=x), lamp), spp=spp, model=model).image
         for x in (0.0, 0.05)
     )
-    expected = mix_pixels(plain, 0.05)
+    expected = mix_pixels(plain, camera.replace(pixel_crosstalk=0.05))
     assert np.linalg.norm(plain - expected) > 0.04 * np.linalg.norm(plain)
     assert np.linalg.norm(crossed - expected) < (0.015 if model == "ray" else 1e-6) * np.linalg.norm(expected)
 

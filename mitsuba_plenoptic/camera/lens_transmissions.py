@@ -1,0 +1,116 @@
+"""Transmissions of single microlenses: how bright the light behind each is, as a table over the array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
+from ..lattice import Lattice
+from ..microlens.sampled_grid import read_samples
+from ..runtime.backend import drjit_array, module_of, select
+from .aperture import known_table
+
+_LARGEST, _BRIGHTEST = 4096, 4.0
+"""Most rows and columns of a table, and the largest value."""
+
+_FARTHEST = 10**6
+"""Farthest column and row, from lens (0, 0), of the first value."""
+
+_DECIMALS = 5
+"""Digits to which values are kept, as files hold them."""
+
+
+@suggest_keywords
+@dataclass(frozen=True, eq=False)
+class LensTransmissions:
+    """Relative brightness of single microlenses, as a white picture shows it.
+
+    The power of the light behind a lens is multiplied by its value; lenses beyond the table have 1.
+
+    Parameters
+    ----------
+    values : array (rows, columns), nested lists, or path
+        Values from 0 to 4, kept to five decimals, of rows of lenses with rising y of the lattice and columns with
+        rising x; at most 4096 x 4096. Or an NPY, FITS, EXR or grey PNG file of them, whose first row has the lowest y.
+    first : (int, int), optional
+        Column and row of the lens of the first value. Lens (0, 0) of a square lattice has its lower left corner, in the
+        lattice frame, at `mla_offset`, of a hexagonal one its centre; each odd row of a hexagonal lattice is half a
+        pitch further in x. Default: minus half the counts, rounded down, so that the table is around the axis.
+
+    Raises
+    ------
+    InputError
+        If the values are no table, too many, or out of range, or `first` is not two integers.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> dim = mp.LensTransmissions([[0.9, 1.0], [1.0, 1.0]])
+    >>> dim.first, mp.PlenopticCamera(mla_transmissions=dim).mla_transmissions == dim
+    ((-1, -1), True)
+    """
+
+    values: Any
+    first: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        values = read_samples("values", self.values)
+        rows, columns = values.shape
+        refuse_if(
+            not (1 <= rows <= _LARGEST and 1 <= columns <= _LARGEST),
+            f"values of shape {values.shape}: it must have 1 to {_LARGEST} rows and columns",
+        )
+        refuse_if(values.min() < 0 or values.max() > _BRIGHTEST, f"values: they must be from 0 to {_BRIGHTEST:g}")
+        given = (-(columns // 2), -(rows // 2)) if self.first is None else self.first
+        pair = require_pair("first", given, "(column, row)")
+        first = tuple(require_count("first", number, minimum=-_FARTHEST, maximum=_FARTHEST) for number in pair)
+        values = values.round(_DECIMALS)
+        values.flags.writeable = False
+        put(self, values=values, first=first)
+
+    def at(self, lattice: Lattice, i: Any, j: Any) -> Any:
+        """Return the values of the lenses with some indices of a lattice, NumPy or Dr.Jit arrays.
+
+        Parameters
+        ----------
+        lattice : Lattice
+            The lattice, whose rows may be staggered.
+        i, j : array
+            Indices of lenses, see `Lattice.cell`.
+        """
+        assert self.first is not None
+        module, (rows, columns) = module_of(i), self.values.shape
+        along = i + module.floor(j / 2) if lattice.stagger == 2 else i
+        column, row = along - self.first[0], j - self.first[1]
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        index, values = select(inside, row * columns + column, 0), self.values.ravel()
+        if module is np:
+            found: Any = values[np.asarray(index, np.int64)]
+        else:
+            found = dr.gather(type(i), drjit_array(type(i), values), dr.uint32_array_t(type(i))(index))
+        return select(inside, found, 1.0)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the table as lists by name, for files and headers."""
+        return {"values": self.values.tolist(), "first": self.first}
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, LensTransmissions):
+            return False
+        return self.first == other.first and np.array_equal(self.values, other.values)
+
+    def __hash__(self) -> int:
+        return hash((self.values.tobytes(), self.first))
+
+    def __repr__(self) -> str:
+        rows, columns = self.values.shape
+        return f"LensTransmissions({rows} x {columns} values, first={self.first})"
+
+
+known_transmissions = partial(known_table, "mla_transmissions", LensTransmissions)
+"""Return the brightness of lenses from any of its forms; None means that lenses are equal."""

@@ -1,0 +1,263 @@
+r"""Gain and noise of an image sensor, from white and dark pictures: the photon transfer curve.
+
+The variance of a pixel grows with its mean along a line, :math:`\sigma^2 = \sigma_d^2 + K (\mu - \mu_d)`, whose
+slope is the gain K (Janesick 2007, "Photon Transfer"; EMVA Standard 1288, Release 4.0 Linear, section 6.6).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ...errors import NO_ARRAY, refuse_if, refusing, require_count, short_repr, suggest_keywords
+from ...light.detector import Detector
+
+_ORDER = 6
+"""Order of the differences along either axis that remove all but the highest frequencies of a picture."""
+
+_SMOOTH, _FLATTEST = 1.5, 0.3
+"""Width in pixels of the Gaussian that shows where a picture is flat, and the part of it that is called so."""
+
+_BLOCKS, _DRAWS = 16, 200
+"""Blocks along either side that are drawn with replacement, and the number of draws, for deviations."""
+
+_STEPS = 12
+"""Points of the line that is returned."""
+
+_DEAD, _HOT = 0.25, 10.0
+"""Light of a dead pixel over that of its darkest neighbour, and standard deviations of a hot one in the dark."""
+
+_LEAST, _MOST_CUT = 32, 0.01
+"""Fewest rows and columns of a picture, and the largest part of a dark one that may be cut off at 0."""
+
+_ROUNDING = 1 / 12
+"""Variance of rounding."""
+
+
+@dataclass(frozen=True)
+class PhotonTransfer:
+    """What white and dark pictures tell about a sensor; deviations are standard deviations of the estimates.
+
+    Attributes
+    ----------
+    detector : Detector
+        The sensor, for `expose`: gain, read noise, bits and black level. Its quantum efficiency is 1, so that photons
+        count as electrons; its full well is the largest number, which it need not reach.
+    gain, gain_deviation : float
+        Digital numbers per electron.
+    read_noise, read_noise_deviation : float
+        Standard deviation of the dark signal in electrons. Where it is below half a digital number, rounding hides it,
+        and the deviation says so.
+    dark_offset, dark_offset_deviation : float
+        Mean of the dark pictures in digital numbers: the detector's black level, not rounded, with the dark current.
+    saturated_pixels, dead_pixels, hot_pixels : int
+        Pixels with the largest number in a white picture; single pixels with less than a quarter of the light of all
+        their neighbours; pixels that are ten standard deviations off in the dark. All are left out.
+    signal, variance : array (n,)
+        Points of the line: mean above the dark offset and variance, in digital numbers, from dim to bright.
+    """
+
+    detector: Detector
+    gain: float
+    gain_deviation: float
+    read_noise: float
+    read_noise_deviation: float
+    dark_offset: float
+    dark_offset_deviation: float
+    saturated_pixels: int
+    dead_pixels: int
+    hot_pixels: int
+    signal: NDArray[np.float64]
+    variance: NDArray[np.float64]
+
+
+@suggest_keywords
+def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> PhotonTransfer:
+    """Return the gain and the noise of an image sensor, from pictures of something white and of darkness.
+
+    Two or more pictures of the same white differ by noise alone, so that all pixels tell the variance. Of a single one,
+    sixth differences along rows and columns leave the noise and little else; they are taken where the picture is
+    flattest, such as in the middle of micro-images, 30 % of it. Then everything that differs from pixel to pixel counts
+    as noise: unequal sensitivities of 0.5 % add a quarter to the variance of 10000 electrons, and the gain is as much
+    too high. Likewise a single dark picture cannot tell unequal offsets of pixels from read noise, but those of whole
+    rows and columns are left out.
+
+    Parameters
+    ----------
+    white : array (rows, columns) or (n, rows, columns), or sequence of arrays
+        Digital numbers of one or more pictures of the same white scene, as recorded: not demosaiced, averaged,
+        resampled or compressed, which changes the noise.
+    dark : array or sequence of arrays
+        Digital numbers of one or more pictures with the same exposure time without light.
+    bits : int, optional
+        Bits of a digital number, 1 to 16. Default: 8 if no number is larger than 255, otherwise 16.
+
+    Returns
+    -------
+    PhotonTransfer
+        The `Detector`, with the numbers from which it is made.
+
+    Raises
+    ------
+    InputError
+        If pictures have different sizes or colours, are smaller than 32 pixels, do not differ in brightness, or a dark
+        one is cut off at 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mitsuba_plenoptic as mp
+    >>> sensor, random = mp.Detector(gain=0.5, read_noise=4, full_well=20000), np.random.default_rng(1)
+    >>> white = [sensor.digital_numbers(np.full((400, 400), 9000.0), random) for _ in range(2)]
+    >>> dark = [sensor.digital_numbers(np.zeros((400, 400)), random) for _ in range(2)]
+    >>> found = mp.photon_transfer(white, dark, bits=12)
+    >>> round(found.gain, 2), round(found.read_noise, 1)
+    (0.5, 4.0)
+    """
+    bright, black = _frames("white", white), _frames("dark", dark)
+    refuse_if(
+        bright.shape[1:] != black.shape[1:],
+        f"dark of shape {black.shape[1:]}: it must have the pixels of the white picture, {bright.shape[1:]}",
+    )
+    if bits is None:
+        bits = 8 if max(bright.max(), black.max()) <= 255 else 16
+    bits = require_count("bits", bits, maximum=16)
+    top = 2**bits - 1
+    refuse_if(max(bright.max(), black.max()) > top, f"bits = {bits}: the pictures have numbers up to {bright.max():g}")
+    cut = float((black <= 0).mean())
+    refuse_if(cut > _MOST_CUT, f"dark: {cut:.0%} of its pixels are 0: noise is cut off; raise the camera's black level")
+
+    offset = black.mean(0)
+    level, noise = float(np.median(offset)), 1.4826 * float(np.median(np.abs(offset - np.median(offset)))) + 1
+    hot = np.abs(offset - level) > _HOT * noise
+    mean_light = bright.mean(0) - level
+    ring = np.ones((3, 3), bool)
+    ring[1, 1] = False
+    around = ndimage.minimum_filter(mean_light, footprint=ring, mode="nearest")
+    dead = (mean_light < _DEAD * around) & (around > _HOT * noise)
+    saturated = (bright >= top).any(0)
+    bad = hot | dead | saturated
+    refuse_if(
+        bad.mean() > 0.5, f"white: {saturated.sum()} pixels are saturated and {dead.sum()} dead: too few are left"
+    )
+
+    darkness = _Spread.of(black, bad)
+    # Unequal pixels are noise in both pictures, or in none if there are several of each.
+    alike = _Spread.of(black[:1], bad) if len(bright) == 1 else darkness
+    light = _Spread.of(bright - level, bad, _FLATTEST if len(bright) == 1 else 1.0)
+
+    def estimate(choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float, float]:
+        (mean, variance), (_, least) = light.of_blocks(choice), alike.of_blocks(choice)
+        dark_mean, dark_variance = darkness.of_blocks(choice)
+        gain = (variance - least) / mean
+        return gain, math.sqrt(max(dark_variance - _ROUNDING, 0)) / gain, dark_mean
+
+    (mean, variance), (_, least) = light.of_blocks(), alike.of_blocks()
+    refuse_if(
+        mean <= noise or variance <= least,
+        f"white: its mean is {mean + level:.4g} and its variance {variance:.4g}, those of the dark picture are "
+        f"{level:.4g} and {least:.4g}: it must be brighter",
+    )
+    generator = np.random.default_rng(0)
+    draws = [estimate(generator.integers(0, _BLOCKS**2, _BLOCKS**2)) for _ in range(_DRAWS)]
+    deviations = np.std(draws, axis=0)
+    gain, read, dark_offset = estimate()
+    if darkness.of_blocks()[1] < 0.25 + _ROUNDING:
+        deviations[1] = max(deviations[1], math.sqrt(_ROUNDING) / gain)
+    black_level = min(max(round(dark_offset), 0), top - 1)
+    detector = Detector(
+        quantum_efficiency=1.0,
+        full_well=max((top - black_level) / gain, 1.0),
+        read_noise=read,
+        bits=bits,
+        gain=gain,
+        black_level=black_level,
+    )
+    signal, variances = light.line()
+    return PhotonTransfer(
+        detector=detector,
+        gain=gain,
+        gain_deviation=float(deviations[0]),
+        read_noise=read,
+        read_noise_deviation=float(deviations[1]),
+        dark_offset=dark_offset,
+        dark_offset_deviation=float(deviations[2]),
+        saturated_pixels=int(saturated.sum()),
+        dead_pixels=int(dead.sum()),
+        hot_pixels=int(hot.sum()),
+        signal=signal,
+        variance=variances,
+    )
+
+
+def _frames(name: str, value: Any) -> NDArray[np.float64]:
+    """Return one or more pictures as an array (n, rows, columns) of digital numbers."""
+    with refusing(f"{name} = {short_repr(value)}: it must be pictures of digital numbers", *NO_ARRAY):
+        frames = np.asarray(value, np.float64)
+    frames = frames[None] if frames.ndim == 2 else frames
+    refuse_if(
+        frames.ndim != 3 or min(frames.shape[1:], default=0) < _LEAST or not len(frames),
+        f"{name} of shape {frames.shape}: it must be (rows, columns) or (n, rows, columns), at least {_LEAST} of each",
+    )
+    refuse_if(not np.isfinite(frames).all(), f"{name}: its numbers must be finite")
+    return frames
+
+
+@dataclass(frozen=True, eq=False)
+class _Spread:
+    """Means and variances of the pixels of one or more pictures, with the pixels that are used."""
+
+    means: NDArray[np.float64]
+    variances: NDArray[np.float64]
+    used: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, frames: NDArray[np.float64], bad: NDArray[np.bool_], flattest: float = 1.0) -> _Spread:
+        """Return the spread between pictures, or of a single picture about its smooth part where it is flattest."""
+        if len(frames) > 1:
+            # Lamps flicker: pictures are compared at the same brightness.
+            scale = frames.mean((1, 2)) / frames.mean() if abs(frames.mean()) > frames.std() else np.ones(len(frames))
+            even = frames / scale[:, None, None]
+            return cls(even.mean(0), even.var(0, ddof=1), ~bad)
+        picture, steps = frames[0], np.array([math.comb(_ORDER, k) * (-1.0) ** k for k in range(_ORDER + 1)])
+        steps /= np.sqrt((steps**2).sum())
+        # The squared differences have the variance of this mean of their pixels.
+        means, squares = _both(picture, steps**2), _both(picture, steps) ** 2
+        used = ~ndimage.binary_dilation(bad, np.ones((len(steps),) * 2, bool))
+        if flattest < 1:
+            orders = ((0, 1), (1, 0), (0, 2), (1, 1), (1, 1), (2, 0))
+            change = sum(ndimage.gaussian_filter(picture, _SMOOTH, order=order) ** 2 for order in orders)
+            # Over the noise that the mean promises.
+            rough = ndimage.uniform_filter(change, len(steps)) / np.maximum(means, np.mean(means) * 1e-3)
+            used &= rough <= np.quantile(rough[used], flattest)
+        return cls(means, squares, used)
+
+    @cached_property
+    def _blocks(self) -> NDArray[np.float64]:
+        """The number of used pixels, and the sums of their means and of their variances, in each block (3, blocks)."""
+        row, column = (np.arange(count) * _BLOCKS // count for count in self.used.shape)
+        block = (row[:, None] * _BLOCKS + column)[self.used]
+        sums = [np.bincount(block, values[self.used], _BLOCKS**2) for values in (self.means, self.variances)]
+        return np.stack([np.bincount(block, minlength=_BLOCKS**2), *sums])
+
+    def of_blocks(self, choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float]:
+        """Return mean and variance of the used pixels of some blocks, by default of all."""
+        count, mean, variance = self._blocks[:, choice].sum(1)
+        return float(mean / count), float(variance / count)
+
+    def line(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return means and variances of equal numbers of used pixels, from dim to bright."""
+        means, variances = self.means[self.used], self.variances[self.used]
+        parts = np.array_split(np.argsort(means), _STEPS)
+        return np.array([means[part].mean() for part in parts]), np.array([variances[part].mean() for part in parts])
+
+
+def _both(picture: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a picture filtered by weights along both axes."""
+    return np.asarray(ndimage.correlate1d(ndimage.correlate1d(picture, weights, 0), weights, 1))

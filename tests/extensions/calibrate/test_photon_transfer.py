@@ -1,0 +1,132 @@
+"""Gain and read noise from white and dark exposures of a wave white capture, against the detector that made them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    Objective,
+    PlenopticCamera,
+    expose,
+    photon_transfer,
+    render_capture,
+)
+
+DATA = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "/nowhere")) / "antleg"
+
+CAMERA = PlenopticCamera(
+    main_lens=Objective(magnification=20, numerical_aperture=0.5),
+    mla_pitch=0.125,
+    mla_focal_length=2.433,
+    detector_width=0.25,
+    resolution=(55, 55),
+)
+"""A microscope of 27.5 pixels a lens, 2 x 2 of them."""
+
+DETECTORS = {
+    "16 bits": Detector(quantum_efficiency=0.7, full_well=30000, read_noise=1.5, bits=16, gain=2.1, black_level=101),
+    "12 bits": Detector(full_well=30000, read_noise=6, bits=12, gain=0.13, black_level=64),
+    "8 bits": Detector(full_well=500, read_noise=3, bits=8, gain=0.45, black_level=12),
+}
+
+
+@pytest.fixture(scope="module")
+def white():
+    """The wave capture of four lenses, mirrored many times."""
+    mi.set_variant("llvm_ad_mono")
+    path = {"type": "direct"}
+    scene = {"type": "scene", "camera": CAMERA.to_sensor(), "sky": {"type": "constant"}, "integrator": path}
+    image = render_capture(mi.load_dict(scene), spp=64, model="wave", wavelength=510).image
+    return np.pad(image / image.max(), 605, mode="symmetric")
+
+
+def numbers_of(image, detector, seed, part=0.8):
+    """Return the digital numbers of an exposure whose brightest pixels reach a part of the range."""
+    rows, columns = image.shape
+    camera = CAMERA.replace(resolution=(columns, rows), detector_width=columns * CAMERA.pixel_size)
+    range_of = (2**detector.bits - 1 - detector.black_level) / detector.gain
+    scale = detector.quantum_efficiency * part * min(detector.full_well, range_of)
+    photons = scale / detector.quantum_efficiency**2
+    exposed = expose(Capture(image.astype(np.float32), camera), detector, photons=photons, seed=seed).image
+    electrons = exposed.astype(float) * photons * detector.quantum_efficiency
+    return np.rint(electrons * detector.gain + detector.black_level)
+
+
+@pytest.mark.parametrize(
+    "detector",
+    [pytest.param(each, id=name, marks=[pytest.mark.slow] * ("12" in name)) for name, each in DETECTORS.items()],
+)
+def test_single_pictures_give_gain_and_noise(white, detector):
+    """Within 2 %, though the micro-images vary a hundred times as much as the noise."""
+    bright, dark = numbers_of(white, detector, 1), numbers_of(0 * white, detector, 2)
+    found = photon_transfer(bright, dark, bits=detector.bits)
+    assert found.gain == pytest.approx(detector.gain, rel=0.02)
+    assert found.read_noise == pytest.approx(detector.read_noise, rel=0.02)
+    assert found.dark_offset == pytest.approx(detector.black_level, abs=0.02)
+    assert found.detector.black_level == detector.black_level
+    assert abs(found.gain - detector.gain) < 4 * found.gain_deviation
+    assert found.gain_deviation < 0.02 * detector.gain
+    assert (found.saturated_pixels, found.dead_pixels, found.hot_pixels) == (0, 0, 0)
+
+
+def test_pairs_do_not_count_what_differs_from_pixel_to_pixel(white):
+    """Unequal pixels, by 1 % and by two digital numbers, and a lamp that flickers by 3 %."""
+    white = white[:700, :700]
+    detector, random = DETECTORS["16 bits"], np.random.default_rng(3)
+    unequal, offsets = (1 + 0.01 * random.normal(size=white.shape)).clip(0), random.normal(0, 2, white.shape)
+    bright = [numbers_of(white * unequal, detector, seed, part) + offsets for seed, part in ((1, 0.8), (2, 0.776))]
+    dark = [numbers_of(0 * white, detector, seed) + offsets for seed in (3, 4)]
+    pair, single = photon_transfer(bright, dark), photon_transfer(bright[0], dark[0])
+    assert pair.gain == pytest.approx(detector.gain, rel=0.01)
+    assert pair.read_noise == pytest.approx(detector.read_noise, rel=0.02)
+    slope = np.polyfit(pair.signal, pair.variance, 1)[0]
+    assert slope == pytest.approx(detector.gain, rel=0.03)
+    assert single.gain > 1.5 * detector.gain
+
+
+def test_bad_pixels_are_counted_and_left_out(white):
+    detector, part = DETECTORS["16 bits"], white[:600, :600]
+    bright, dark = numbers_of(part, detector, 1), numbers_of(0 * part, detector, 2)
+    plain = photon_transfer(bright, dark)
+    middle = np.argwhere(part > 0.98)[::4000]
+    bright[tuple(middle.T)] = detector.black_level
+    dark[100, 101] = 900
+    bright[300:304, 200:205] = 65535
+    found = photon_transfer(bright, dark)
+    assert (found.saturated_pixels, found.dead_pixels, found.hot_pixels) == (20, len(middle), 1)
+    assert found.gain == pytest.approx(plain.gain, rel=0.01)
+
+
+def test_bad_input():
+    dark = np.random.default_rng(0).normal(100, 2, (40, 50)).round()
+    for white, black, options, message in (
+        (dark[:, :-1] * 9, dark, {}, r"dark of shape \(40, 50\)"),
+        (np.ones((40, 50, 3)), dark, {}, r"white of shape \(40, 50, 3\)"),
+        ("white.png", dark, {}, "white = 'white.png': it must be pictures"),
+        (dark, dark, {}, "white: its mean is 99.* it must be brighter"),
+        (dark * 90, dark, {"bits": 12}, "bits = 12: the pictures have numbers up to"),
+        (dark * 9, np.maximum(dark - 100, 0), {}, "dark: .* of its pixels are 0: noise is cut off"),
+        (dark * 0 + 65535, dark, {}, "white: 2000 pixels are saturated"),
+    ):
+        with pytest.raises(InputError, match=message):
+            photon_transfer(white, black, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not DATA.exists(), reason="MITSUBA_PLENOPTIC_DATA has no folder antleg")
+def test_a_scientific_camera():
+    """An Andor Neo: 30,000 electrons in 16 bits are 0.46 electrons a number; its read noise is about one electron."""
+    Image, tifffile = pytest.importorskip("PIL.Image"), pytest.importorskip("tifffile")
+    found = photon_transfer(
+        np.asarray(Image.open(DATA / "radiometry_frame.png")), tifffile.imread(DATA / "dark_frame.tif")
+    )
+    assert 1 / found.gain == pytest.approx(0.46, rel=0.12)
+    assert 0.6 < found.read_noise < 1.6

@@ -1,0 +1,113 @@
+"""Brightness of single lenses: exactly that of rays, and of waves of a lens whose neighbours are as bright."""
+
+from __future__ import annotations
+
+import json
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    InputError,
+    LensTransmissions,
+    PlenopticCamera,
+    decode,
+    reconstruct,
+    render_capture,
+)
+from mitsuba_plenoptic.views.white_image import white_image
+
+TABLE = np.array([[0.5, 1.0, 1.0, 1.0], [1.0, 1.0, 0.8, 1.0], [1.0, 1.25, 1.0, 1.0], [1.0, 1.0, 1.0, 0.9]])
+
+PLAIN = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
+"""Of 4 x 4 lenses with 16 x 16 pixels, as many as the table."""
+
+CAMERA = PLAIN.replace(mla_transmissions=TABLE)
+
+
+def sky(camera, spp, model="ray"):
+    path = {"type": "direct"}
+    scene = {"type": "scene", "camera": camera.to_sensor(), "sky": {"type": "constant"}, "integrator": path}
+    return render_capture(mi.load_dict(scene), spp=spp, model=model).image
+
+
+def test_tables_are_around_the_axis_and_rows_rise():
+    """Row and column of the capture grow with y and x of the camera frame, as do those of the table."""
+    assert CAMERA.mla_transmissions.first == (-2, -2)
+    plain, found = (sky(camera, 16) for camera in (PLAIN, CAMERA))
+    assert found == pytest.approx(plain * np.kron(TABLE, np.ones((16, 16))), abs=1e-6)
+    assert white_image(CAMERA) == pytest.approx(white_image(PLAIN) * np.kron(TABLE, np.ones((16, 16))), abs=1e-6)
+
+
+def test_waves_have_the_same_light_behind_each_lens():
+    small = PLAIN.replace(resolution=(32, 32), detector_width=0.128)
+    plain, found, even = (
+        sky(small.replace(mla_transmissions=table), 16, "wave") for table in (None, TABLE[1:3, 1:3], [[0.7] * 12] * 12)
+    )
+    # A twentieth of the light is diffracted into other lenses' pixels.
+    light = found.reshape(2, 16, 2, 16).sum((1, 3)) / plain.reshape(2, 16, 2, 16).sum((1, 3))
+    assert light == pytest.approx(TABLE[1:3, 1:3], abs=0.02)
+    assert even == pytest.approx(0.7 * plain, abs=1e-5)
+
+
+def test_rows_of_hexagonal_lattices_are_straight():
+    """A column of the table is nearly upright: lens (i, j) has the column i + floor(j / 2)."""
+    camera = PlenopticCamera(mla_lattice="hexagonal")
+    j = np.arange(-4, 5.0)
+    i = -np.floor(j / 2)
+    x, _ = camera.lattice.centre(i, j)
+    assert x.max() == pytest.approx(camera.mla_pitch / 2)
+    table = LensTransmissions(np.tile([0.5, 0.6, 0.7], (9, 1)), first=(-1, -4))
+    assert table.at(camera.lattice, i, j) == pytest.approx(np.full(9, 0.6))
+    assert table.at(camera.lattice, i + 7, j) == pytest.approx(np.ones(9))
+
+
+def test_points_by_full_fields():
+    """A point in focus lights one lens, apart from diffraction."""
+    small = PLAIN.replace(resolution=(32, 32), detector_width=0.128)
+    plain, found, even = (
+        CaptureOperator(
+            small.replace(mla_transmissions=table), [(-0.064, -0.064, 240)], wavelength=633, method="full_field"
+        )
+        for table in (None, [[1, 1], [1, 0.3]], [[0.25] * 40] * 40)
+    )
+    bright = plain.forward([1.0])
+    assert found.forward([1.0]).sum() / bright.sum() == pytest.approx(0.3, abs=0.04)
+    assert even.forward([1.0]) == pytest.approx(0.25 * bright, abs=1e-5 * float(bright.max()))
+    coherent, rng = found.coherent_fields, np.random.default_rng(0)
+    amplitudes, shape = np.array([1 + 2j], np.complex64), coherent.shape("detector")
+    other = (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
+    inner = np.vdot(other, coherent.at(amplitudes, "detector").samples)
+    assert inner == pytest.approx(np.vdot(coherent.adjoint(other, "detector"), amplitudes), rel=1e-3)
+
+
+def test_decoding_divides_it_out():
+    views = [decode(Capture(sky(camera, 64), camera), white=None) for camera in (PLAIN, CAMERA)]
+    seen = np.hypot(views[0].u, views[0].v) < 4
+    assert float(np.abs(views[1] - views[0]).where(seen).max()) < 0.02
+    assert float(views[1].where(seen).min()) > 0.96
+
+
+def test_files_and_refusals(tmp_path):
+    np.save(tmp_path / "gains.npy", TABLE)
+    (tmp_path / "gains.json").write_text(json.dumps({"values": TABLE.tolist(), "first": [-2, -2]}))
+    for name in ("gains.npy", "gains.json"):
+        assert PlenopticCamera(mla_transmissions=tmp_path / name).mla_transmissions == CAMERA.mla_transmissions
+    for given, message in (
+        ([[5.0]], "values: they must be from 0 to 4"),
+        ([1.0, 1.0], r"values of shape \(2,\)"),
+        ({"values": [[1]], "last": [0, 0]}, "last"),
+        ({"first": [0, 0]}, "values is missing"),
+        ({"values": [[1]], "first": [0.5, 0]}, "first = 0.5: it must be a whole number"),
+    ):
+        with pytest.raises(InputError, match=f"mla_transmissions: .*{message}"):
+            PlenopticCamera(mla_transmissions=given)
+    with pytest.raises(InputError, match="no microlens array"):
+        PlenopticCamera(mla_lattice="none", mla_transmissions=TABLE)
+    with pytest.raises(InputError, match=r"mla_transmissions = LensTransmissions\(.*leave it out"):
+        CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
+    with pytest.raises(InputError, match=r"mla_transmissions = .*leave it out"):
+        reconstruct(Capture(np.ones(CAMERA.shape, np.float32), CAMERA, 633.0), distance=240, method="coherent")

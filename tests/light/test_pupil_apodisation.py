@@ -1,0 +1,149 @@
+"""Apodised pupils: rays against the transmission itself, waves against sums over the pupil."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.special import j0
+
+from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic.design import white_mean
+from mitsuba_plenoptic.views.white_image import white_image
+
+A2, A4 = -0.6, 0.2
+
+CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256, pupil_apodisation=(A2, A4))
+"""Of 4 x 4 lenses with 16 x 16 pixels."""
+
+
+def sky(camera, spp, model="ray"):
+    """Return the capture of a scene of radiance 1 everywhere."""
+    path = {"type": "direct"}
+    scene = {"type": "scene", "camera": camera.to_sensor(), "sky": {"type": "constant"}, "integrator": path}
+    return render_capture(mi.load_dict(scene), spp=spp, model=model).image
+
+
+def transmission(r, a2=A2, a4=A4):
+    return np.clip(1 + a2 * r**2 + a4 * r**4, 0, None)
+
+
+def on_pupil(camera):
+    """Return the distances from the pupil's centre, over its radius, that pixels near the axis see in focus."""
+    offset = (camera.pixel_coordinates(0) - camera.mla_offset[0]) % camera.mla_pitch - camera.mla_pitch / 2
+    return np.hypot(offset, offset[:, None]) * camera.pupil_distance / camera.mla_focal_length / camera.pupil_radius
+
+
+def diffracted(camera, wavelength, apodisation, parts=8):
+    """Return the white capture: the pupil behind each lens, convolved with the diffraction of its square by FFT."""
+    size, step = 3 * camera.resolution[0] * parts, camera.pixel_size / parts
+    along, image = (np.arange(size) - size / 2 + 0.5) * step, np.zeros((size, size))
+    radius, pitch = camera.micro_image_diameter / 2, camera.micro_image_pitch
+    for x, y in np.ndindex(6, 6):
+        r = np.hypot(along - (x - 2.5) * pitch, (along - (y - 2.5) * pitch)[:, None])
+        image += transmission(r / radius, *apodisation) * np.clip((radius - r) / step + 0.5, 0, 1)
+    frequency = np.fft.fftfreq(size, step)
+    extent = wavelength * 1e-6 * camera.mla_focal_length / camera.mla_pitch
+    transfer = np.clip(1 - np.abs(frequency) * extent, 0, None) * np.sinc(frequency * camera.pixel_size)
+    image = np.fft.ifft2(np.fft.fft2(image) * transfer * transfer[:, None]).real
+    shape, middle = (camera.resolution[0], parts) * 2, slice(parts // 2 - 1, parts // 2 + 1)
+    seen = slice(size // 3, size * 2 // 3)
+    return image[seen, seen].reshape(shape)[:, middle, :, middle].mean((1, 3))
+
+
+def test_rays_read_the_transmission():
+    found, plain, seen = sky(CAMERA, 64), sky(CAMERA.replace(pupil_apodisation=(0, 0)), 64), on_pupil(CAMERA)
+    whole = (plain == 1) & (np.hypot(*np.meshgrid(*[CAMERA.pixel_coordinates(0)] * 2)) < 0.1)
+    # Micro-images lie up to 0.07 pixels beside their lenses.
+    assert found[whole] == pytest.approx(transmission(seen)[whole], abs=0.035)
+    assert found.mean() / plain.mean() == pytest.approx(1 + A2 / 2 + A4 / 3, rel=3e-3)
+    assert np.abs(white_image(CAMERA) - found).mean() < 0.006
+    assert found.mean() == pytest.approx(white_mean(CAMERA), rel=0.005)
+
+
+@pytest.mark.parametrize("apodisation", [(A2, A4), pytest.param((-1.5, 0.0), marks=pytest.mark.slow)])
+def test_waves_diffract_the_apodised_micro_image(apodisation):
+    camera = CAMERA.replace(pupil_apodisation=apodisation, resolution=(32, 32), detector_width=0.128)
+    found, expected = sky(camera, 128, "wave"), diffracted(camera, 633, apodisation)
+    assert np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    ("method", "a2", "a4"), [("patch", A2, A4), ("patch", -1.5, 0.0), ("patch", 0.5, 0.5), ("full_field", A2, A4)]
+)
+def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
+    """In focus, directly behind a single lens; closed form: the Hankel transform of the amplitude."""
+    camera = PlenopticCamera(
+        pupil_apodisation=(a2, a4),
+        mla_pitch=2.0,
+        mla_offset=(1.0, 1.0),
+        mla_focal_length=1e6,
+        detector_distance=1e-4,
+        resolution=(40, 40),
+        detector_width=0.08,
+    )
+    found = CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method=method, accuracy=0).forward([1.0])
+    r = (np.arange(2000) + 0.5) / 2000
+    within = (np.arange(5) - 2) / 5 * camera.pixel_size
+    along = (camera.pixel_coordinates(0)[:, None] + within).ravel()
+    apart = np.hypot(along, along[:, None])
+    radii = np.linspace(0, apart.max(), 500)
+    waves = 2 * np.pi * radii[:, None] * r * camera.aperture_radius / (633e-6 * camera.mla_distance)
+    field = (np.sqrt(transmission(r, a2, a4)) * r * j0(waves)).sum(1)
+    expected = np.interp(apart, radii, field**2).reshape(40, 5, 40, 5).mean((1, 3))
+    found, expected = found / found.sum(), expected / expected.sum()
+    assert np.linalg.norm(found - expected) < 0.004 * np.linalg.norm(expected)
+
+
+def test_objectives_by_rays_waves_and_points():
+    whole = PlenopticCamera.preset("lfm")
+    camera = whole.replace(pupil_apodisation=(A2, A4), crop_offset=(1012, 1012), crop_size=(23, 23), lens_model="ideal")
+    found, seen = sky(camera, 128), on_pupil(camera)
+    inner = seen < 0.85
+    assert found[inner] == pytest.approx(transmission(seen)[inner], abs=0.02)
+    assert np.abs(white_image(camera) - found).mean() < 0.006
+    assert sky(camera, 32, "wave").mean() == pytest.approx(found.mean(), rel=0.01)
+    patch, full = (
+        CaptureOperator(camera, [(0, 0, 0.02)], wavelength=510, method=method, accuracy=0).forward([1.0])
+        for method in ("patch", "full_field")
+    )
+    assert np.linalg.norm(patch - full) < 0.01 * np.linalg.norm(full)
+    plain = CaptureOperator(whole.replace(crop_offset=(1012, 1012), crop_size=(23, 23)), [(0, 0, 0.02)], wavelength=510)
+    assert np.linalg.norm(plain.forward([1.0]) - full) > 0.05 * np.linalg.norm(full)
+
+
+@pytest.mark.slow
+def test_prescriptions_by_rays_and_waves():
+    camera = PlenopticCamera(main_lens="tessar", focus_distance=600, crop_offset=(200, 200), crop_size=(48, 48))
+    apodised = camera.replace(pupil_apodisation=(A2, A4))
+    found, plain, waves = sky(apodised, 128), sky(camera, 128), sky(apodised, 64, "wave")
+    assert found.mean() / plain.mean() == pytest.approx(1 + A2 / 2 + A4 / 3, rel=0.02)
+    assert waves.mean() == pytest.approx(found.mean(), rel=0.01)
+    assert np.abs(white_image(apodised) - found).mean() < 0.02
+
+
+def test_ordinary_cameras_read_the_mean_transmission():
+    camera = PlenopticCamera(mla_lattice="none", resolution=(8, 8), detector_width=0.128, pupil_apodisation=(A2, A4))
+    for model in ("ray", "wave"):
+        assert sky(camera, 16, model) == pytest.approx(np.full((8, 8), 1 + A2 / 2 + A4 / 3), abs=1e-4)
+
+
+def test_refusals():
+    objective = {"magnification": 20, "numerical_aperture": 0.5, "arrangement": "fourier"}
+    objective["fourier_focal_length"] = 100
+    fourier = {"main_lens": objective, "mla_focal_length": 40, "mla_pitch": 1, "detector_width": 8}
+    for given, message in (
+        ({"pupil_apodisation": (0, 5)}, "pupil_apodisation = 5: it must be at most 4"),
+        (
+            {"pupil_apodisation": (-0.2, 0), "aperture_blades": 5},
+            "aperture_blades, pupil_apodisation: give one of them",
+        ),
+        ({"pupil_apodisation": (-0.2, 0), **fourier}, r"pupil_apodisation = \(-0.2, 0.0\): .* image of the stop"),
+    ):
+        with pytest.raises(InputError, match=message):
+            PlenopticCamera(**given)
+    with pytest.raises(InputError, match=r"pupil_apodisation = .*: waves of points .* leave it out"):
+        reconstruct(Capture(np.ones(CAMERA.shape, np.float32), CAMERA, 633.0), distance=240, method="coherent")
+    points = CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
+    with pytest.raises(InputError, match=r"pupil_apodisation"):
+        points.gradient([1.0], np.ones(CAMERA.shape), ["focal_length"])
