@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from .camera.aperture import Aperture
     from .camera.lens_transmissions import LensTransmissions
     from .camera.phase_screen import PhaseScreen, frozen_flow
+    from .camera.vignetting import Vignetting
     from .errors import InputError
     from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
     from .io.checkpoints import Checkpoint
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
         "Prescription",
         "Reconstruction",
         "Spectrum",
+        "Vignetting",
         "decode",
         "estimate_capture",
         "estimate_reconstruction",

@@ -19,6 +19,7 @@ _NAMES = {
     "camera": ("PlenopticCamera",),
     "camera.aperture": ("Aperture",),
     "camera.lens_transmissions": ("LensTransmissions",),
+    "camera.vignetting": ("Vignetting",),
     "light.render_capture": ("estimate_capture", "render_capture"),
     "light.scene": ("load_scene",),
     "scene_files": ("scene_path",),

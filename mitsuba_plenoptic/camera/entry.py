@@ -29,6 +29,7 @@ class Form(Enum):
     SCREEN = "PhaseScreen, path or dict", "|string|"
     PICTURE = "Aperture, array, path or dict", "|string|"
     LENSES = "LensTransmissions, array, path or dict", "|string|"
+    VIGNETTING = "Vignetting, path or dict", "|string|"
 
 
 class Captures(Flag):

@@ -44,6 +44,7 @@ from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .lens_transmissions import LensTransmissions, known_transmissions
 from .phase_screen import PhaseScreen, known_screen
+from .vignetting import Vignetting, known_vignetting
 
 if TYPE_CHECKING:
     from ..shipped import ShippedParameters
@@ -298,6 +299,21 @@ class CoreParameters:
         form=Form.LENSES,
         otherwise="equal lenses",
         shortest=lambda table: table and table.to_plain(),
+        known_to=Captures.RAYS | Captures.SCENES,
+        of_array=True,
+    )
+    vignetting: Parameter[Any, Vignetting | None] = Parameter(
+        default=None,
+        check=lambda _, value: known_vignetting(value),
+        words=(
+            "Outline, apodisation and slope of the pupil as they change over the field, see `Vignetting`: as a JSON "
+            "file, its text or a dictionary of its parameters. The power of light is multiplied by it; light diffracts "
+            "at the rim of `aperture_radius` alone. For rays, waves of scenes, white images, decoding and method "
+            "``ray``, which divide it out."
+        ),
+        form=Form.VIGNETTING,
+        otherwise="the same pupil for all lenses",
+        shortest=lambda vignetting: vignetting and vignetting.to_plain(),
         known_to=Captures.RAYS | Captures.SCENES,
         of_array=True,
     )

@@ -54,7 +54,7 @@ _OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distan
 _REFUSED = (
     *("main_lens", "wavefront", "distortion", "glass", "mla_glass"),
     *("mla_absorption", "mla_shape", "mla_jitter", "mla_tilt", "mla_warp", "mla_cra", "pixel_response"),
-    *("pupil_apodisation", "mla_transmissions"),
+    *("pupil_apodisation", "mla_transmissions", "vignetting"),
 )
 """Parameters that must not be set: rays fixed in the scene are traced only through thin main lenses."""
 

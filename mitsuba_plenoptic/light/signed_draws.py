@@ -289,10 +289,11 @@ class Draws(DetectorGrid):
         """Return weights that give the rays of all cells the density of the power over the pupil and behind lenses."""
         offset = tuple(-p for p in self._shrunk(drawn.detector, drawn.kind))
         even, aperture = self.walk.through_centre(offset, drawn.height)[1] * drawn.brightness, self._camera.aperture
-        if aperture == Round():
+        vignetting = self._camera.vignetting
+        if aperture == Round() and vignetting is None:
             return even
         x, y = (P / self._camera.pupil_radius for P in drawn.inner)
-        return even * aperture.power(x, y)
+        return even * aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *drawn.place))
 
     def _chief(self, detector: Pair, aims: Aims) -> Pair:
         """Return where light that lands on detector points would land through the centres of its lenses."""

@@ -79,15 +79,15 @@ class PupilWalk:
         return u * c - v * s, u * s + v * c
 
     def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
-        """Return the part of the power of rays from array positions that an aperture that is not round lets pass."""
-        aperture = self.camera.aperture
-        if aperture == Round():
+        """Return the part of the power of rays from array positions that passes an uneven or vignetted aperture."""
+        aperture, vignetting = self.camera.aperture, self.camera.vignetting
+        if aperture == Round() and vignetting is None:
             return 1.0
         pupil = tuple(self.lens.pupil_point(m, t, height) for m, t in zip(position, slope, strict=True))
         # The map to the round pupil is that of a lens of plain numbers.
         plain = PupilWalk(self.camera, OpticalSystem.by_design(self.camera).lens)
         x, y = (place / self.camera.pupil_radius for place in plain.inner((pupil[0], pupil[1]), position))
-        return aperture.power(x, y)
+        return aperture.power(x, y) * (1.0 if vignetting is None else vignetting.power(x, y, *position))
 
     @functools.cached_property
     def _round_pupil(self) -> Any:

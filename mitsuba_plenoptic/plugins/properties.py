@@ -22,6 +22,7 @@ from ..camera.entry import Form
 from ..camera.lens_transmissions import known_transmissions
 from ..camera.parameters import PARAMETERS
 from ..camera.phase_screen import known_screen
+from ..camera.vignetting import known_vignetting
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -114,6 +115,7 @@ _TEXTS: dict[Form, tuple[Callable[..., Any], str]] = {
     Form.SCREEN: (known_screen, "a JSON file, or its content"),
     Form.PICTURE: (known_image, "a picture, or JSON"),
     Form.LENSES: (known_transmissions, "a table in a file, or JSON"),
+    Form.VIGNETTING: (known_vignetting, "a JSON file, or its content"),
 }
 """Readers of values that are given as files or their texts, and what these are."""
 

@@ -178,7 +178,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     """
     camera.require_array("white_image")
     camera = regular_array(camera)
-    if grid is None and not camera.lens_data.is_thin:
+    if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
+        # Vignetting states places of lenses, as the camera has them.
         return mix_pixels(_traced(camera), camera)
     camera.require_thin("white images of a grid are computed")
     fractions = _Fractions(camera)
@@ -359,7 +360,7 @@ def _mean_response(camera: PlenopticCamera) -> float:
 
 
 def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
-    """Return the white image of a camera with a real main lens, by rays from its pixels.
+    """Return the white image of a camera with a real main lens or vignetting, by rays from its pixels.
 
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
     out within a bin.

@@ -57,7 +57,7 @@ def test_the_record_its_signature_and_its_documentation_have_all_entries():
         assert re.search(rf"^    {name} : ", PlenopticCamera.__doc__, re.MULTILINE)
         assert entry.words.endswith(".")
         known = {*PARAMETERS, "read_prescription", "PhotodiodeResponse", "Prescription", "Objective", "at_wavelength"}
-        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions"}
+        known |= {"PhaseScreen", "Collimator", "Aperture", "LensTransmissions", "Vignetting"}
         assert set(re.findall(r"(?<![`:])`(\w+)`(?!`)", entry.words)) <= known
 
 
@@ -67,6 +67,7 @@ OTHER = {
     "aperture_blades": (6, 15.5),
     "aperture_image": {"transmission": [[0.0, 0.25], [1.0, 0.3333]]},
     "pupil_apodisation": (-0.19, 0.05),
+    "vignetting": {"scale": 4.0, "radius": [0.95, 0.01, 0.0], "slope_x": [0.1]},
     "mla_distance": 130.7,
     "focus_distance": 300.9,
     "mla_focal_length": 0.5123,

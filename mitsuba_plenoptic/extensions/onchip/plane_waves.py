@@ -66,6 +66,7 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
         ("mla_aperture", camera.mla_aperture != "cell", '"cell"'),
         ("mla_tilt", any(camera.mla_tilt), "0"),
         ("mla_transmissions", camera.mla_transmissions is not None, "left out"),
+        ("vignetting", camera.vignetting is not None, "left out"),
         ("mla_jitter", any(camera.mla_jitter), "0"),
         ("mla_warp", bool(camera.mla_warp), "left out"),
         ("pixel_response", bool(camera.pixel_response), "left out: the responses contain it"),

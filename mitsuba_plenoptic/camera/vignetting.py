@@ -1,0 +1,127 @@
+"""Vignetting: the transmission of the main lens's pupil as it is seen from each place of the microlens array."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any
+
+from ..errors import put, refuse_if, require_length, require_numbers, short_repr, suggest_keywords
+from ..runtime.backend import module_of, select
+from .aperture import known_table
+
+_DEGREES = {1: 0, 3: 1, 6: 2, 10: 3, 15: 4}
+"""Degree of a polynomial of two variables by its number of coefficients."""
+
+_LARGEST = 100.0
+"""Size of a coefficient at most."""
+
+
+@suggest_keywords
+@dataclass(frozen=True)
+class Vignetting:
+    r"""Pupil of a real camera over its field: outline, apodisation and slope, as a white picture shows them.
+
+    Seen from a place (x, y) of the microlens array, the point :math:`(p_x, p_y)` of the pupil, in units of its radius,
+    has the transmission
+
+    .. math:: T = \max(0,\; 1 + s_x u + s_y v + a_2 r^2 + a_4 r^4) \quad\text{for}\quad r^2 = u^2 + v^2 \le 1,
+        \qquad u = \frac{(1 - e_x) p_x - e_y p_y}{\rho}, \quad v = \frac{(1 + e_x) p_y - e_y p_x}{\rho}
+
+    and 0 elsewhere. Each of the numbers is a polynomial of the place over a scale, whose 1, 3, 6, 10 or 15 coefficients
+    are those of 1; X, Y; :math:`X^2`, X Y, :math:`Y^2`; and so on, :math:`X = x / scale`. Coordinates are those of the
+    camera frame. What the pupil's rim, at `aperture_radius`, cuts stays dark, so that :math:`\rho` above 1 has no
+    effect. Light is weighted by T after the main lens: by waves, too, light diffracts at the rim alone.
+
+    Parameters
+    ----------
+    radius : list of float
+        Radius :math:`\rho` of the pupil's outline.
+    scale : float
+        Length in millimetres by which places are divided, such as half the detector's width.
+    ellipse_x, ellipse_y : list of float
+        Elongation :math:`e_x` along x, and :math:`e_y` along the diagonal.
+    slope_x, slope_y : list of float
+        Rise of the transmission, :math:`s_x` and :math:`s_y`.
+    apodisation_2, apodisation_4 : list of float
+        Coefficients :math:`a_2` and :math:`a_4`.
+
+    Raises
+    ------
+    InputError
+        If a list has another number of coefficients, or a value is not finite or beyond 100.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> towards_the_border = mp.Vignetting(radius=[1, 0, 0, -0.1, 0, -0.1], scale=4.0)
+    >>> round(float(towards_the_border.power(0.95, 0.0, 4.0, 0.0)), 3)
+    0.0
+    """
+
+    radius: Any
+    scale: float = 1.0
+    ellipse_x: Any = (0.0,)
+    ellipse_y: Any = (0.0,)
+    slope_x: Any = (0.0,)
+    slope_y: Any = (0.0,)
+    apodisation_2: Any = (0.0,)
+    apodisation_4: Any = (0.0,)
+
+    def __post_init__(self) -> None:
+        put(self, scale=require_length("scale", self.scale))
+        for name in NUMBERS:
+            given = getattr(self, name)
+            values = (given,) if isinstance(given, (int, float)) else tuple(given) if hasattr(given, "__iter__") else ()
+            counts = ", ".join(map(str, _DEGREES))
+            refuse_if(len(values) not in _DEGREES, f"{name} = {short_repr(given)}: it has {counts} coefficients")
+            put(self, **{name: require_numbers(name, values, count=len(values), minimum=-_LARGEST, maximum=_LARGEST)})
+
+    def at(self, x: Any, y: Any) -> dict[str, Any]:
+        """Return the numbers by name at places of the array in millimetres."""
+        X, Y = x * (1 / self.scale), y * (1 / self.scale)
+        powers = [(total - j, j) for total in range(5) for j in range(total + 1)]
+        one = X * 0 + 1
+        along, up = [one, X], [one, Y]
+        for _ in range(3):
+            along.append(along[-1] * X)
+            up.append(up[-1] * Y)
+        return {
+            name: sum(
+                value * along[i] * up[j] for value, (i, j) in zip(getattr(self, name), powers, strict=False) if value
+            )
+            for name in NUMBERS
+        }
+
+    def power(self, px: Any, py: Any, x: Any, y: Any) -> Any:
+        """Return the transmission of pupil points, in units of the pupil's radius, seen from places in millimetres.
+
+        Parameters
+        ----------
+        px, py : array
+            Coordinates on the pupil in the camera frame over its radius.
+        x, y : array
+            Places on the array in the camera frame, in millimetres.
+        """
+        n = self.at(x, y)
+        u = ((1 - n["ellipse_x"]) * px - n["ellipse_y"] * py) / n["radius"]
+        v = ((1 + n["ellipse_x"]) * py - n["ellipse_y"] * px) / n["radius"]
+        square = u * u + v * v
+        slope = n["slope_x"] * u + n["slope_y"] * v
+        value = 1 + slope + square * (n["apodisation_2"] + n["apodisation_4"] * square)
+        return select(square <= 1, module_of(square).maximum(value, 0), 0.0)
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the coefficients as lists by name, and the scale, for files and headers."""
+        lists = {name: list(getattr(self, name)) for name in NUMBERS}
+        return {"scale": self.scale} | {name: values for name, values in lists.items() if any(values)}
+
+    def __str__(self) -> str:
+        return f"Vignetting(radius={short_repr(self.radius)}, ...)"
+
+
+NUMBERS = tuple(field.name for field in fields(Vignetting) if field.name != "scale")
+"""Names of the polynomials."""
+
+known_vignetting = partial(known_table, "vignetting", Vignetting)
+"""Return vignetting from any of its forms; None means none."""
