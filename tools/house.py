@@ -46,8 +46,8 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 45_120, 43_659, "0.662 after the move; ordinary cameras, apertures: 1,300"),
-    Limit("lines of the package", 66_151, 67_020, 61_520, "0.99; extensions, aliases of 1.0; ordinary cameras"),
+    Limit("lines of the core", 66_151, 45_180, 43_659, "0.662 after the move; ordinary cameras: 1,300; two more: 60"),
+    Limit("lines of the package", 66_151, 67_080, 61_520, "0.99; extensions, aliases of 1.0; ordinary cameras"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),
@@ -68,9 +68,9 @@ LIMITS = (
     Limit("clones of eight statements", 0, 0, 0),
     Limit("class names used twice", 5, 3),
     Limit("file names that stand twice", 24, 0, 0),
-    Limit("internal names that tests import", 313, 247, 150, "steps of methods, and extensions"),
+    Limit("internal names that tests import", 313, 248, 150, "steps of methods, extensions, draws of pixels"),
     Limit("modules of tools/bench/cases", 59, 30, 30),
-    Limit("words of the documentation", 91_870, 70_310, 68_902, "three pages on ordinary cameras"),
+    Limit("words of the documentation", 91_870, 71_200, 68_902, "ordinary cameras: four pages, two presets"),
     Limit("files visited by a ray capture", 24, 20, 20),
     Limit("files visited by a wave capture", 40, 38, 30, "signed rays: seven files of up to 450 lines, each a step"),
     Limit("files visited by a coherent reconstruction", 33, 28, 28),
