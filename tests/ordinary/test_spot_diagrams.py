@@ -93,7 +93,7 @@ def test_presets_capture_white_by_rays_and_waves(name):
     area = is_open.sum() * (axis[1] - axis[0]) ** 2 / (np.pi * camera.pupil_radius**2)
     assert camera.f_number == pytest.approx({"full_frame_50mm": 2.02, "phone": 2.33}[name], rel=0.005)
     for model in ("ray", "wave"):
-        image = render_capture(scene_of(camera.to_sensor(), sky={"type": "constant"}), model=model, spp=256).image
+        image = render_capture(scene_of(camera.to_sensor(), sky={"type": "constant"}), model=model, spp=1024).image
         assert image.mean() == pytest.approx(area, rel=0.02)
 
 
