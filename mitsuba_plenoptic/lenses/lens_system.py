@@ -32,8 +32,8 @@ _FIELDS, _ACROSS, _WIDER = 9, 181, 3.0
 """Positions on the array and points across the exit pupil that are tested for light, and the largest radius tested."""
 
 
-_SECANTS, _PARTS = 8, 8
-"""Secant iterations that find chief rays, and steps of the height from the axis, at each of which they are found."""
+_SECANTS, _FEW, _PARTS = 8, 3, 4
+"""Secant iterations that find chief rays, fewer at steps of the height from the axis before it, and these steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ class LensSystem(FiniteDistance):
         for part in range(1, _PARTS + 1):
             place = height * part / _PARTS
             other = slope + 1e-3 * self.pupil_radius / self.pupil_distance
-            for _ in range(_SECANTS):
+            for _ in range(_FEW if part < _PARTS else _SECANTS):
                 low, high = at_stop(place, slope), at_stop(place, other)
                 step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
                 slope, other = slope - step, slope

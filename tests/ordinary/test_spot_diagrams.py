@@ -83,7 +83,7 @@ def test_the_sensors_rays_are_of_single_precision(name):
 
 @pytest.mark.parametrize("name", ["full_frame_50mm", "phone"])
 def test_presets_capture_white_by_rays_and_waves(name):
-    """In the middle of the film, by the area of the traced pupil over that of the paraxial one."""
+    """In the middle of the film, by the traced pupil's area over that of the paraxial one; the noise is 1 %."""
     camera = PlenopticCamera.preset(name)
     middle = tuple(count // 2 - 8 for count in camera.resolution)
     camera = camera.replace(crop_offset=middle, crop_size=(16, 16))
@@ -93,8 +93,8 @@ def test_presets_capture_white_by_rays_and_waves(name):
     area = is_open.sum() * (axis[1] - axis[0]) ** 2 / (np.pi * camera.pupil_radius**2)
     assert camera.f_number == pytest.approx({"full_frame_50mm": 2.02, "phone": 2.33}[name], rel=0.005)
     for model in ("ray", "wave"):
-        image = render_capture(scene_of(camera.to_sensor(), sky={"type": "constant"}), model=model, spp=1024).image
-        assert image.mean() == pytest.approx(area, rel=0.02)
+        image = render_capture(scene_of(camera.to_sensor(), sky={"type": "constant"}), model=model, spp=512).image
+        assert image.mean() == pytest.approx(area, rel=0.04)
 
 
 def test_the_table_of_the_double_gauss_has_the_printed_focal_length_and_back_focus():
