@@ -52,6 +52,16 @@
     the same lenses, so that ten of them are across the pupil's image of 3.2 mm; 12 x 12 are before the detector. Ours:
     all numbers.
 
+``full_frame_50mm``
+    An ordinary camera of a film of 36 x 24 mm, without an array, behind the bundled double Gauss of 50 mm at f/2 (U.S.
+    patent 2,673,491), which covers this film. The bundled `double_gauss` is made for 14 degrees and does not open
+    beyond f/3. Ours: 6000 x 4000 pixels of 6 um, focused at 300 mm, where built-in scenes are.
+
+``phone``
+    A telephone's main camera without an array, behind the bundled lens of U.S. patent 8,934,179: 4.14 mm, f/2.3, five
+    plastic lenses of even aspheres. Ours: 3200 x 2400 pixels of 1.4 um, which the lens covers to the corners, focused
+    at 300 mm, no filter mosaic.
+
 All have the `lens_model` ``ideal``: lenses of real cameras are corrected, and no aberrations then add to the difference
 of rays and waves. The paper's own lenses are parabolic phases, which aberrate the light of ``paper`` by up to 0.74
 waves of 633 nm over the field; `report.experiment`, which repeats its study, sets ``parabolic`` for rays and waves.
@@ -131,6 +141,21 @@ PRESETS: dict[str, dict[str, Any]] = {
         "main_lens": {"collimator_focal_length": 160.0},
         "detector_width": 3.84,
         "resolution": (384, 384),
+    },
+    "full_frame_50mm": {
+        "mla_lattice": "none",
+        "main_lens": "double_gauss_f2",
+        "focal_length": 50.0,
+        "focus_distance": 300.0,
+        "detector_width": 36.0,
+        "resolution": (6000, 4000),
+    },
+    "phone": {
+        "mla_lattice": "none",
+        "main_lens": "phone",
+        "focus_distance": 300.0,
+        "detector_width": 4.48,
+        "resolution": (3200, 2400),
     },
 }
 

@@ -46,8 +46,8 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 45_890, 43_659, "0.662 after the move; ordinary, real cameras: 2,060"),
-    Limit("lines of the package", 66_151, 68_900, 61_520, "0.99; extensions, aliases of 1.0; ordinary, real cameras"),
+    Limit("lines of the core", 66_151, 46_100, 43_659, "0.662 after the move; ordinary, real cameras: 2,060"),
+    Limit("lines of the package", 66_151, 69_900, 61_520, "0.99; extensions, aliases of 1.0; ordinary, real cameras"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),
@@ -70,7 +70,7 @@ LIMITS = (
     Limit("file names that stand twice", 24, 0, 0),
     Limit("internal names that tests import", 313, 250, 150, "steps of methods, and extensions"),
     Limit("modules of tools/bench/cases", 59, 30, 30),
-    Limit("words of the documentation", 91_870, 71_200, 68_902, "ordinary cameras; real detectors; displaced lenses"),
+    Limit("words of the documentation", 91_870, 72_200, 68_902, "ordinary cameras; real detectors; displaced lenses"),
     Limit("files visited by a ray capture", 24, 20, 20),
     Limit("files visited by a wave capture", 40, 39, 30, "signed rays: seven files, each a step; warps"),
     Limit("files visited by a coherent reconstruction", 33, 30, 28, "displaced lenses, and captures straightened"),

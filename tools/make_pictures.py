@@ -578,7 +578,14 @@ def thumbnail(page: str) -> Image.Image:
     return ImageOps.pad(image.crop(content), (480, 320), color="white")
 
 
-CHOSEN = {"refocusing_and_depth": 0, "main_lenses": 0, "rays_and_waves": 1, "focused_cameras": 0, "laser_light": 0}
+CHOSEN = {
+    "refocusing_and_depth": 0,
+    "main_lenses": 0,
+    "rays_and_waves": 1,
+    "focused_cameras": 0,
+    "laser_light": 0,
+    "ordinary_camera": 0,
+}
 """Pictures of notebooks that are not their last, from 0."""
 
 for _page in sorted((ROOT / "docs" / "gallery").glob("*.md")):

@@ -3,7 +3,8 @@
     python tools/record_optiland.py
 
 It needs Optiland, the extra `lenses`, and writes `tests/optiland_records` again: `results.json` has the paraxial
-numbers and the rays of the lenses below; `stand_in` is a package that the tests import in Optiland's place, with the
+numbers and the rays of the lenses below; `spots.json` the rays of scene points on the detector of an ordinary camera
+and which of them pass the lens; `stand_in` is a package that the tests import in Optiland's place, with the
 catalogue entries and the indices of the glasses below.
 """
 
@@ -33,6 +34,15 @@ SAMPLES = {
 
 FILES = {"cooke_triplet.zmx": (1.0, 20.0), "double_gauss.seq": (1.0, 14.0), "asphere.zmx": (25.4, 3.0)}
 """Lens files among the records, with the millimetres in their unit, which Optiland leaves aside, and the field."""
+
+SPOTS = {"double_gauss": 14.0, "double_gauss_f2": 22.0, "phone": 31.0, "singlet": 5.0}
+"""Bundled lenses before the detector of an ordinary camera, and the outermost of three points in degrees.
+
+Farther out than 32 degrees Optiland 0.6.3 meets the phone lens's tenth surface behind the filter, beyond its edge.
+"""
+
+FOCUS, ACROSS, WIDER = 1000.0, 9, 1.15
+"""Distance in mm of the points before the front principal plane, rays across the pupil, their extent over its own."""
 
 GLASSES = (
     "BK7", "E-SF5", "F2", "F5", "J-SF5", "N-BK7", "N-SF5", "N-SK16", "N-SK2", "N-SSK2", "S-LAH53", "SF5", "SK16",
@@ -116,6 +126,65 @@ def sample_results(name: str) -> Any:
     return results(optic, scale, rays, WAVELENGTHS)
 
 
+def rebuilt(name: str) -> Any:
+    """Return a bundled lens as Optiland's, with edges, and the distance of the detector behind its last vertex."""
+    from optiland.materials import IdealMaterial
+    from optiland.optic import Optic
+    from optiland.physical_apertures import RadialAperture
+
+    lens = bundled_prescription(name)
+    numbers, optic = paraxial(lens), Optic()
+    detector = numbers.focal_length * FOCUS / (FOCUS - numbers.focal_length) + numbers.rear_principal
+    optic.surfaces.add(index=0, radius=math.inf, thickness=FOCUS - numbers.front_principal)
+    for number, (surface, index) in enumerate(zip(lens.surfaces, lens.indices(lens.wavelength), strict=True)):
+        last = number == len(lens.surfaces) - 1
+        form = {"surface_type": "even_asphere", "coefficients": [0.0, *surface.asphere], "tol": 1e-12}
+        optic.surfaces.add(
+            index=number + 1,
+            radius=surface.radius,
+            conic=surface.conic,
+            thickness=detector if last else surface.thickness,
+            material=IdealMaterial(index),
+            is_stop=number == lens.stop,
+            aperture=RadialAperture(surface.semi_aperture),
+            **(form if surface.asphere else {}),
+        )
+    optic.surfaces.add(index=len(lens.surfaces) + 1)
+    return optic, detector
+
+
+def spot_results(name: str) -> Any:
+    """Return where rays of three points meet the detector, and which pass; lengths in mm from the first vertex."""
+    from optiland.rays import RealRays
+
+    lens, (optic, detector) = bundled_prescription(name), rebuilt(name)
+    numbers = paraxial(lens)
+    axis = np.linspace(-WIDER, WIDER, ACROSS) * numbers.entrance_radius
+    X, Y = (values[np.hypot(*grid) <= axis[-1]] for grid in [np.meshgrid(axis, axis)] for values in grid)
+    distance, points = FOCUS - numbers.front_principal, []
+    for angle in np.radians(SPOTS[name]) * np.array([0, 0.7, 1]):
+        height = -math.tan(angle) * (distance + numbers.entrance_pupil)
+        towards = np.array([X, Y - height, 0 * X + distance + numbers.entrance_pupil])
+        L, M, N = towards / np.linalg.norm(towards, axis=0)
+        ones = np.ones_like(X)
+        start = RealRays(0 * X, height * ones, -distance * ones, L, M, N, ones, lens.wavelength * 1e-3 * ones)
+        found = optic.surfaces.trace(start, skip=1)
+        is_open = np.isfinite(found.x) & (found.i > 0)
+        image, slopes = (
+            np.where(is_open, pair, 0.0) for pair in ([found.x, found.y], [found.L / found.N, found.M / found.N])
+        )
+        points.append(
+            {
+                "height": _plain(height),
+                "towards": _plain([L / N, M / N]),
+                "open": is_open.tolist(),
+                "image": _plain(image),
+                "slopes": _plain(slopes),
+            }
+        )
+    return {"focus": FOCUS, "detector": _plain(detector), "points": points}
+
+
 def file_results(name: str) -> Any:
     """Return the results for a lens file, by rays through the pupil that it states, and its indices."""
     from optiland import fileio
@@ -164,13 +233,18 @@ def write_stand_in(folder: Path) -> None:
         path.write_text(json.dumps(table) + "\n")
 
 
+def write(name: str, lenses: dict[str, Any]) -> None:
+    """Write the results for lenses by name, a line for each lens."""
+    lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(found)}" for name, found in lenses.items())
+    text = f'{{\n "optiland": "{version("optiland")}",\n "lenses": {{\n{lines}\n }}\n}}\n'
+    (RECORDS / name).write_text(text)
+
+
 def main() -> None:
     """Write all records."""
     lenses = {name: sample_results(name) for name in SAMPLES} | {name: file_results(name) for name in FILES}
-    # A line for each lens.
-    lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(found)}" for name, found in lenses.items())
-    text = f'{{\n "optiland": "{version("optiland")}",\n "lenses": {{\n{lines}\n }}\n}}\n'
-    (RECORDS / "results.json").write_text(text)
+    write("results.json", lenses)
+    write("spots.json", {name: spot_results(name) for name in SPOTS})
     write_stand_in(RECORDS / "stand_in" / "optiland" / "database")
 
 

@@ -558,13 +558,14 @@ class CoreParameters:
         check=lambda _, value: known_lens(value),
         words=(
             "Surfaces and glasses of a real main lens: the name of a bundled lens (``cooke_triplet``, "
-            "``double_gauss``, ``singlet``, ``tessar``), a YAML, JSON, Zemax or CODE V file, see `read_prescription`, "
-            "or the text of a JSON file; in Python also a `Prescription`, or what `Prescription.from_plain` takes. Or "
-            "a microscope's `Objective`, as such a file or text with ``magnification`` and ``numerical_aperture``, or "
-            "in Python as itself: the origin of the camera frame is then its native object plane, `focal_length` and "
-            "`aperture_radius` are its own, and `mla_distance` is the focal length of the lens before the array. Or a "
-            "telescope with a `Collimator`, as text or in Python as a dictionary with ``collimator_focal_length``: the "
-            "array is then in the image of the pupil, which gives `mla_distance`."
+            "``double_gauss``, ``double_gauss_f2``, ``phone``, ``singlet``, ``tessar``), a YAML, JSON, Zemax or CODE "
+            "V file, see `read_prescription`, or the text of a JSON file; in Python also a `Prescription`, or what "
+            "`Prescription.from_plain` takes. Or a microscope's `Objective`, as such a file or text with "
+            "``magnification`` and ``numerical_aperture``, or in Python as itself: the origin of the camera frame is "
+            "then its native object plane, `focal_length` and `aperture_radius` are its own, and `mla_distance` is "
+            "the focal length of the lens before the array. Or a telescope with a `Collimator`, as text or in Python "
+            "as a dictionary with ``collimator_focal_length``: the array is then in the image of the pupil, which "
+            "gives `mla_distance`."
         ),
         form=Form.LENS,
         otherwise="a thin lens",

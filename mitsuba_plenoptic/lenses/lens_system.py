@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
@@ -27,12 +28,12 @@ from . import sequential
 from .common import FiniteDistance
 from .main_lens import Pair, Traced
 
-_FIELDS, _ACROSS, _WIDER = 9, 121, 2.0
+_FIELDS, _ACROSS, _WIDER = 9, 181, 3.0
 """Positions on the array and points across the exit pupil that are tested for light, and the largest radius tested."""
 
 
-_SECANTS = 8
-"""Secant iterations that find chief rays."""
+_SECANTS, _FEW, _PARTS = 8, 3, 4
+"""Secant iterations that find chief rays, fewer at steps of the height from the axis before it, and these steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,18 +219,22 @@ class LensSystem(FiniteDistance):
         """
         lens = self._backwards[: len(self._backwards) - self.prescription.stop]
 
-        def at_stop(slope: Any) -> Any:
+        def at_stop(height: NDArray[np.float64], slope: NDArray[np.float64]) -> Any:
             N = 1 / np.sqrt(1 + slope * slope)
             start = (0.0 * height, height / self.scale, -self.back_distance / self.scale)
             return sequential.follow(lens, start, (0.0 * slope, slope * N, N))[0][1]
 
         height = np.asarray(height, np.float64)
-        slope = -height / self.pupil_distance
-        other = slope + 1e-3 * self.pupil_radius / self.pupil_distance
-        for _ in range(_SECANTS):
-            low, high = at_stop(slope), at_stop(other)
-            step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
-            slope, other = slope - step, slope
+        slope = -height / self.pupil_distance / _PARTS
+        for part in range(1, _PARTS + 1):
+            place = height * part / _PARTS
+            other = slope + 1e-3 * self.pupil_radius / self.pupil_distance
+            for _ in range(_FEW if part < _PARTS else _SECANTS):
+                low, high = at_stop(place, slope), at_stop(place, other)
+                step = np.where(high == low, 0.0, low * (other - slope) / np.where(high == low, 1.0, high - low))
+                slope, other = slope - step, slope
+            # Far from the axis the paraxial pupil may be a bad guess.
+            slope = slope * (min(part + 1, _PARTS) / part)
         return slope
 
     @property

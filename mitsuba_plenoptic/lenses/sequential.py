@@ -13,10 +13,13 @@ from typing import Any
 
 from ..prescription import Prescription
 from ..prescription.surfaces import LEAST, height
-from ..runtime.backend import safe_sqrt
+from ..runtime.backend import safe_sqrt, select
 
 NEWTON_STEPS = 5
-"""Newton iterations that find the intersection of a ray with an asphere from that with its conic."""
+"""Newton iterations that find the intersection of a ray with an asphere from that with its conic or plane."""
+
+_MET = 1e-3
+"""Length of the last iteration, over the semi-aperture, from which on a ray counts as one that misses an asphere."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +125,8 @@ def follow(
 
     A ray meets a conic at the parameter :math:`s = C / (B + \sqrt{B^2 - A C})` behind the plane of its vertex, with
     :math:`A = c (1 + k N^2)`, :math:`B = N - c (x L + y M)`, :math:`C = c (x^2 + y^2)` (Welford, "Aberrations of
-    Optical Systems", section 4.3, with a conic constant), and an asphere by Newton iterations from there. It is
-    refracted by
+    Optical Systems", section 4.3, with a conic constant), and an asphere by Newton iterations from there, or from the
+    plane where that is nearer to the asphere. It is refracted by
     :math:`\mathbf{d}' = \eta \mathbf{d} + (\cos\theta' - \eta \cos\theta) \mathbf{n}` with :math:`\eta = n / n'`
     (Snell's law as a vector; same, section 4.4).
 
@@ -159,13 +162,21 @@ def follow(
         if c or surface.asphere:
             A, B, C = c * (1 + surface.conic * N * N), N - c * (x * L + y * M), c * (x * x + y * y)
             root = B * B - A * C
-            is_open = is_open & (root > 0)
             t = C / (B + safe_sqrt(root, LEAST))
-            for _ in range(NEWTON_STEPS if surface.asphere else 0):
-                X, Y = x + t * L, y + t * M
-                square = X * X + Y * Y
-                rise = _slope(surface, square) * (X * L + Y * M)
-                t = t - (t * N - height(surface, square)) / (N - rise)
+            if surface.asphere:
+                # An asphere may be nearer to its vertex's plane than to its conic, which rays may also miss.
+                off = abs(t * N - height(surface, (x + t * L) * (x + t * L) + (y + t * M) * (y + t * M)))
+                t = select((root > 0) & (off < abs(height(surface, x * x + y * y))), t, 0 * x)
+                for _ in range(NEWTON_STEPS):
+                    X, Y = x + t * L, y + t * M
+                    square = X * X + Y * Y
+                    rise = _slope(surface, square) * (X * L + Y * M)
+                    step = (t * N - height(surface, square)) / (N - rise)
+                    t = t - step
+                met = abs(step) < _MET * surface.semi_aperture
+                is_open, t = is_open & met, select(met, t, 0 * x)
+            else:
+                is_open = is_open & (root > 0)
             x, y, z = x + t * L, y + t * M, t * N
             s = s + t
         else:

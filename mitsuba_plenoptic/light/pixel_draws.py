@@ -106,6 +106,8 @@ class PixelDraws(DetectorGrid):
         """Return random displacements in mm with the density of the point spread function."""
         density, count, step = self._spread
         cell, _, within = density.sample(mi.Point2f(*random))
+        # Numbers at the borders of cells are placed in empty ones, where the part within is 0 / 0.
+        within = [dr.select(dr.isfinite(part), part, 0.5) for part in within]
         x, y = ((mi.Float(index) + part - count / 2) * step for index, part in zip(cell, within, strict=True))
         return x, y
 

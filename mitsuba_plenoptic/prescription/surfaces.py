@@ -447,7 +447,7 @@ def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
     return float(np.sqrt(brentq(gap, squares[after - 1], squares[after])))
 
 
-BUNDLED = ("cooke_triplet", "double_gauss", "singlet", "tessar")
+BUNDLED = ("cooke_triplet", "double_gauss", "double_gauss_f2", "phone", "singlet", "tessar")
 """Their names."""
 
 

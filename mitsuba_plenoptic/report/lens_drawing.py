@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +22,6 @@ from .framing import Canvas, scale_bar
 
 _ACROSS = 201
 """Rays across the pupil."""
-
-_WIDER = 1.5
-"""How far out rays are tried, in radii of the exit pupil."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +46,20 @@ class FieldFigures:
     distortion: float
 
 
+# A drawing asks for it at every height.
+@functools.lru_cache(maxsize=8)
+def _reach(camera: PlenopticCamera) -> float:
+    """Return the radius in mm of a circle that contains the exit pupil as seen from anywhere on the detector."""
+    return float(main_lens(camera).reach)
+
+
 class _DrawnRays:
     """Bundles of rays from positions on the MLA to the object plane in focus, at one wavelength."""
 
     def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
         self.lens = main_lens(camera, wavelength)
         self._g = camera.focus_distance if camera.focus_distance > 0 else math.inf
-        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius
+        axis = np.linspace(-1, 1, _ACROSS) * _reach(camera)
         self._pupil = tuple(values.ravel() for values in np.meshgrid(axis, axis))
 
     def directions(
@@ -137,7 +142,7 @@ def ray_paths(camera: PlenopticCamera, height: float, count: int = 7) -> tuple[n
         Their positions in the camera frame, on the MLA and on each surface.
     """
     lens = main_lens(camera)
-    slopes = (np.linspace(-_WIDER, _WIDER, _ACROSS) * camera.pupil_radius - height) / lens.pupil_distance
+    slopes = (np.linspace(-1, 1, _ACROSS) * _reach(camera) - height) / lens.pupil_distance
     _, _, is_open = lens.trace((0.0 * slopes, np.full_like(slopes, height)), (0.0 * slopes, slopes))
     slopes = np.linspace(slopes[is_open][0], slopes[is_open][-1], count)
     N = 1 / np.sqrt(1 + slopes**2)
@@ -264,25 +269,26 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     axes.set_aspect("equal", adjustable="datalim")
     axes.apply_aspect()
     scale_bar(axes, abs(float(np.diff(axes.get_xlim())[0])), below=True)
-    sizes = f"f = {camera.focal_length:.4g} mm, f/{camera.f_number:.3g}, microlenses at the right"
+    right = "microlenses" if camera.has_array else "detector"
+    sizes = f"f = {camera.focal_length:.4g} mm, f/{camera.f_number:.3g}, {right} at the right"
     axes.set_title(f"{name}: {sizes}", size=10, color=_INK, loc="left")
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
     """Draw the points at which rays of an object point meet the MLA, in three colours."""
-    largest = 0.5 * camera.mla_pitch
+    cell, name = (camera.mla_pitch, "microlens") if camera.has_array else (camera.pixel_size, "pixel")
+    largest = 0.5 * cell
     for line, (wavelength, colour) in _LINES.items():
         x, y = spot(camera, height, wavelength)
         some = slice(None, None, max(1, len(x) // 600))
         axes.plot(x[some], y[some], ".", color=colour, markersize=1.2, label=line)
         largest = max([largest, *np.abs(x), *np.abs(y)])
-    pitch = camera.mla_pitch
-    axes.plot(np.array([-1, 1, 1, -1, -1]) * pitch / 2, np.array([-1, -1, 1, 1, -1]) * pitch / 2, color=_INK, lw=0.6)
+    axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=_INK, lw=0.6)
     axes.set_xlim(-1.1 * largest, 1.1 * largest)
     axes.set_ylim(-1.1 * largest, 1.1 * largest)
     axes.set_aspect("equal")
     axes.set_title(f"spot at {height:.3g} mm", size=9, color=_INK, loc="left")
-    axes.set_xlabel(f"square: a microlens, {1e3 * pitch:.3g} um", size=7, color=_INK)
+    axes.set_xlabel(f"square: a {name}, {1e3 * cell:.3g} um", size=7, color=_INK)
 
 
 def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float) -> None:
@@ -300,4 +306,4 @@ def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: floa
         axes.xaxis.set_major_locator(MaxNLocator(2))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.tick_params(labelsize=7, color=_INK, labelcolor=_INK)
-    light.set_xlim(0, 105)
+    light.set_xlim(0, max(105, *(105 * each.light for each in figures)))

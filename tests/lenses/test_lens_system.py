@@ -66,6 +66,27 @@ def test_an_asphere_can_be_a_sphere():
     assert np.allclose(through(conic=-1, asphere=terms), through(), atol=1e-9)
 
 
+def test_strong_aspheres_are_met_where_light_meets_them():
+    """From the corner of the phone lens's field, where conics miss its aspheres: rays of one point, through a pupil."""
+    lens = LensSystem.of(PlenopticCamera(main_lens="phone", focus_distance=1e6))
+    x, y = (values.ravel() for values in np.meshgrid(*[np.linspace(-2, 2, 81)] * 2))
+    for height in (1.5, 2.75):
+        _, slope, is_open = lens.ray((x, y), (0 * x, 0 * x + height))
+        area = is_open.sum() * 0.05**2 / (np.pi * lens.pupil_radius**2)
+        assert 0.7 < area < 1.6
+        assert np.ptp(slope[1][is_open]) < 0.02
+        assert np.mean(slope[1][is_open]) == pytest.approx(-height / 4.1436, rel=0.01)
+
+
+def test_chief_rays_pass_the_stop_where_the_paraxial_pupil_misleads():
+    lens = LensSystem.of(PlenopticCamera(main_lens="phone", focus_distance=1e6))
+    height, squares = np.array([1.0, 2.0, 2.75]), []
+    slope = lens.chief_slope(height)
+    N, surfaces = 1 / np.hypot(1, slope), sequential.elements(lens.prescription, lens.light, backwards=True)
+    sequential.follow(surfaces, (0 * height, height, -lens.back_distance), (0 * N, slope * N, N), squares)
+    assert np.abs(squares[-1]).max() < 1e-15
+
+
 @pytest.mark.parametrize("name", BUNDLED)
 def test_rays_go_back_the_way_they_came(name):
     lens = LensSystem.of(camera_with(name))

@@ -9,6 +9,8 @@ from scipy.special import j0, j1
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.light.pixel_draws import PixelDraws
+from mitsuba_plenoptic.light.pupil_diffraction import PupilDiffraction
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
 from tools.bench.scenes.ordinary import WAVELENGTH, blurred, camera_of, diffracted, unit_of, wall
 
@@ -118,6 +120,16 @@ def test_slanted_edges_have_the_transfer_function_of_a_disc(airy):
     pixel = np.sinc(frequencies * camera.pixel_size * np.cos(np.radians(5)))
     pixel *= np.sinc(frequencies * camera.pixel_size * np.sin(np.radians(5))) * np.sinc(frequencies * step) ** 2
     assert found == pytest.approx(disc * pixel, abs=0.01)
+
+
+def test_coarse_pixels_displace_rays_by_finite_steps():
+    """At borders of cells of the point spread function, too, of which a capture of some 10^7 rays meets a few."""
+    camera = mp.PlenopticCamera.preset("full_frame_50mm")
+    plan = PupilDiffraction(camera, 633.0)
+    assert plan.is_coarse
+    borders = np.array([0, 1e-8, 0.5, 1 - 1.2e-7, 1 - 6e-8], np.float32)
+    random = [mi.Float(values.ravel()) for values in np.meshgrid(borders, borders)]
+    assert np.isfinite(np.array(PixelDraws(camera, [plan])._displacement(random))).all()
 
 
 def test_white_has_hardly_any_noise():

@@ -61,6 +61,16 @@ def test_the_bar_of_a_drawing_is_as_long_as_it_says(tmp_path, monkeypatch):
     )
 
 
+def test_the_lens_of_an_ordinary_camera_is_drawn(tmp_path):
+    draw_main_lens(tmp_path / "lens.png", PlenopticCamera(mla_lattice="none", main_lens="singlet", focus_distance=300))
+    assert Image.open(tmp_path / "lens.png").size[0] > 500
+
+
+def test_figures_see_pupils_that_grow_off_the_axis():
+    (edge,) = field_figures(PlenopticCamera.preset("phone"), (1.96,))
+    assert 1.35 < edge.light < 1.5 and abs(edge.distortion) < 0.01
+
+
 def test_a_drawing_is_made(tmp_path, capsys):
     camera = tmp_path / "camera.json"
     camera.write_text(CAMERA.to_json())
