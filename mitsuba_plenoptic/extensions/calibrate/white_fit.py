@@ -14,6 +14,7 @@ from ...runtime.limits import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, Zones
 from .micro_image import MicroImageModel, PupilNumbers
+from .fitted_camera import fitted_camera
 from .white_centres import find_centres
 from .white_frames import WhiteFrame
 
@@ -162,7 +163,7 @@ def fit_white(
         f"pixels (at most {_MOST_OUTLIERS:.0%}): it is no white picture, or not by this camera",
     )
     return WhiteFit(
-        camera=camera,
+        camera=fitted_camera(camera, array, field, at_array, lens, found.brightness),
         wavelength=wavelength,
         frame=frame,
         array=array,
