@@ -109,12 +109,12 @@ def calibrate(
     pictures = [path.suffix.lower() in _PICTURES for path in sources]
     if evaluate is not None and output is not None:
         raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
-    if report is not None and (evaluate is not None or all(pictures)):
-        raise typer.BadParameter("a report is of a calibration from corners", param_hint="--report")
+    fitted = all(pictures) and board is None and output is not None and output.suffix.lower() == ".json"
+    if report is not None and not fitted and (evaluate is not None or all(pictures)):
+        raise typer.BadParameter("a report is of a camera from corners or a white picture", param_hint="--report")
     require_different(output, report)
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white, dark)
-    fitted = all(pictures) and board is None and output is not None and output.suffix.lower() == ".json"
     if not fitted:
         _refuse("a calibration without a fit to a white picture", dark=dark, wavelength=wavelength, model=model)
     if evaluate is not None:
@@ -122,7 +122,7 @@ def calibrate(
         _evaluate(evaluate, camera, board, square)
     elif fitted:
         _refuse("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
-        _fit(sources, output, camera, dark, wavelength, model)
+        _fit(sources, output, camera, dark, wavelength, model, report)
     elif all(pictures) and board is not None:
         _refuse("detecting corners", square=square)
         _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
@@ -257,7 +257,9 @@ def _fit(
     dark: Path | None,
     wavelength: float | None,
     model: str | None,
+    report: Path | None,
 ) -> None:
+    from ...runtime.files import require_writable
     from .white_command import fit_camera
 
     if len(sources) > 1:
@@ -265,7 +267,10 @@ def _fit(
     known, _ = load_camera(_camera(camera), {})
     by_rays = model == "ray"
     refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
-    fit_camera(sources[0], _output(output, ".json"), known, dark, None if by_rays else wavelength or _WAVELENGTH)
+    if report:
+        require_writable(report, ".html")
+    length = None if by_rays else wavelength or _WAVELENGTH
+    fit_camera(sources[0], _output(output, ".json"), known, dark, length, report)
 
 
 def _calibrate(

@@ -21,7 +21,12 @@ _ODD = ("slope_x", "slope_y")
 
 
 def fitted_camera(
-    camera: PlenopticCamera, array: ArrayFit, field: FieldNumbers, place: np.ndarray, lens: np.ndarray, light: np.ndarray
+    camera: PlenopticCamera,
+    array: ArrayFit,
+    field: FieldNumbers,
+    place: np.ndarray,
+    lens: np.ndarray,
+    light: np.ndarray,
 ) -> PlenopticCamera:
     """Return the camera with the array, pupil, blur and brightness of lenses that a fit found.
 
@@ -49,9 +54,7 @@ def fitted_camera(
     return camera.replace(main_lens=objective, aperture_radius=None, focal_length=None, mla_distance=None, **changes)
 
 
-def _transmissions(
-    camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, light: np.ndarray
-) -> LensTransmissions:
+def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, light: np.ndarray) -> LensTransmissions:
     """Return a table of the lenses' brightness; lenses that are not whole have that of the nearest."""
     along, row = (lens - array.nearest).T
     column = along - 0.5 * (row % 2) if camera.lattice.stagger == 2 else along
@@ -68,6 +71,4 @@ def stray_fraction(camera: PlenopticCamera, field: FieldNumbers) -> float:
     n = {name: float(values[0]) for name, values in field.coefficients.items()}
     bright = 1 + n["apodisation_2"] / 2 + n["apodisation_4"] / 3
     cell = camera.lattice.cell_area * (camera.image_growth / camera.pixel_size) ** 2
-    return n["stray"] / (np.pi * n["radius"] ** 2 * bright / cell)
-
-
+    return max(n["stray"], 0.0) / (np.pi * n["radius"] ** 2 * bright / cell)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,35 +11,59 @@ import numpy as np
 import typer
 
 from ...camera import PlenopticCamera
-from ...errors import naming
+from ...errors import InputError, naming
 from ...io.captures import read_capture
 from ...io.pictures import read_picture
 from ...runtime.files import write_text
 from ...runtime.progress import progress_bar
+from .fitted_camera import stray_fraction
+from .photon_transfer import PhotonTransfer, photon_transfer
 from .white_fit import WhiteFit, fit_white
+from .white_page import write_white_report
 
 
 def fit_camera(
-    white: Path, output: Path, camera: PlenopticCamera, dark: Path | None, wavelength: float | None
-) -> WhiteFit:
-    """Fit a camera to a white picture, write the camera as JSON, and print what was found."""
+    white: Path,
+    output: Path,
+    camera: PlenopticCamera,
+    dark: Path | None,
+    wavelength: float | None,
+    report: Path | None,
+) -> None:
+    """Fit a camera to a white picture, write the camera as JSON and a report, and print what was found."""
     light, black = _values(white), None if dark is None else _values(dark)
+    noise = None if black is None else _noise(light, black)
     with naming(white), progress_bar("Fitting the camera") as progress:
         found = fit_white(light, camera, dark=black, wavelength=wavelength, progress=progress)
-    text = json.dumps({**found.camera.to_dict(), "calibration": record(found)}, indent=1) + "\n"
-    write_text(output, text, ".json")
-    for line in summary(found):
+    values = {**found.camera.to_dict(), "calibration": record(found, noise)}
+    write_text(output, json.dumps(values, indent=1) + "\n", ".json")
+    lines = summary(found, noise)
+    for line in lines:
         typer.echo(line)
+    if report is not None:
+        with progress_bar("Simulating the white picture"):
+            write_white_report(report, found, lines)
     typer.echo(f"{output}: fitted to {np.count_nonzero(~found.withheld)} micro-images")
-    return found
 
 
 def _values(path: Path) -> np.ndarray:
-    """Return a sensor's values, proportional to light."""
-    return read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=True)
+    """Return a sensor's values, proportional to light: the digital numbers of a picture of 8 or 16 bits."""
+    if path.suffix.lower() == ".exr":
+        return read_capture(path).image
+    values = read_picture(path, linear=True).astype(np.float64)
+    eight = np.abs(values * 255 - np.rint(values * 255)).max() < 1e-3
+    return np.rint(values * (255 if eight else 65535))
 
 
-def summary(found: WhiteFit) -> list[str]:
+def _noise(white: np.ndarray, dark: np.ndarray) -> PhotonTransfer | str:
+    """Return what white and dark pictures tell about the sensor, or why they tell nothing."""
+    try:
+        return photon_transfer(white, dark)
+    except InputError as error:
+        return str(error)
+
+
+def summary(found: WhiteFit, noise: PhotonTransfer | str | None) -> list[str]:
     """Return lines on a fit's numbers and how withheld micro-images agree."""
     judged, frame = found.judgement, found.frame
     across, up = np.sqrt((found.off_array[found.withheld] ** 2).mean(0))
@@ -54,13 +79,23 @@ def summary(found: WhiteFit) -> list[str]:
         f"mean micro-image: {judged.mean_image:.2%}",
         f"places: {across:.3f} and {up:.3f} pixels RMS from the warped array",
     ]
+    if isinstance(noise, str):
+        lines.append(f"gain and noise of the sensor: not found, {noise}")
+    elif noise is not None:
+        lines.append(
+            f"sensor: {noise.gain:.4g} +- {noise.gain_deviation:.2g} numbers per electron, read noise "
+            f"{noise.read_noise:.3g} +- {noise.read_noise_deviation:.2g} electrons, {noise.hot_pixels} hot and "
+            f"{noise.dead_pixels} dead pixels"
+        )
     return lines
 
 
-def record(found: WhiteFit) -> dict[str, Any]:
+def record(found: WhiteFit, noise: PhotonTransfer | str | None) -> dict[str, Any]:
     """Return what a fit found and how well it agrees, for the file of the camera."""
-    judged = found.judgement
+    judged, stray = found.judgement, stray_fraction(found.camera, found.field)
+    sensor = noise.detector if isinstance(noise, PhotonTransfer) else None
     return {
+        "detector": {"stray_light": stray} if sensor is None else asdict(replace(sensor, stray_light=stray)),
         "lens_index": found.lens_index(),
         "light": "rays" if found.wavelength is None else {"wavelength_nm": found.wavelength},
         "field": {

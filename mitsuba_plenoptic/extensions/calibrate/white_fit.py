@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.ndimage
@@ -13,8 +14,8 @@ from ...errors import refuse_if
 from ...runtime.limits import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, Zones
-from .micro_image import MicroImageModel, PupilNumbers
 from .fitted_camera import fitted_camera
+from .micro_image import MicroImageModel, PupilNumbers
 from .white_centres import find_centres
 from .white_frames import WhiteFrame
 
@@ -26,6 +27,12 @@ _WHOLE, _FEWEST = 0.95, 16
 
 _MOST_STRUCTURE, _MOST_OUTLIERS = 0.035, 0.05
 """Structure of the residual, and part of the pixels off the model, above which a picture is not evenly white."""
+
+_REPLACED: dict[str, Any] = {
+    **{"mla_warp": (), "mla_tilt": (0.0, 0.0), "mla_transmissions": None, "vignetting": None},
+    **{"detector_blur": 0.0, "pupil_apodisation": (0.0, 0.0)},
+}
+"""Parameters whose values a fit does not keep."""
 
 _BLUR, _STRAY = 0.7, 0.02
 """Blur in pixels and stray light with which fits start."""
@@ -125,7 +132,7 @@ def fit_white(
     show = progress or (lambda done, total: None)
     frame, generator = WhiteFrame.of(white, dark), np.random.default_rng(seed)
     size = frame.light.shape[::-1]
-    camera = of_size(camera, size)
+    camera = of_size(camera.replace(**_REPLACED), size)
     centres = find_centres(filled(frame))
     require_alike(centres.grid, camera)
     lens, sure = lattice_index(centres.grid, centres.lens), ~centres.doubtful
