@@ -29,9 +29,6 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
 
-# Distance in standard deviations of a blur beyond which noise is not spread.
-_BLUR_REACH = 5
-
 
 @suggest_keywords
 @dataclass(frozen=True)
@@ -255,14 +252,3 @@ def mix_pixels(image: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
                 neighbour[at_edge] = light[at_edge]
                 result += fraction * neighbour
     return np.asarray(result, image.dtype)
-
-
-def mix_deviations(deviation: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
-    """Return the standard deviations after `mix_pixels`, given the deviations of independent pixels before."""
-    reach = 2 + math.ceil(_BLUR_REACH * camera.detector_blur / camera.pixel_size)
-    impulse = np.zeros((2 * reach + 1,) * 2 + (1,) * (deviation.ndim - 2))
-    impulse[reach, reach] = 1
-    edges = [(reach, reach)] * 2 + [(0, 0)] * (deviation.ndim - 2)
-    variance = np.pad(np.square(deviation, dtype=np.float64), edges, mode="symmetric")
-    squares = scipy.signal.fftconvolve(variance, mix_pixels(impulse, camera) ** 2, mode="valid", axes=(0, 1))
-    return np.asarray(np.sqrt(np.maximum(squares, 0)), deviation.dtype)

@@ -15,9 +15,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.main_lens import Pair
 from ..runtime.batches import SumTask
+from .detector import mix_pixels
 
 PARTS = 16
 """Count of independent passes from which the noise of a pixel is estimated."""
@@ -54,12 +56,16 @@ class PassSpread:
         return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
-def keep_spread(task: SumTask) -> SumTask:
-    """Return a run's task, with added image channels from which `with_spread` computes variances."""
+def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:
+    """Return a run's task, with added image channels from which `with_spread` computes variances, after `mix_pixels`.
+
+    Neighbouring pixels deviate together, so that the variances after mixing do not follow from those before.
+    """
 
     def combine(sums: NDArray[np.float32]) -> NDArray[np.float32]:
         image = task.combine(sums)
-        return np.concatenate([image, image, image**2], axis=-1)
+        mixed = mix_pixels(image, camera)
+        return np.concatenate([image, mixed, mixed**2], axis=-1)
 
     return replace(task, combine=combine)
 

@@ -95,7 +95,7 @@ class SignedCapture:
         return partial(kind, self.camera, light, nodes, self.colours.drawn, parts=self._parts, spp=spp, seed=seed)
 
     def compute(self, *, seed: int, spp: int, job: Job, noise: bool) -> NDArray[np.float32]:
-        """Return the capture of the scene, an array (rows, columns, channels)."""
+        """Return the light on the pixels (rows, columns, channels), with the deviations of what pixels make of it."""
         runs = max(2, min(PARTS, spp // _SAMPLES)) if noise else 1
         sums = self.sums(spp, seed, runs, SignedRaySum)
         first = sums[0]()
@@ -104,7 +104,7 @@ class SignedCapture:
             sums = [lambda: first]
         tasks = [SumTask(items, plan, lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
-            tasks = [keep_spread(task) for task in tasks]
+            tasks = [keep_spread(task, self.camera) for task in tasks]
         channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         every = sum(task.items for task in tasks)

@@ -16,7 +16,7 @@ from ..camera.plenoptic_camera import require_ideal, require_known_to, require_r
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import entry_of
 from ..light import colour
-from ..light.detector import mix_deviations, mix_pixels
+from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.render_capture import require_wave_film
 from ..light.scene import GONE_PARAMETERS
@@ -257,10 +257,7 @@ def make_class() -> type:
             with guards.watch():
                 image = capture.compute(seed=seed, spp=spp, job=job or Job(), noise=noise)
             channels = image.shape[2] // (2 if noise else 1)
-            if camera.pixel_crosstalk or camera.detector_blur:
-                light, deviation = image[..., :channels], image[..., channels:]
-                light = mix_pixels(light, camera)
-                image = np.concatenate([light, mix_deviations(deviation, camera)], axis=2) if noise else light
+            image[..., :channels] = mix_pixels(image[..., :channels], camera)
             put(film, image, channels)
             return film
 

@@ -58,7 +58,7 @@ def test_rays_read_the_transmission():
     assert found[whole] == pytest.approx(transmission(seen)[whole], abs=0.035)
     assert found.mean() / plain.mean() == pytest.approx(1 + A2 / 2 + A4 / 3, rel=3e-3)
     assert np.abs(white_image(CAMERA) - found).mean() < 0.006
-    assert found.mean() == pytest.approx(white_mean(CAMERA), rel=0.005)
+    assert found.mean() == pytest.approx(white_mean(CAMERA), rel=0.015)  # of whole lenses
 
 
 @pytest.mark.parametrize("apodisation", [(A2, A4), pytest.param((-1.5, 0.0), marks=pytest.mark.slow)])

@@ -21,12 +21,16 @@ BLUR = 0.012
 """A blur of 1.5 pixels."""
 
 
-def render(camera, spp, model="ray", radiance=1.0, size=0.1):
+def capture(camera, spp, model="ray", **options):
     """Return the capture of a small lamp in focus."""
-    place = mi.ScalarTransform4f().translate([0.05, 0, 238]).scale(size).rotate([0, 1, 0], 180)
-    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": radiance}}
+    place = mi.ScalarTransform4f().translate([0.05, 0, 238]).scale(0.1).rotate([0, 1, 0], 180)
+    lamp = {"type": "rectangle", "to_world": place, "light": {"type": "area", "radiance": 1.0}}
     scene = {"type": "scene", "camera": camera.to_sensor(), "lamp": lamp, "integrator": {"type": "direct"}}
-    return render_capture(mi.load_dict(scene), spp=spp, model=model).image
+    return render_capture(mi.load_dict(scene), spp=spp, model=model, **options)
+
+
+def render(*given):
+    return capture(*given).image
 
 
 def blurred(image, blur, camera):
@@ -70,6 +74,11 @@ def test_wave_captures_are_blurred_captures():
     plain, found = (render(CAMERA.replace(detector_blur=x), 32, "wave") for x in (0.0, BLUR))
     assert apart(found, blurred(plain, BLUR, CAMERA)) < 1e-5
     assert apart(found, plain) > 0.1
+    # Their noise is that of blurred images, whose pixels do not deviate independently.
+    camera = CAMERA.replace(detector_blur=BLUR)
+    every = [capture(camera, 32, "wave", seed=seed, noise=True) for seed in range(8)]
+    variance = np.var([each.image for each in every], axis=0, ddof=1).mean()
+    assert np.mean([each.noise**2 for each in every]) == pytest.approx(variance, rel=0.25)
 
 
 def test_points_are_blurred_forward_and_back():

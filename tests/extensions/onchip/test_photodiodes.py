@@ -10,7 +10,7 @@ import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import PhotodiodeResponse
-from mitsuba_plenoptic.light.detector import mix_deviations, mix_pixels
+from mitsuba_plenoptic.light.detector import mix_pixels
 
 CAMERA = PlenopticCamera(
     focal_length=6.8,
@@ -99,16 +99,6 @@ def test_mixing_keeps_the_sum_and_is_its_own_adjoint():
     )
     assert np.sum(mixed * b) == pytest.approx(np.sum(a * mix_pixels(b, camera)))
     assert mix_pixels(np.ones((3, 4)), camera) == pytest.approx(np.ones((3, 4)))
-
-
-@pytest.mark.parametrize("blur", [0.0, 0.0014])
-def test_deviations_of_mixed_pixels(blur):
-    camera = PlenopticCamera(pixel_crosstalk=0.1, detector_blur=blur)
-    draws = np.random.default_rng(1).normal(size=(4000, 5, 5)) * np.arange(1, 6)
-    spread = np.std([mix_pixels(draw, camera) for draw in draws], axis=0)
-    assert mix_deviations(np.broadcast_to(np.arange(1.0, 6), (5, 5)), camera)[1:-1, 1:-1] == pytest.approx(
-        spread[1:-1, 1:-1], rel=0.06
-    )
 
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
