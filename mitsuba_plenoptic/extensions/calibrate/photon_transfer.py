@@ -18,8 +18,9 @@ from scipy import ndimage
 from ...errors import NO_ARRAY, refuse_if, refusing, require_count, short_repr, suggest_keywords
 from ...light.detector import Detector
 
-_ORDER = 6
-"""Order of the differences along either axis that remove all but the highest frequencies of a picture."""
+_ORDERS = 2, 4, 6
+"""Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high
+ones reach from narrow micro-images to their rims. Both add variance, so that the order with the least gain counts."""
 
 _SMOOTH, _FLATTEST = 1.5, 0.3
 """Width in pixels of the Gaussian that shows where a picture is flat, and the part of it that is called so."""
@@ -82,11 +83,12 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     """Return the gain and the noise of an image sensor, from pictures of something white and of darkness.
 
     Two or more pictures of the same white differ by noise alone, so that all pixels tell the variance. Of a single one,
-    sixth differences along rows and columns leave the noise and little else; they are taken where the picture is
-    flattest, such as in the middle of micro-images, 30 % of it. Then everything that differs from pixel to pixel counts
-    as noise: unequal sensitivities of 0.5 % add a quarter to the variance of 10000 electrons, and the gain is as much
-    too high. Likewise a single dark picture cannot tell unequal offsets of pixels from read noise, but those of whole
-    rows and columns are left out.
+    differences along rows and columns leave the noise and little else; they are taken where the picture is flattest,
+    such as in the middle of micro-images, 30 % of it, and of the order, 2, 4 or 6, that leaves least. By what the next
+    one leaves more, structure may still count, which is a part of the deviation. Then everything that differs from
+    pixel to pixel counts as noise: unequal sensitivities of 0.5 % add a quarter to the variance of 10000 electrons, and
+    the gain is as much too high. Likewise a single dark picture cannot tell unequal offsets of pixels from read noise,
+    but those of whole rows and columns are left out.
 
     Parameters
     ----------
@@ -150,14 +152,18 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     darkness = _Spread.of(black, bad)
     # Unequal pixels are noise in both pictures, or in none if there are several of each.
     alike = _Spread.of(black[:1], bad) if len(bright) == 1 else darkness
-    light = _Spread.of(bright - level, bad, _FLATTEST if len(bright) == 1 else 1.0)
 
-    def estimate(choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float, float]:
+    def estimate(light: _Spread, choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float, float]:
         (mean, variance), (_, least) = light.of_blocks(choice), alike.of_blocks(choice)
         dark_mean, dark_variance = darkness.of_blocks(choice)
         gain = (variance - least) / mean
         return gain, math.sqrt(max(dark_variance - _ROUNDING, 0)) / gain, dark_mean
 
+    if len(bright) == 1:
+        spreads = [_Spread.of(bright - level, bad, order, _FLATTEST) for order in _ORDERS]
+    else:
+        spreads = [_Spread.of(bright - level, bad)]
+    light, *others = sorted(spreads, key=lambda spread: estimate(spread)[0])
     (mean, variance), (_, least) = light.of_blocks(), alike.of_blocks()
     refuse_if(
         mean <= noise or variance <= least,
@@ -165,9 +171,11 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
         f"{level:.4g} and {least:.4g}: it must be brighter",
     )
     generator = np.random.default_rng(0)
-    draws = [estimate(generator.integers(0, _BLOCKS**2, _BLOCKS**2)) for _ in range(_DRAWS)]
+    draws = [estimate(light, generator.integers(0, _BLOCKS**2, _BLOCKS**2)) for _ in range(_DRAWS)]
     deviations = np.std(draws, axis=0)
-    gain, read, dark_offset = estimate()
+    gain, read, dark_offset = estimate(light)
+    if others:
+        deviations[0] = math.hypot(deviations[0], estimate(others[0])[0] - gain)
     if darkness.of_blocks()[1] < 0.25 + _ROUNDING:
         deviations[1] = max(deviations[1], math.sqrt(_ROUNDING) / gain)
     black_level = min(max(round(dark_offset), 0), top - 1)
@@ -218,14 +226,16 @@ class _Spread:
     used: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, frames: NDArray[np.float64], bad: NDArray[np.bool_], flattest: float = 1.0) -> _Spread:
+    def of(
+        cls, frames: NDArray[np.float64], bad: NDArray[np.bool_], order: int = _ORDERS[-1], flattest: float = 1.0
+    ) -> _Spread:
         """Return the spread between pictures, or of a single picture about its smooth part where it is flattest."""
         if len(frames) > 1:
             # Lamps flicker: pictures are compared at the same brightness.
             scale = frames.mean((1, 2)) / frames.mean() if abs(frames.mean()) > frames.std() else np.ones(len(frames))
             even = frames / scale[:, None, None]
             return cls(even.mean(0), even.var(0, ddof=1), ~bad)
-        picture, steps = frames[0], np.array([math.comb(_ORDER, k) * (-1.0) ** k for k in range(_ORDER + 1)])
+        picture, steps = frames[0], np.array([math.comb(order, k) * (-1.0) ** k for k in range(order + 1)])
         steps /= np.sqrt((steps**2).sum())
         # The squared differences have the variance of this mean of their pixels.
         means, squares = _both(picture, steps**2), _both(picture, steps) ** 2
@@ -234,7 +244,9 @@ class _Spread:
             orders = ((0, 1), (1, 0), (0, 2), (1, 1), (1, 1), (2, 0))
             change = sum(ndimage.gaussian_filter(picture, _SMOOTH, order=order) ** 2 for order in orders)
             # Over the noise that the mean promises.
-            rough = ndimage.uniform_filter(change, len(steps)) / np.maximum(means, np.mean(means) * 1e-3)
+            rough = ndimage.uniform_filter(change, len(steps)) / np.maximum(
+                means, max(float(means.mean()) * 1e-3, 1e-12)
+            )
             used &= rough <= np.quantile(rough[used], flattest)
         return cls(means, squares, used)
 
