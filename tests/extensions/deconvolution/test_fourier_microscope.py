@@ -45,6 +45,7 @@ CAMERAS = {
         1,
     ),
     "crop": (SMALL.replace(crop_offset=(40, 13), crop_size=(80, 101)), 1),
+    "warped": (SMALL.replace(mla_warp=(0.02, 0.01, -0.02)), 1),
 }
 
 
