@@ -70,7 +70,8 @@ class PatchPlan:
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
         self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
-        step = wavefront_step(accuracy, upright, lens, turned) if shared and camera.has_array else 0.0
+        repeats = self._grid.lens_samples.any()
+        step = wavefront_step(accuracy, upright, lens, turned) if shared and repeats else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)
         shifts = patterns.shift @ self._grid.lens_samples
