@@ -125,7 +125,7 @@ class PhaseSpace(ArrayKernels):
 
     @classmethod
     def of(
-        cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
+        cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None
     ) -> PhaseSpace:
         """Return a usual or a finer plan; `shortest` and `longest` are the extreme wavelengths of a capture's plans."""
         plan = cls(

@@ -100,13 +100,6 @@ class PupilDiffraction:
     tolerance = 0.001
     """Part of images of random light that may be missing for want of images of the places in a pixel."""
 
-    @classmethod
-    def of(
-        cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
-    ) -> PupilDiffraction:
-        """Return a usual or a finer plan, as `PhaseSpace.of`."""
-        return cls(camera, wavelength, fine, shortest)
-
     def __post_init__(self) -> None:
         refuse_if(
             self._pixel < _FINEST,

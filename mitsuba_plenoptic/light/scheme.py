@@ -35,4 +35,6 @@ def plan_of(
 
     `shortest` and `longest` are the extreme wavelengths among the capture's plans.
     """
-    return scheme_of(camera).plan.of(camera, wavelength, fine, shortest, longest)
+    if not camera.has_array:
+        return PupilDiffraction(camera, wavelength, fine, shortest)
+    return PhaseSpace.of(camera, wavelength, fine, shortest, longest)

@@ -160,11 +160,6 @@ class Candidates:
         return dr.gather(mi.Float, self.limits, mi.UInt32(row * SECTORS + sector))
 
 
-def _own_lens() -> Candidates:
-    """Return the chief ray's own lens alone."""
-    return Candidates([mi.Float(0), mi.Float(0)])
-
-
 def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> Any:
     """Return the main lens of a camera whose exposed parameters are given as Dr.Jit arrays."""
     wavefront = numbers.get("wavefront", mi.Float())
@@ -256,7 +251,7 @@ class CameraRays(Walk):
             numbers["detector_distance"],
             camera.mla_medium,
             Dispersion.of(camera),
-            _own_lens(),
+            Candidates([]),
         )
         return replace(rays, around=rays.candidates())
 
@@ -272,7 +267,7 @@ class CameraRays(Walk):
 
     def chief(self, pixel: Pair) -> Traced:
         """Return traced rays from detector points through the centres of their chief rays' lenses."""
-        passage, *_ = self.pass_array(pixel, mi.Point2f(0.5), _own_lens())
+        passage, *_ = self.pass_array(pixel, mi.Point2f(0.5), Candidates([mi.Float(0), mi.Float(0)]))
         return self.trace(pixel, passage._replace(point=passage.centre))
 
     def missed(self, pixel: Pair, sample: Any) -> float:

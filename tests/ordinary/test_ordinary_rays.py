@@ -109,15 +109,15 @@ def test_colours_are_those_of_lenses_at_their_wavelengths():
     mi.set_variant("llvm_ad_rgb")
     sensor = camera.to_sensor()
     sensor["film"]["pixel_format"] = "rgb"
-    mean, variance = rendered(sensor, 0)
+    mean, variance = rendered(sensor, 0, spp=512)
     mi.set_variant("llvm_ad_mono")
     for channel, wavelength in enumerate((611.4, 549.1, 464.3)):
         colour = mean[..., [channel]], variance[..., [channel]]
-        own = rendered(camera.at_wavelength(wavelength).to_sensor(), 100)
+        own = rendered(camera.at_wavelength(wavelength).to_sensor(), 100, spp=512)
         assert disagreement(colour, own) < 1.4
         if channel != 1:
             # Green is next to the line d, whose focal length is that without the glass.
-            assert disagreement(colour, rendered(camera.replace(glass=None).to_sensor(), 100)) > 1.6
+            assert disagreement(colour, rendered(camera.replace(glass=None).to_sensor(), 100, spp=512)) > 1.6
 
 
 @pytest.mark.parametrize("lens", [{}, {"main_lens": "double_gauss"}], ids=["thin", "prescription"])
