@@ -365,7 +365,6 @@ def test_a_photograph_through_a_mosaic_is_demosaiced():
 
 
 POINTS = np.array([[0.0, 0.0, 300.0]])
-INFORMATION = mp.optimisation.DepthInformation(POINTS, 1e4)
 SHEET = {"f_number": 4, "lenses": 10, "pixels_per_lens": 10, "pixel_size": 0.01}
 QUANTITIES = (
     "lattice", "lens_count", "bin_count", "mla_pitch", "mla_focal_length", "reduced_distance", "pixels_per_lens",
@@ -395,8 +394,8 @@ CALLS = {
         "DeconvolvedRefocus": lambda made, camera: mp.refocus.DeconvolvedRefocus(camera, 280.0),
         "fit": lambda made, camera: mp.fit(camera, [], ["focal_length"]),
         "lattice_from_white": lambda made, camera: mp.fitting.lattice_from_white(camera, made.image),
-        "maximise": lambda made, camera: mp.optimisation.maximise(INFORMATION, camera, {"focal_length": (45, 55)}),
-        "information": lambda made, camera: INFORMATION.gradient(camera, ["focal_length"]),
+        "maximise": lambda made, camera: mp.optimisation.maximise(None, camera, {"focal_length": (45, 55)}),
+        "information": lambda made, camera: mp.optimisation.DepthInformation(POINTS, 1e4).value(camera),
         "contrast": lambda made, camera: mp.optimisation.RefocusedContrast(camera, POINTS, [1.0], wavelength=550.0),
     },
     "calibrate": {
