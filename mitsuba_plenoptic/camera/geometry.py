@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import InputError, refuse_if
 from ..lattice import NO_LATTICE, Displacement, Lattice, make_lattice
 from ..prescription import Prescription
+from ..prescription.collimator import Collimator
 from ..prescription.lens_data import THIN, LensData, defocus_factor, even_count
 from ..prescription.objective import Objective
 from .aperture import Apodised, Opening, Round
@@ -104,6 +105,11 @@ class CameraGeometry(CameraParameters):
     def require_array(self, what: str) -> None:
         """Refuse a camera without a microlens array, for a function or quantity, `what`, that needs one."""
         refuse_if(not self.has_array, f"{what}: {NO_ARRAY_HERE}")
+
+    @property
+    def refocuses(self) -> bool:
+        """Whether captures can be refocused: those of an array, unless it is in the image of a telescope's pupil."""
+        return self.has_array and not isinstance(self.main_lens, Collimator)
 
     @cached_property
     def lattice(self) -> Lattice:
@@ -201,6 +207,11 @@ class CameraGeometry(CameraParameters):
     def space_behind(self) -> tuple[float, float]:
         """Distance in mm from the MLA to the detector, and index of the medium there; 0 and 1 without an array."""
         return (self.detector_distance, self.mla_medium) if self.has_array else (0.0, 1.0)
+
+    @property
+    def image_samples(self) -> tuple[str, float]:
+        """What divides the image behind the main lens into samples, microlenses or pixels, and their width in mm."""
+        return ("microlenses", min(self.mla_pitches)) if self.has_array else ("pixels", self.pixel_size)
 
     @property
     def pixel_size(self) -> float:
@@ -325,6 +336,10 @@ class CameraGeometry(CameraParameters):
         return 1 + distance / medium / self.pupil_distance if self.lens_data.converges else 1.0
 
     # -- object side ---------------------------------------------------------------------------------
+
+    def pixel_in_object(self, distance: float) -> float:
+        """Return the width in mm of a pixel of an ordinary camera in an object plane, in radians at infinity."""
+        return self.pixel_size * (1.0 if np.isinf(distance) else distance) / self.mla_distance
 
     def bin_size(self, distance: float) -> float:
         """Return the width in the object plane of one bin of a reconstruction, :math:`D_2 g / b`, in millimetres.

@@ -539,7 +539,6 @@ class CoreParameters:
             "Decoding and reconstructions assume pixels without it."
         ),
         known_to=Captures.RAYS | Captures.SCENES,
-        of_array=True,
     )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
@@ -551,7 +550,6 @@ class CoreParameters:
         form=Form.NUMBERS,
         otherwise="1 at all angles",
         known_to=Captures.RAYS | Captures.SCENES,
-        of_array=True,
     )
     main_lens: Parameter[LensData | str | Path | dict[str, Any] | None, LensData | None] = Parameter(
         default=None,

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 
 from ..camera import PlenopticCamera
-from ..prescription.collimator import Collimator
 from ..prescription.lens_data import SINGLE
 from .aberration import parabolic_aberration
 from .microscope import microscope_findings
@@ -86,7 +85,7 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
 def _findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
     """Yield the faults of a camera's design, with remedies."""
-    if isinstance(camera.main_lens, Collimator) or not camera.has_array:
+    if not camera.refocuses:
         return
     if not camera.lens_data.converges:
         yield from microscope_findings(camera, wavelength)

@@ -56,10 +56,10 @@ class GroundTruth:
         The camera.
     pixels : dict
         Arrays (rows, columns[, 3]) by quantity, float32: of the ray from the middle of each pixel through the centre
-        of its lens.
+        of its lens, or of the pupil without microlenses.
     views : dict
         Arrays (v, u, t, s[, 3]) by quantity: of the rays that the samples of the decoded light field stand for, from
-        their point on the pupil, as by a ``perspective`` camera there.
+        their point on the pupil, as by a ``perspective`` camera there. Empty without a microlens array.
     shapes : tuple of str
         Names of the scene's shapes, the first that of index 1.
     to_world : (4, 4) float64 array
@@ -115,17 +115,18 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
     InputError
         If the file cannot be written.
     """
-    sizes = next(iter(truth.views.values())).shape[:4]
-    v, u, t, s = sizes
-    views = {name: plane.swapaxes(1, 2).reshape(v * t, u * s) for name, plane in channel_planes(truth.views).items()}
+    parts = {_PIXELS: channel_planes(truth.pixels)}
     attributes = {
         "kind": "ground truth",
         "camera": truth.camera.to_dict(),
-        "views": sizes,
         "shapes": truth.shapes,
         "to_world": truth.to_world.tolist(),
     }
-    write_exr_parts(path, {_PIXELS: channel_planes(truth.pixels), _VIEWS: views}, attributes)
+    if truth.views:
+        v, u, t, s = attributes["views"] = next(iter(truth.views.values())).shape[:4]
+        views = channel_planes(truth.views)
+        parts[_VIEWS] = {name: plane.swapaxes(1, 2).reshape(v * t, u * s) for name, plane in views.items()}
+    write_exr_parts(path, parts, attributes)
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
@@ -148,15 +149,18 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
             f"it holds a {short_repr(attributes.get('kind'))}, not ground truth",
         )
         camera = PlenopticCamera.from_dict(attributes.get("camera", {}))
-        refuse_if(
-            set(parts) != {_PIXELS, _VIEWS},
-            f"its parts are {short_repr(sorted(parts))}: they must be {_PIXELS} and {_VIEWS}",
-        )
         sizes = attributes.get("views")
-        if not isinstance(sizes, list) or len(sizes) != 4 or not all(isinstance(n, int) and n > 0 for n in sizes):
-            raise InputError(f"views = {short_repr(sizes)}: they must be four numbers")
-        v, u, t, s = sizes
-        for part, shape in ((_PIXELS, camera.shape), (_VIEWS, (v * t, u * s))):
+        shapes_of = {_PIXELS: camera.shape}
+        if sizes is not None:
+            if not isinstance(sizes, list) or len(sizes) != 4 or not all(isinstance(n, int) and n > 0 for n in sizes):
+                raise InputError(f"views = {short_repr(sizes)}: they must be four numbers")
+            v, u, t, s = sizes
+            shapes_of[_VIEWS] = (v * t, u * s)
+        refuse_if(
+            set(parts) != set(shapes_of),
+            f"its parts are {short_repr(sorted(parts))}: they must be {' and '.join(shapes_of)}",
+        )
+        for part, shape in shapes_of.items():
             for plane in parts[part].values():
                 refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
         to_world: np.ndarray = np.empty(0)
@@ -169,8 +173,9 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         shapes = attributes.get("shapes")
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
-        pixels, views = (_quantities(parts[part], len(shapes)) for part in (_PIXELS, _VIEWS))
-        views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
+        pixels, views = (_quantities(parts[part], len(shapes)) if part in parts else {} for part in (_PIXELS, _VIEWS))
+        if views:
+            views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
 
 

@@ -48,7 +48,7 @@ from ..optics.waves import in_millimetres
 from ..runtime.backend import array_module, backend_of, drjit_array, empty_packets
 from ..runtime.fft import Field, array_types, as_field, as_words, fast_length, pack, split, unpack, worker_count
 from ..runtime.limits import check_memory
-from .microlenses import from_centre, is_separable, transmission
+from .microlenses import factor_axes, from_centre, transmission
 
 _FLAT = 1e4
 """Focal length, in millimetres, of a lens without noticeable phase."""
@@ -282,9 +282,7 @@ class MicrolensArray:
     def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
         self._camera, self._wavelength = camera, wavelength
         self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}
-        self.axes: list[tuple[int, ...]] = []
-        if camera.has_array:
-            self.axes = [(0,), (1,)] if is_separable(camera) else [(0, 1)]
+        self.axes = factor_axes(camera)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return microlens_array, (self._camera, self._wavelength)
@@ -292,7 +290,7 @@ class MicrolensArray:
     @property
     def fills(self) -> bool:
         """Whether all light passes, without gaps between lenses."""
-        return not self._camera.has_array or self._camera.lattice.fills
+        return not self.axes or self._camera.lattice.fills
 
     def factors(self, cosine: float) -> list[ArrayFactor]:
         """Return the factors on the active device, with directions up to a cosine relative to the incident light."""

@@ -40,6 +40,23 @@ def is_separable(camera: PlenopticCamera) -> bool:
     return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.mla_shape is None
 
 
+def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
+    """Return the axes of each factor of the transmission, which has none without an array."""
+    if not camera.has_array:
+        return []
+    return [(0,), (1,)] if is_separable(camera) else [(0, 1)]
+
+
+def repetition(camera: PlenopticCamera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lattice's vectors, and the sides of the coarsest grid of all centres, in mm in the lattice frame.
+
+    Without an array nothing repeats, and pixels are the grid.
+    """
+    if not camera.has_array:
+        return np.zeros((2, 2)), np.full(2, camera.pixel_size)
+    return np.array(camera.lattice.basis), np.array(camera.lattice.grid_step)
+
+
 def upright(camera: PlenopticCamera) -> PlenopticCamera:
     """Return the camera in the frame that is rotated with the lattice about the axis."""
     if not camera.mla_rotation:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..camera.aperture import Round
+from ..camera.plenoptic_camera import require_round
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, empty_packets
@@ -126,8 +127,26 @@ class PhaseSpace(ArrayKernels):
     # Longest wavelength of the plans with which it is used, whose tables have the same nodes. Default: its own.
     longest: float | None = None
 
+    @classmethod
+    def of(
+        cls, camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None
+    ) -> PhaseSpace:
+        """Return a usual or a finer plan; `shortest` and `longest` are the extreme wavelengths of a capture's plans."""
+        plan = cls(
+            camera,
+            wavelength,
+            degree=_DEGREES[fine],
+            window=_WINDOWS[fine],
+            radial=_RADIAL[fine],
+            tolerance=_TOLERANCES[fine],
+            shortest=shortest,
+            longest=longest,
+        )
+        return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
+
     def __post_init__(self) -> None:
         camera = self.camera
+        require_round(camera, "waves of scenes are followed to microlenses", ("pupil_apodisation",))
         for name, refused, rule in (
             (
                 "main_lens",
@@ -341,27 +360,6 @@ class PhaseSpace(ArrayKernels):
             node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.nodes
         ]
         return plan
-
-
-@functools.lru_cache(maxsize=16)
-def plan_of(
-    camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
-) -> PhaseSpace:
-    """Return a usual or a finer plan of a camera, cached for further captures.
-
-    `shortest` and `longest` are the extreme wavelengths among the capture's plans.
-    """
-    plan = PhaseSpace(
-        camera,
-        wavelength,
-        degree=_DEGREES[fine],
-        window=_WINDOWS[fine],
-        radial=_RADIAL[fine],
-        tolerance=_TOLERANCES[fine],
-        shortest=shortest,
-        longest=longest,
-    )
-    return replace(plan, degree=plan.degree + 2) if plan.defocus > _DEFOCUS and not plan.by_points else plan
 
 
 def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:

@@ -114,5 +114,5 @@ class PixelDraws(DetectorGrid):
     @cached_property
     def _spread(self) -> tuple[Any, int, Any]:
         """The point spread function as a distribution over cells of a square, their count across, and width in mm."""
-        spread, step = self._plan.spread()
+        spread, step = self._plan.spread
         return mi.DiscreteDistribution2D(spread.astype(np.float32)), len(spread), dr.opaque(mi.Float, step)

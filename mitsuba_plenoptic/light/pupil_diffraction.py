@@ -28,7 +28,6 @@ sums of products of the transforms of t times powers.
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -50,7 +49,8 @@ from .oblique import Oblique
 from .optical_system import OpticalSystem
 
 _DEGREES = 6, 10
-"""Degrees of the polynomials over the pupil, of usual and of finer plans."""
+"""Degrees of the polynomials over the pupil: of usual plans, and of finer ones and those with aberrated kernels, where
+the defocus of some part of the pupil undoes the aberration, so that polynomials have to follow this defocus."""
 
 _SAMPLES, _FINER = 256, 8
 """Samples of the transmission across the pupil, and points across a sample of which it is the mean."""
@@ -178,7 +178,8 @@ class PupilDiffraction:
     @single_threaded_blas()
     def functions(self) -> LensFunctions:
         """Polynomials of a ray's pupil point over the pupil's radius, fewer where little of the pupil is open."""
-        for degree in range(0 if self._is_wide else _DEGREES[self.fine], 0, -1):
+        fine = self.fine or bool(np.linalg.norm(self._in_kernels) > _SMALL)
+        for degree in range(0 if self._is_wide else _DEGREES[fine], 0, -1):
             with contextlib.suppress(np.linalg.LinAlgError):
                 found = LensFunctions.polynomials(*self._inside, degree, 1.0)
                 if np.linalg.cond(found.triangle) < _STEEPEST:
@@ -220,8 +221,9 @@ class PupilDiffraction:
         field = self._fields(along / self.unit)[0, 0]
         return (np.abs(field) ** 2)[None] / np.abs(field).max() ** 2
 
+    @cached_property
     def spread(self) -> tuple[NDArray[np.float64], float]:
-        """Return the point spread function in focus on a grid, and the width of a cell of the grid in mm."""
+        """The point spread function in focus on a grid, and the width of a cell of the grid in mm."""
         step = _CELL / 2
         return np.maximum(self._sampled(step, math.ceil(_REACH / step))[0], 0), step * self.unit
 
@@ -295,11 +297,3 @@ def _along(count: int) -> NDArray[np.float64]:
 def _means(fine: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the means over the samples of the pupil of values on the grid that divides them."""
     return np.asarray(fine.reshape(_SAMPLES, _FINER, _SAMPLES, _FINER).mean((1, 3)))
-
-
-@functools.lru_cache(maxsize=16)
-def pupil_plan_of(
-    camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
-) -> PupilDiffraction:
-    """Return a usual or a finer plan of an ordinary camera, cached for further captures; see `phase_space.plan_of`."""
-    return PupilDiffraction(camera, wavelength, fine, shortest)

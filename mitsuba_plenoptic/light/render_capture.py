@@ -152,8 +152,7 @@ def render_capture(
     deviation = None
     with guards.watch() as fractions:
         if wavelengths is None:
-            if camera.has_array:
-                guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
+            guards.check(guards.CROSSTALK, chosen.crosstalk_missed())
             image, deviation = _render_passes(scene, chosen, integrator, camera, spp, seed, progress, noise)
         else:
             if checkpoint:

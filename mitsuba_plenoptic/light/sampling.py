@@ -118,9 +118,7 @@ def check_positions(
     if camera is not None and len(points):
         # A point far within the focal length, such as one given in metres, has light that exceeds any memory.
         closest = points[np.abs(points[:, 2]).argmin()]
-        depth, (what, width) = float(closest[2]), ("pixels", camera.pixel_size)
-        if camera.has_array:
-            what, width = "microlenses", min(camera.mla_pitches)
+        depth, (what, width) = float(closest[2]), camera.image_samples
         blur = 2 * camera.aperture_radius * abs(1 + camera.mla_distance * (1 / depth - 1 / camera.focal_length))
         if abs(depth) < camera.focal_length and blur > _WIDEST * width:
             raise InputError(

@@ -245,7 +245,7 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     farthest = float((corners @ to_camera[2]).max())
     if farthest <= 0:
         return
-    ranges = depth_ranges(camera) if camera.has_array else ()
+    ranges = depth_ranges(camera) if camera.refocuses else ()
     sharp = min((found[0] for found in ranges if found), default=0.0)
     if farthest < camera.focal_length:
         where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"

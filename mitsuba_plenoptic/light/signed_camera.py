@@ -41,9 +41,10 @@ from .phase_space import PhaseSpace, RayCoefficients
 from .pixel_kernels import PixelKernels
 from .random_numbers import chances_of
 from .scene_light import require_finite
+from .scheme import Plan
 from .signed_colours import mixed
-from .signed_draws import Drawn, Kept, Lot
-from .signed_rays import NodeLight, SignedRaySum
+from .signed_draws import Drawn, Kept
+from .signed_rays import Lot, NodeLight, SignedRaySum
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
@@ -117,7 +118,8 @@ class _CameraSum(SignedRaySum):
         start = parameters_of(self._camera)
         return [(name, i) for name in self._names if name in _OF_KERNELS for i in range(len(start[name]))]
 
-    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+    def _further_kernels(self, plan: Plan, kind: int) -> list[NDArray[np.float64]]:
+        assert isinstance(plan, PhaseSpace)
         own = plan.kernels(self._step, plan.reach, kind)
         # One set for each component, so that forward and reverse approximate the same kernels.
         slopes = {name: kernel_slopes(plan, name, self._step, kind) for name, _ in self._of_kernels}

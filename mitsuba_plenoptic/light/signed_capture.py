@@ -33,8 +33,7 @@ from .phase_space import FINE
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_colours import Lanes, Node, SignedColours, mixed
-from .signed_draws import Lot
-from .signed_rays import SignedRaySum
+from .signed_rays import Lot, SignedRaySum
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 

@@ -26,9 +26,9 @@ from ..camera import PlenopticCamera
 from ..optics.spectrum import Responses, Spectrum
 from ..runtime.backend import drjit_array
 from .optical_system import OpticalSystem
-from .phase_space import FINE, PhaseSpace, plan_of
-from .pupil_diffraction import PupilDiffraction, pupil_plan_of
+from .phase_space import FINE
 from .random_numbers import even_words
+from .scheme import plan_of, scheme_of
 
 _PROBED, _LEAST_ERROR = 3.0, 1e-3
 """Ratio of the allowed error of a lens's spot to that of the capture, in which spots overlap; smallest error used."""
@@ -190,9 +190,8 @@ class SignedColours:
     def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
         """Return the nodes, with their plans."""
         found, fine = self.shared(camera, accuracy), accuracy < FINE
-        make = plan_of if camera.has_array else pupil_plan_of
         return [
-            Node(make(camera.at_wavelength(place), place, fine, found[0][0], found[-1][0]), channels, weights)
+            Node(plan_of(camera.at_wavelength(place), place, fine, found[0][0], found[-1][0]), channels, weights)
             for place, channels, weights in found
         ]
 
@@ -241,7 +240,7 @@ def _enough(
     if wavelengths[0] == wavelengths[-1]:
         return [float(wavelengths[0])]
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
-    make = PhaseSpace if camera.has_array else PupilDiffraction
+    make = scheme_of(camera).plan
     width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
     step = width * dense[0] / dense[-1] / _SPOTS[1]
     along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step

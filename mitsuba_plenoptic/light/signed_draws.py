@@ -29,7 +29,6 @@ from ..runtime.batches import Box
 from .lens_kinds import LensKinds
 from .phase_space import PhaseSpace, TableNodes
 from .random_numbers import chances_of, even_steps
-from .signed_colours import Lanes
 from .walk import Walk
 
 _AIRY, _AIRY_REACH = 1024, 200.0
@@ -117,24 +116,6 @@ class Pixels:
         """Return a selection of the pairs of a pixel and a lens."""
         index, lens = (dr.gather(mi.UInt32, each, which) for each in (self.index, self.lens))
         return replace(self, index=index, lens=lens)
-
-
-class Lot(NamedTuple):
-    """Pixels, each paired with a lens that lights it, whose rays are traced together."""
-
-    # Their indices among all pixels.
-    some: Any
-    # The kind of all of the lenses.
-    kind: int
-    pixels: Pixels
-    # Wavelengths that are drawn for them, for each group of nodes.
-    lanes: list[Lanes | None]
-    seed: int
-
-    @property
-    def key(self) -> Any:
-        """Random seed of the rays' points, whose lowest bits number the points."""
-        return dr.opaque(mi.UInt32, self.seed & ~15)
 
 
 class Aims(NamedTuple):

@@ -37,12 +37,12 @@ from ..runtime.fft import busy_drjit
 from ..runtime.limits import single_threaded_blas
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .noise import known_means
-from .phase_space import PhaseSpace, coefficients_of
-from .pixel_draws import PixelDraws
+from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
 from .scene_light import require_finite, require_light
+from .scheme import Plan, scheme_of
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
-from .signed_draws import Drawn, Draws, Lot, Pixels
+from .signed_draws import Drawn, Pixels
 from .walk import PupilWalk, walks_of
 
 _BLOCK_BYTES = 2**27
@@ -66,6 +66,24 @@ _THINNED = 2
 
 _LEAST = 2
 """Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
+
+
+class Lot(NamedTuple):
+    """Pixels, each paired with a lens that lights it, whose rays are traced together."""
+
+    # Their indices among all pixels.
+    some: Any
+    # The kind of all of the lenses.
+    kind: int
+    pixels: Pixels
+    # Wavelengths that are drawn for them, for each group of nodes.
+    lanes: list[Lanes | None]
+    seed: int
+
+    @property
+    def key(self) -> Any:
+        """Random seed of the rays' points, whose lowest bits number the points."""
+        return dr.opaque(mi.UInt32, self.seed & ~15)
 
 
 class Brought(NamedTuple):
@@ -117,8 +135,7 @@ class SignedRaySum:
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
         self._groups = walks_of(plan.system for plan in plans)
-        make: Any = Draws if camera.has_array else PixelDraws
-        self._draws: Draws | PixelDraws = make(camera, plans, parts)
+        self._draws = scheme_of(camera).draws(camera, plans, parts)
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
         self._known_part = 0.0 if self._draws.by_points else 1.0
         self._response = pixel_response(camera.pixel_response or (), camera.mla_absorption or 0.0)
@@ -176,7 +193,7 @@ class SignedRaySum:
             for plan in (node.plan for node in self._nodes)
         ]
 
-    def _further_kernels(self, plan: PhaseSpace, kind: int) -> list[NDArray[np.float64]]:
+    def _further_kernels(self, plan: Plan, kind: int) -> list[NDArray[np.float64]]:
         """Return the kernels (values, k, k) of cells for a kind of lenses, for sets of values after the first."""
         return []
 
@@ -505,7 +522,7 @@ class _Grid(NamedTuple):
     turns: tuple[tuple[float, ...], ...]
     order: int
 
-    def for_pixels(self, plan: PhaseSpace, kernels: NDArray[np.float64], keeps_light: bool) -> PixelKernels:
+    def for_pixels(self, plan: Plan, kernels: NDArray[np.float64], keeps_light: bool) -> PixelKernels:
         """Return the kernels of pixel images from kernels (values, k, k) of cells."""
         turns = np.array(self.turns) / plan.oblique.largest
         # A pixel is the mean of its cells. Larger micro-images are darker.
@@ -515,7 +532,7 @@ class _Grid(NamedTuple):
 
 
 @functools.lru_cache(maxsize=16)
-def _kernels_of(plan: PhaseSpace, grid: _Grid, kind: int) -> PixelKernels:
+def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     camera = plan.camera
     kernels = plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind)

@@ -214,12 +214,11 @@ class Walk(PupilWalk):
 
 
 def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[PupilWalk, list[int]]]:
-    """Return one walk for each group of systems whose rays follow the same paths, and the indices of its systems."""
+    """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
     found: dict[float, tuple[PupilWalk, list[int]]] = {}
     for number, system in enumerate(systems):
-        camera, lens = system.camera, system.lens
-        walk = Walk.of(camera, lens) if camera.has_array else PupilWalk(camera, lens)
-        found.setdefault(lens.refraction, (walk, []))[1].append(number)
+        walk = PupilWalk(system.camera, system.lens)
+        found.setdefault(walk.lens.refraction, (walk, []))[1].append(number)
     return list(found.values())
 
 

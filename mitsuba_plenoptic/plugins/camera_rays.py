@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -23,9 +23,9 @@ from ..design.quantities import (
 from ..lattice import make_lattice
 from ..lattice.lens_shifts import MOST_DEVIATIONS
 from ..lenses.common import main_lens
-from ..lenses.main_lens import MainLens, Pair, Traced
+from ..lenses.main_lens import Pair, Traced
 from ..light.lens_kinds import irregularities
-from ..light.walk import Passage, Walk
+from ..light.walk import Passage, PupilWalk, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
@@ -41,7 +41,7 @@ _MOST_CHECKED = 64
 """Largest number of lenses of which those that can light a point are counted for each ray."""
 
 
-Rays = TypeVar("Rays", "CameraRays", "OrdinaryRays")
+Rays = TypeVar("Rays", bound=PupilWalk)
 
 
 @dataclass(frozen=True)
@@ -167,11 +167,21 @@ def _varying_lens(camera: PlenopticCamera, numbers: dict[str, Any]) -> Any:
     return main_lens(camera, varying=numbers | {"wavefront": aberrations})
 
 
+class RandomRays(NamedTuple):
+    """Rays from detector points through random points of a lens or of the pupil."""
+
+    # What `trace` needs to follow rays from other detector points through the same points.
+    passage: Any
+    traced: Traced
+    weight: Any
+    # Path of the light in front of the detector: how far sideways, and how deep.
+    path: Pair
+
+
 @dataclass(frozen=True)
-class OrdinaryRays:
+class OrdinaryRays(PupilWalk):
     """The rays of a camera without a microlens array: from detector points through random points of the pupil."""
 
-    lens: MainLens
     # Dispersion of the glasses, if the paths of rays depend on colour.
     dispersion: Dispersion | None
     # Map from samples to points over a radius, the radius, and the power that passes them over that of the round pupil.
@@ -185,17 +195,25 @@ class OrdinaryRays:
         plain = main_lens(camera)
         reach, share = plain.reach, camera.aperture.share * (plain.reach / plain.pupil_radius) ** 2
         made = camera.aperture.draws(), dr.opaque(mi.Float, reach), dr.opaque(mi.Float, share)
-        return cls(_varying_lens(camera, numbers), Dispersion.of(camera), *made)
+        return cls(camera, _varying_lens(camera, numbers), Dispersion.of(camera), *made)
 
-    def pupil_points(self, sample: Any) -> Pair:
-        """Return points of the pupil, with the density of the power that passes them."""
-        x, y = self.draws(sample)
-        return self.reach * x, self.reach * y
+    def draw(self, pixel: Pair, sample: Any, light: RayColours | None) -> RandomRays:
+        """Return rays through points of the pupil, with the density of the power that passes them."""
+        pupil = tuple(self.reach * place for place in self.draws(sample))
+        aside = dr.hypot(*(P - p for P, p in zip(pupil, pixel, strict=True)))
+        return RandomRays(pupil, self.trace(pixel, pupil), self.share, (aside, self.lens.pupil_distance))
 
     def trace(self, pixel: Pair, pupil: Pair) -> Traced:
         """Return traced rays from detector points through points of the pupil."""
-        x, y = (self.lens.slope_to(P, p) for P, p in zip(pupil, pixel, strict=True))
-        return self.lens.trace(pixel, (x, y))
+        return self.through_pupil(pupil, pixel)
+
+    def chief(self, pixel: Pair) -> Traced:
+        """Return traced rays from detector points through the middle of the pupil."""
+        return self.trace(pixel, (mi.Float(0), mi.Float(0)))
+
+    def missed(self, pixel: Pair, sample: Any) -> float:
+        """Return the part of the light of detector points that is not sampled."""
+        return 0.0
 
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
         """Return the changes of slope and place, at the detector, of rays from a step beside through a pupil point."""
@@ -208,6 +226,8 @@ class CameraRays(Walk):
 
     # Dispersion of the glasses, if the paths of rays depend on colour.
     dispersion: Dispersion | None
+    # The lenses that are tried, `candidates`.
+    around: Candidates
 
     @classmethod
     def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays:
@@ -224,7 +244,7 @@ class CameraRays(Walk):
             fill=numbers["mla_fill"],
             displacement=camera.displacement(numbers["detector_distance"]),
         )
-        return cls(
+        rays = cls(
             camera,
             _varying_lens(camera, numbers),
             lattice,
@@ -232,7 +252,38 @@ class CameraRays(Walk):
             numbers["detector_distance"],
             camera.mla_medium,
             Dispersion.of(camera),
+            Candidates([]),
         )
+        return replace(rays, around=rays.candidates())
+
+    def draw(self, pixel: Pair, sample: Any, light: RayColours | None) -> RandomRays:
+        """Return rays through points of lenses, which are drawn from those around chief rays."""
+        passage, _, tried = self.pass_array(pixel, sample, self.around)
+        if light is not None:
+            passage = passage._replace(focal_length=passage.focal_length * light.mla_ratio)
+        traced = self.trace(pixel, passage)
+        aside = dr.hypot(*(m - p for m, p in zip(passage.point, pixel, strict=True)))
+        before, even, _ = self.out_of_array(pixel, passage)
+        weight = tried * even * self.passed(passage.point, before, self.height(*passage.centre))
+        return RandomRays(passage, traced, weight, (aside, self.detector_distance))
+
+    def chief(self, pixel: Pair) -> Traced:
+        """Return traced rays from detector points through the centres of their chief rays' lenses."""
+        passage, *_ = self.pass_array(pixel, mi.Point2f(0.5), Candidates([mi.Float(0), mi.Float(0)]))
+        return self.trace(pixel, passage._replace(point=passage.centre))
+
+    def missed(self, pixel: Pair, sample: Any) -> float:
+        """Return the part of the light of detector points through lenses that are not tried, by one ray from each."""
+        steps = [step.numpy().astype(int) for step in self.around.steps]
+        drawn = set(zip(*steps, strict=True))
+        around = replace(self.candidates(beyond=max(self.camera.mla_pitches)), limits=None)
+        passage, candidate, _ = self.pass_array(pixel, sample, around)
+        _, _, open_ = self.trace(pixel, passage)
+        beyond = mi.Bool([(int(i), int(j)) not in drawn for i, j in zip(*around.steps, strict=True)])
+        chief, cell = self.chief_cell(pixel)
+        lens = (index + dr.gather(mi.Float, step, candidate) for index, step in zip(cell, around.steps, strict=True))
+        missed = dr.gather(mi.Bool, beyond, candidate) | ~self.tried(self.around, chief, *lens)
+        return int(dr.count(open_ & missed)[0]) / max(1, int(dr.count(open_)[0]))
 
     def steps(self, x: float, y: float) -> tuple[Pair, Pair]:
         """Return the changes of slope and place, at the array, of rays from a step beside through a lens point."""
@@ -329,3 +380,8 @@ class CameraRays(Walk):
         x, y = mi.warp.square_to_uniform_disk(pupil_sample)
         slope = tuple(self.lens.slope_to(self.lens.reach * P, m) for P, m in zip((x, y), point, strict=True))
         return point, slope, (side[0], side[1]), self.transmission(*index)
+
+
+def rays_of(camera: PlenopticCamera, numbers: dict[str, Any]) -> CameraRays | OrdinaryRays:
+    """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
+    return (CameraRays if camera.has_array else OrdinaryRays).varying(camera, numbers)

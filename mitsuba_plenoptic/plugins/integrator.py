@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera, has_small_lenses
 from ..camera.entry import Captures
 from ..camera.geometry import SMALL_LENSES
-from ..camera.plenoptic_camera import require_ideal, require_known_to, require_round
+from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import entry_of
 from ..light import colour
@@ -304,11 +304,7 @@ def make_class() -> type:
             light = SceneLight(scene, sensor, self.child, self.wavelengths[0] if mi.is_spectral else None)
             camera = PlenopticCamera.from_sensor(sensor)
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
-            small = has_small_lenses(camera, max(colours.spectrum.wavelengths))
-            if camera.has_array:
-                besides = () if small else ("pupil_apodisation",)
-                require_round(camera, "waves of scenes are followed to microlenses", besides)
-            if small:
+            if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
                 return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 from typing import Any, cast
 
 import drjit as dr
@@ -22,7 +21,7 @@ from ..lenses.main_lens import Pair
 from ..lenses.real_lens import RealLens
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
-from .camera_rays import CameraRays, Candidates, OrdinaryRays
+from .camera_rays import CameraRays, rays_of
 from .properties import read_camera, require_read
 
 NAME = "plenoptic"
@@ -173,17 +172,14 @@ def make_class() -> type:
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())
-            kind: Any = CameraRays if self._given.has_array else OrdinaryRays
-            self._rays = kind.varying(self.camera, numbers)
-            if self._given.has_array:
-                self._response = pixel_response(self.pixel_response, self.mla_absorption)
-                tables = (
-                    place(package, text)(getattr(self, name))
-                    for package, name, text in entries("responses")
-                    if getattr(self, name) is not None
-                )
-                self._table: Any = next(tables, None)
-                self._candidates = self._rays.candidates()
+            self._rays = rays_of(self.camera, numbers)
+            self._response = pixel_response(self.pixel_response, self.mla_absorption or 0.0)
+            tables = (
+                place(package, text)(getattr(self, name))
+                for package, name, text in entries("responses")
+                if getattr(self, name) is not None
+            )
+            self._table: Any = next(tables, None)
 
         @property
         def camera(self) -> PlenopticCamera:
@@ -208,32 +204,18 @@ def make_class() -> type:
 
         def crosstalk_missed(self) -> float:
             """Return the fraction of light through lenses that are not sampled, estimated from a sample of rays."""
-            steps = [step.numpy().astype(int) for step in self._candidates.steps]
-            drawn = set(zip(*steps, strict=True))
-            around = replace(self._rays.candidates(beyond=max(self._rays.camera.mla_pitches)), limits=None)
             random = mi.PCG32(size=_CROSSTALK_RAYS)
             film_sample, lens_sample = (
                 mi.Point2f(random.next_float32(), random.next_float32()) for _ in ("film", "lens")
             )
-            pixel = self._on_detector(film_sample)
-            passage, candidate, _ = self._rays.pass_array(pixel, lens_sample, around)
-            _, _, open_ = self._rays.trace(pixel, passage)
-            beyond = mi.Bool([(int(i), int(j)) not in drawn for i, j in zip(*around.steps, strict=True)])
-            chief, cell = self._rays.chief_cell(pixel)
-            lens = (
-                index + dr.gather(mi.Float, step, candidate) for index, step in zip(cell, around.steps, strict=True)
-            )
-            missed = dr.gather(mi.Bool, beyond, candidate) | ~self._rays.tried(self._candidates, chief, *lens)
-            return int(dr.count(open_ & missed)[0]) / max(1, int(dr.count(open_)[0]))
+            return self._rays.missed(self._on_detector(film_sample), lens_sample)
 
         def chief_ray(self, film_sample: Any) -> tuple[Any, Any]:
-            """Return the ray from a film position through the centre of its lens, and whether it is transmitted.
+            """Return the ray from a film position through the centre of its lens or pupil, and whether it passes.
 
             The position is a fraction of the crop window, as in `sample_ray`.
             """
-            pixel = self._on_detector(film_sample)
-            passage, *_ = self._rays.pass_array(pixel, mi.Point2f(0.5), Candidates([mi.Float(0), mi.Float(0)]))
-            point, slope, open_ = self._rays.trace(pixel, passage._replace(point=passage.centre))
+            point, slope, open_ = self._rays.chief(self._on_detector(film_sample))
             return mi.RayDifferential3f(world_ray(self, point, slope)), open_
 
         def pupil_ray(self, pupil: Pair, position: Pair) -> tuple[Any, Any]:
@@ -254,12 +236,9 @@ def make_class() -> type:
                 px, py = self._blurred((px, py), film_sample, lens_sample)
             if self.pixel_crosstalk:
                 (px, py), lens_sample = self._through_walls((px, py), lens_sample)
-            if not self._given.has_array:
-                passage = rays.pupil_points(lens_sample)
-                point, slope, open_ = rays.trace((px, py), passage)
-                weight = weight * rays.share
-            elif self._table is not None:
+            if self._table is not None:
                 # Rays go from the whole pupil to the pixels' lenses.
+                rays = cast(CameraRays, rays)
                 position, slope, side, bright = rays.pass_pixel_lens((px, py), width, lens_sample)
                 # A pixel sees this square of the pupil through an ideal lens.
                 seen = dr.square(width * rays.lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
@@ -268,16 +247,10 @@ def make_class() -> type:
                 point, slope, open_ = rays.lens.trace(position, slope)
                 weight = weight * response
             else:
-                passage, _, tried = rays.pass_array((px, py), lens_sample, self._candidates)
-                if light is not None:
-                    passage = passage._replace(focal_length=passage.focal_length * light.mla_ratio)
-                point, slope, open_ = rays.trace((px, py), passage)
+                passage, (point, slope, open_), share, path = rays.draw((px, py), lens_sample, light)
+                weight = weight * share
                 if self._response is not None:
-                    mx, my = passage.point
-                    weight = weight * self._response(dr.hypot(mx - px, my - py), self.detector_distance)
-                before, even, _ = rays.out_of_array((px, py), passage)
-                passed = rays.passed(passage.point, before, rays.height(*passage.centre))
-                weight = weight * (tried * even * passed)
+                    weight = weight * self._response(*path)
             open_ &= active
             ray = world_ray(self, point, slope)
             # A ray of zero length hits nothing: it is cheap, and the depth and normals of dark pixels remain 0.

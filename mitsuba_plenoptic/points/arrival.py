@@ -101,17 +101,16 @@ def grids_around(
     camera, wavelength = system.camera, system.wavelength
     p, lam, radius = camera.pixel_size, in_millimetres(wavelength), lens.pupil_radius
     steepest = float((np.abs(image.cosine) + image.half_cosine).max())
-    bent = steepest + max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
-    if not camera.has_array:
-        # The pupil's edge bends light, too, and nothing else does.
-        bent = _PUPIL_BAND * steepest
+    aside = max(_KEPT_BENDS * scattering(camera), diffraction(camera, wavelength, _KEPT_ORDERS))
+    # The pupil's edge bends light, too, which counts where nothing else does.
+    bent = steepest + aside if aside else _PUPIL_BAND * steepest
     per_pixel = max(1, math.ceil(p * 2 * bent * refinement / lam))
     pitch = p / per_pixel
     # The recorded window on the detector, with a margin for light that travels sideways between MLA and detector.
     distance, medium = camera.space_behind
     sine = bent / medium
     reach = growth * distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
-    margin = math.ceil(reach / p) if camera.has_array else math.ceil(_WINDOW_EDGE / per_pixel)
+    margin = math.ceil(reach / p) if distance else math.ceil(_WINDOW_EDGE / per_pixel)
     width = np.array([camera.detector_width, camera.detector_height])
     pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p

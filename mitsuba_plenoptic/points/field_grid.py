@@ -18,7 +18,7 @@ from ..camera import PlenopticCamera
 from ..lattice import turn
 from ..lenses.main_lens import MainLens
 from ..light.microlens_orders import MicrolensArray
-from ..light.microlenses import diffraction, scattering, upright
+from ..light.microlenses import diffraction, repetition, scattering, upright
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import footprint
 from ..optics.waves import in_millimetres
@@ -75,9 +75,7 @@ class Grid:
     @property
     def lens_samples(self) -> NDArray[np.int64]:
         """Number of samples along x and y (columns) between adjacent micro-images along each lattice vector (rows)."""
-        camera = self.camera
-        basis = np.array(camera.lattice.basis) if camera.has_array else np.zeros((2, 2))
-        return np.rint(basis * camera.image_growth / self.pitch).astype(np.int64)
+        return np.rint(repetition(self.camera)[0] * self.camera.image_growth / self.pitch).astype(np.int64)
 
     @classmethod
     def of(
@@ -98,13 +96,11 @@ class Grid:
         bent = scattering(camera)
         beside = max(band.bends * bent, diffraction(camera, wavelength, band.orders))
         half_band = max(band.cone * (cosine + bent), cosine + beside)
-        if camera.has_array and camera.lattice.fills:
+        if beside and system.microlenses.fills:
             half_band = min(half_band, cosine + bent + diffraction(camera, wavelength, band.beyond))
         largest = in_millimetres(wavelength) / (2 * half_band)
         largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
-        # Without an array nothing needs to repeat, and pixels serve as well.
-        step = camera.lattice.grid_step if camera.has_array else (camera.pixel_size,) * 2
-        steps = np.array(step) * camera.image_growth
+        steps = repetition(camera)[1] * camera.image_growth
         check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
         return cls(

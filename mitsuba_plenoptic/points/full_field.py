@@ -133,7 +133,7 @@ def _arrival(
 
 def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
     """Return the spectrum, on the detector, of the field that reaches the MLA, whose memory is reused."""
-    if microlenses and system.camera.has_array:
+    if microlenses and system.microlenses.axes:
         pass_brightness(system, grids, samples)
         before = _passed_power(system, grids, samples)
         pass_microlenses(system, grids, samples)

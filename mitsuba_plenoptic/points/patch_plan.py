@@ -71,7 +71,7 @@ class PatchPlan:
         self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
         # Lenses at uneven distances share nothing.
-        shared &= camera.has_array and not camera.mla_warp
+        shared &= bool(self._grid.lens_samples.any()) and not camera.mla_warp
         step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)

@@ -80,7 +80,7 @@ def _pixel(experiment: Experiment, ordinary: Ordinary, name: str) -> float:
     """Return the width in the plane in focus of a picture's pixels or bins, in millimetres."""
     camera, distance = ordinary.capture.camera, ordinary.distance
     if name == ORDINARY:
-        return camera.pixel_size * distance / camera.mla_distance
+        return camera.pixel_in_object(distance)
     return experiment.camera.bin_size(distance)
 
 

@@ -123,7 +123,8 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     A pixel sees a part of the scene, through all of its lens and so through a part of the pupil. Its ground truth is
     that of one ray, from its middle through the centre of its lens. A sample of the light field from `decode`
     represents a point of the pupil and a bin; its ground truth is that of the ray through these two, whichever pixels
-    it is interpolated from. Rays end at the first surface, as in Mitsuba's integrator ``aov``: also at mirrors, glass,
+    it is interpolated from. Without a microlens array there are pixels alone, whose rays pass the middle of the pupil.
+    Rays end at the first surface, as in Mitsuba's integrator ``aov``: also at mirrors, glass,
     masks and cut-outs. Only ``virtual_depth`` follows rays over plane mirrors, up to eight in a row; pixels where it
     exceeds ``depth`` show a mirror. Curved mirrors, and surfaces that also scatter or transmit light, are not followed.
 
@@ -159,11 +160,7 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
     names = require_quantities([names] if isinstance(names, str) else names)
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
-    camera.require_array("ground_truth")
-    regular = regular_array(camera)
-    bins = bin_grid(regular)
-    half, _ = view_window(regular, lens_grid(regular))
-    sizes = (2 * half + 1, 2 * half + 1, *bins.shape)
+    sizes, of_views = _rays_of_views(camera, chosen) if camera.has_array else ((0, 0, 0, 0), None)
     rows, columns = camera.shape
     values = sum(len(QUANTITIES[name]) for name in names)
     require_memory(
@@ -177,19 +174,8 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
         position = mi.Point2f((index - row * columns + 0.5) / columns, (row + 0.5) / rows)
         return chosen.chief_ray(position)
 
-    pupil = drjit_array(mi.Float, pupil_places(camera, sizes[0]))
-    across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))
-
-    def of_views(index: Any) -> tuple[Any, Any]:
-        found = []
-        for size, coordinates in zip(sizes[::-1], (across, down, pupil, pupil), strict=True):
-            rest = index // size
-            found.append(dr.gather(mi.Float, coordinates, index - rest * size))
-            index = rest
-        s, t, u, v = found
-        return chosen.pupil_ray((u, v), (s, t))
-
-    pixels, views = hits.along(of_pixels, rows * columns), hits.along(of_views, math.prod(sizes))
+    pixels = hits.along(of_pixels, rows * columns)
+    views = hits.along(of_views, math.prod(sizes)) if of_views else {}
     return GroundTruth(
         camera,
         {name: values.reshape(rows, columns, *values.shape[1:]) for name, values in pixels.items()},
@@ -197,3 +183,26 @@ def ground_truth(scene: Any, names: Iterable[str] = tuple(QUANTITIES), *, sensor
         tuple(shape.id() for shape in scene.shapes()),
         np.array(chosen.world_transform().matrix, np.float64).reshape(4, 4),
     )
+
+
+def _rays_of_views(
+    camera: PlenopticCamera, sensor: Any
+) -> tuple[tuple[int, int, int, int], Callable[[Any], tuple[Any, Any]]]:
+    """Return the shape (v, u, t, s) of the light field of a camera, and the rays of its samples by their indices."""
+    regular = regular_array(camera)
+    bins = bin_grid(regular)
+    half, _ = view_window(regular, lens_grid(regular))
+    (rows, columns), views = bins.shape, 2 * half + 1
+    pupil = drjit_array(mi.Float, pupil_places(camera, views))
+    across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))
+
+    def rays(index: Any) -> tuple[Any, Any]:
+        found = []
+        for size, coordinates in ((columns, across), (rows, down), (views, pupil), (views, pupil)):
+            rest = index // size
+            found.append(dr.gather(mi.Float, coordinates, index - rest * size))
+            index = rest
+        s, t, u, v = found
+        return sensor.pupil_ray((u, v), (s, t))
+
+    return (views, views, rows, columns), rays

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from math import erf
 
 import mitsuba as mi
@@ -205,7 +206,8 @@ class TestCrosstalk:
         """The ray camera is made to try one lens only: a quarter of the light is missed, and nothing is rendered."""
         scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
         render_capture(scene, spp=1)
-        scene.sensors()[0]._candidates = Candidates([mi.Float(0), mi.Float(0)])
+        sensor = scene.sensors()[0]
+        sensor._rays = replace(sensor._rays, around=Candidates([mi.Float(0), mi.Float(0)]))
         with pytest.raises(PhysicsError, match=r"^27\..*through microlenses that are too far"):
             render_capture(scene, spp=1)
 

@@ -109,15 +109,15 @@ def test_colours_are_those_of_lenses_at_their_wavelengths():
     mi.set_variant("llvm_ad_rgb")
     sensor = camera.to_sensor()
     sensor["film"]["pixel_format"] = "rgb"
-    mean, variance = rendered(sensor, 0)
+    mean, variance = rendered(sensor, 0, spp=512)
     mi.set_variant("llvm_ad_mono")
     for channel, wavelength in enumerate((611.4, 549.1, 464.3)):
         colour = mean[..., [channel]], variance[..., [channel]]
-        own = rendered(camera.at_wavelength(wavelength).to_sensor(), 100)
+        own = rendered(camera.at_wavelength(wavelength).to_sensor(), 100, spp=512)
         assert disagreement(colour, own) < 1.4
         if channel != 1:
             # Green is next to the line d, whose focal length is that without the glass.
-            assert disagreement(colour, rendered(camera.replace(glass=None).to_sensor(), 100)) > 1.6
+            assert disagreement(colour, rendered(camera.replace(glass=None).to_sensor(), 100, spp=512)) > 1.6
 
 
 @pytest.mark.parametrize("lens", [{}, {"main_lens": "double_gauss"}], ids=["thin", "prescription"])
@@ -269,6 +269,8 @@ def test_every_parameter_of_an_array_is_one():
         "mla_distance",
         "mla_lattice",
         "detector_width",
+        "pixel_crosstalk",
+        "pixel_response",
     }
 
 
@@ -305,7 +307,7 @@ def test_files_and_sensors_keep_the_camera(given):
 
 def test_cameras_are_replaced_both_ways():
     thin = {name: value for name, value in ordinary().to_dict().items() if name != "mla_lattice"}
-    array = PlenopticCamera(**thin, mla_pitch=0.1, pixel_crosstalk=0.1)
+    array = PlenopticCamera(**thin, mla_pitch=0.1, mla_tilt=(1.0, 0.0))
     assert array.replace(mla_lattice="none") == ordinary()
     assert ordinary().replace(mla_lattice="square") == PlenopticCamera(**thin)
     assert ordinary().replace(mla_lattice="hexagonal", mla_pitch=0.2).mla_pitches == (0.2, 0.2)
@@ -374,7 +376,6 @@ CALLS = {
         "micro_images": lambda made, camera: views.micro_images(made),
         "white_image": lambda made, camera: views.white_image(camera),
         "lens_grid": lambda made, camera: views.lens_grid(camera),
-        "ground_truth": lambda made, camera: mp.ground_truth(scene_of(camera.to_sensor(), **depths())),
         "reconstruct": lambda made, camera: mp.reconstruct(made, 280.0),
         "coherent": lambda made, camera: mp.reconstruct(made, 280.0, method="coherent", wavelength=550.0),
         "estimate": lambda made, camera: mp.estimate_reconstruction(made, 280.0),
@@ -393,6 +394,8 @@ CALLS = {
         "DeconvolvedRefocus": lambda made, camera: mp.refocus.DeconvolvedRefocus(camera, 280.0),
         "fit": lambda made, camera: mp.fit(camera, [], ["focal_length"]),
         "lattice_from_white": lambda made, camera: mp.fitting.lattice_from_white(camera, made.image),
+        "maximise": lambda made, camera: mp.optimisation.maximise(None, camera, {"focal_length": (45, 55)}),
+        "information": lambda made, camera: mp.optimisation.DepthInformation(POINTS, 1e4).value(camera),
         "contrast": lambda made, camera: mp.optimisation.RefocusedContrast(camera, POINTS, [1.0], wavelength=550.0),
     },
     "calibrate": {
@@ -424,7 +427,6 @@ COMMANDS = {
         "depth CAPTURE -o out.exr",
         "convert CAPTURE -o out.nc",
         "compare letters -o out --camera CAMERA --distance 280",
-        "render letters -o out.exr --camera CAMERA --aov depth --spp 1",
         "info CAMERA --microlens out.png",
     ),
     "inverse": ("fit CAPTURE -o out.json --scene letters --photons 9 --parameter focal_length",),
@@ -467,6 +469,65 @@ def test_commands_that_need_an_array_write_nothing(words, capture, tmp_path, mon
     assert main(words.replace("CAPTURE", "raw.exr").replace("CAMERA", "camera.json").split()) == 2
     assert "mla_lattice = none: the camera has no microlens array" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_ground_truth_is_that_of_rays_through_the_middle_of_the_pupil(tmp_path, monkeypatch):
+    """Squares of the scene by similar triangles."""
+    monkeypatch.chdir(tmp_path)
+    camera = ordinary(resolution=(96, 64))
+    scene = scene_of(camera.to_sensor(), **depths())
+    truth = mp.ground_truth(scene, ["depth", "shape_index"])
+    x, y = (-camera.pixel_coordinates(axis) / camera.mla_distance for axis in (0, 1))
+    expected, names = np.full(camera.shape, np.inf), np.full(camera.shape, "", object)
+    # The nearest last.
+    squares = {"far": (600.0, 0, 0, 80, 80), "focused": (300.0, -14, 4, 16, 16), "near": (200.0, 10, 0, 3, 40)}
+    for name, (g, left, up, wide, high) in squares.items():
+        hit = (abs(g * x - left) < wide) & (abs(g * y - up) < high)[:, None]
+        expected[hit], names[hit] = g, name
+    assert truth.views == {} and np.array_equal(np.isinf(truth.pixels["depth"]), np.isinf(expected))
+    np.testing.assert_allclose(truth.pixels["depth"], expected, rtol=1e-5)
+    assert np.array_equal(np.array(["", *truth.shapes], object)[truth.pixels["shape_index"].astype(int)], names)
+    mp.write_ground_truth("a.truth.exr", truth)
+    again = mp.read_ground_truth("a.truth.exr")
+    assert again.views == {} and np.array_equal(again.pixels["depth"], truth.pixels["depth"])
+
+
+PIXELS = {"pixel_response": (0.0, 1.0, 4.0, 0.8, 8.0, 0.1)}
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_pixels_respond_by_the_direction_of_light(model):
+    """The mean of the response over the pupil, whose direction is that from its points to the pixel."""
+    camera = ordinary(aperture_radius=5.0, **PIXELS)
+    found = render_capture(scene_of(camera.to_sensor(), **WHITE), model=model, spp=2**13).image
+    P = np.linspace(-5, 5, 200)
+    inside = np.hypot(P, P[:, None]) <= 5
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    expected = np.empty(camera.shape)
+    for row, column in np.ndindex(*camera.shape):
+        angle = np.degrees(np.arctan(np.hypot(P - x[column], P[:, None] - y[row]) / camera.mla_distance))
+        expected[row, column] = np.interp(angle, PIXELS["pixel_response"][::2], PIXELS["pixel_response"][1::2])[
+            inside
+        ].mean()
+    assert np.ptp(expected) > 0.2 and found == pytest.approx(expected, abs=0.015)
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_light_crosses_the_walls_between_pixels(model):
+    camera = ordinary(resolution=(12, 12), detector_width=1.2, aperture_radius=2.0)
+    place = camera.pixel_coordinates(0)[5] * 300.0 / camera.mla_distance
+    # Its image is smaller than a pixel.
+    lamp = {"lamp": facing(300.0, 0.15, (-place, -place), **radiating())}
+
+    def taken(**changes):
+        spp = 2**15 if model == "ray" else 2**12
+        return render_capture(scene_of(camera.replace(**changes).to_sensor(), **lamp), model=model, spp=spp).image
+
+    image, plain = taken(pixel_crosstalk=0.05), taken()
+    assert plain[5, 5] > 0.9 * plain.sum()
+    for row, column in ((5, 4), (5, 6), (4, 5), (6, 5)):
+        assert image[row, column] - plain[row, column] == pytest.approx(0.05 * plain[5, 5], rel=0.15)
+    assert image[5, 5] == pytest.approx(0.8 * plain[5, 5], rel=0.05)
 
 
 def test_commands_render_and_describe_it(tmp_path, monkeypatch, capsys):

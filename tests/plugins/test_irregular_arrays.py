@@ -81,7 +81,7 @@ def test_noise_and_light_of_many_candidates(more):
     camera = CAMERA.replace(**more)
     scene = mi.load_dict({"type": "scene", "s": camera.to_sensor(), "i": {"type": "path"},
                           "e": {"type": "constant"}})  # fmt: skip
-    assert len(scene.sensors()[0]._candidates.steps[0]) > 1
+    assert len(scene.sensors()[0]._rays.around.steps[0]) > 1
     images = np.stack([np.array(mi.render(scene, spp=16, seed=seed))[..., 0] for seed in range(6)])
     window = np.outer(np.hanning(514)[1:-1], np.hanning(514)[1:-1])
     assert np.average(images.mean(0), weights=window) == pytest.approx(design.white_mean(camera), rel=2e-3)

@@ -162,7 +162,7 @@ def test_cameras_with_slow_lenses_try_no_more_of_them(camera_dict):
     """The paper's lenses need one each, by slopes or direction cosines."""
     for model in ("ideal", "parabolic"):
         camera = PlenopticCamera(lens_model=model)
-        assert len(mi.load_dict(camera.to_sensor())._candidates.steps[0]) == 1
+        assert len(mi.load_dict(camera.to_sensor())._rays.around.steps[0]) == 1
 
 
 def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):

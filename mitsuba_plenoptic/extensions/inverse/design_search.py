@@ -84,10 +84,12 @@ def maximise(
     Raises
     ------
     InputError
-        If a name or a bound is wrong, the camera lies outside them, or the figure is not finite at some camera.
+        If a name or a bound is wrong, the camera lies outside them or has no microlens array, or the figure is not
+        finite at some camera.
     """
     from scipy.optimize import minimize
 
+    camera.require_array("maximise")
     camera = regular_array(camera)
     labels: list[str] = []
     for name in bounds:

@@ -259,6 +259,7 @@ class DepthInformation:
 
     def expected(self, camera: PlenopticCamera) -> list[NDArray[np.float64]]:
         """Return the expected photon counts, (n, rows, columns), and their derivatives with respect to X, Y and g."""
+        camera.require_array("DepthInformation")
         photons = self._photons
         slopes = []
         for move in self._moves(camera):

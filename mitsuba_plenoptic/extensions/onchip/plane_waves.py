@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...camera.plenoptic_camera import require_round
 from ...errors import InputError, refuse_if, short_repr
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Walk
@@ -59,6 +60,7 @@ _ALONG = 9
 
 def pixels_per_lens(camera: PlenopticCamera) -> int:
     """Return the number of pixels across a lens; refuse cameras that photodiode responses do not describe."""
+    require_round(camera, "waves are followed to lenses of a few wavelengths")
     for name, refused, rule in (
         ("mla_lattice", camera.mla_lattice != "square", '"square"'),
         ("mla_rotation", camera.mla_rotation != 0, "0"),

@@ -21,7 +21,8 @@ def mtf(
     source: Annotated[
         Path,
         typer.Argument(
-            metavar="CAPTURE", help="A capture, which is refocused to --distance, or a file that 'reconstruct' wrote."
+            metavar="CAPTURE",
+            help="A capture, which is refocused to --distance, one without microlenses, or what 'reconstruct' wrote.",
         ),
         RECORDING,
     ],
@@ -44,13 +45,16 @@ def mtf(
     """Measure the modulation transfer function from one slanted edge in a refocused image.
 
     The edge may lie anywhere, turned by 1 to 20 degrees against the bins. The transfer function is measured across the
-    edge, for camera and reconstruction together, in cycles per bin and in line pairs per millimetre of the object.
+    edge, for camera and reconstruction together, in cycles per bin and in line pairs per millimetre of the object. In a
+    capture without a microlens array, bins are pixels, and millimetres are those of the plane in focus.
 
     [bold]Examples:[/bold]
 
       mitsuba-plenoptic mtf raw.exr --distance 240
 
       mitsuba-plenoptic mtf out.exr --region 20,30,60,40
+
+      mitsuba-plenoptic mtf photograph.exr
     """
     known = named_camera(camera)
     if distance is not None:
@@ -65,7 +69,7 @@ def mtf(
     if distance is None:
         for name, value in given.items():
             refuse_if(value is not None, f"--{name}: it is for captures, with --distance; leave it out")
-        seen = read_reconstruction(source)
+        seen = _photograph(source) or read_reconstruction(source)
     else:
         recorded = read_recorded(source, known, linear)
         (seen,) = refocus(recorded, [distance], method=method or "ray", oversample=oversample or 1)
@@ -81,6 +85,21 @@ def mtf(
     for tenth in range(1, 11):
         frequency = tenth / 20
         typer.echo(f"{frequency:.2f} cycles per bin  {frequency * per_bin:9.4g} per {unit}  {found.at(frequency):.3f}")
+
+
+def _photograph(source: Path) -> Reconstruction | None:
+    """Return a capture without a microlens array as an image of the plane in focus; None for other files."""
+    from ...io.captures import read_capture
+    from ...io.exr import read_attributes
+    from ...refocus import Reconstruction
+
+    if source.suffix.lower() != ".exr" or read_attributes(source).get("kind") != "capture":
+        return None
+    capture = read_capture(source)
+    camera, focus = capture.camera, capture.camera.focus_distance
+    if camera.refocuses:
+        return None
+    return Reconstruction(capture.image, focus, camera.pixel_in_object(focus), "none", camera)
 
 
 def _parsed(region: str | None, seen: Reconstruction) -> tuple[int, int, int, int]:

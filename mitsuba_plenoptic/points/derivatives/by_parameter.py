@@ -196,7 +196,7 @@ class VaryingParameters:
         """Return `units.brightness` as a function of these parameters."""
         get = self._parameters
         pixel = get["detector_width"][0] / camera.resolution[0]
-        if not camera.has_array:
+        if not get["detector_distance"]:
             return detector_brightness(get["mla_distance"][0], pixel)
         lattice = self._lattice(get, camera, (0.0, 0.0))
         return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0] / camera.mla_medium, pixel)

@@ -52,3 +52,16 @@ def test_regions_are_refused(text, refocused, complaint):
 
 def test_options_of_captures_are_refused_for_reconstructions(refocused, complaint):
     assert complaint("mtf", refocused[0], "--method", "ray").startswith("--method: it is for captures, with --distance")
+
+
+def test_captures_without_microlenses_are_measured_themselves(refocused, tmp_path, run, complaint):
+    camera = mp.PlenopticCamera(
+        mla_lattice="none", focal_length=50, focus_distance=300, resolution=(60, 60), detector_width=6
+    )
+    path = tmp_path / "photograph.exr"
+    mp.write_capture(path, mp.Capture(refocused[1].image, camera))
+    text, pixel = run("mtf", path), 0.1 * 300 / camera.mla_distance
+    half, per_mm = re.search(r"half the contrast at (\S+) cycles per bin, (\S+) per mm", text).groups()
+    assert float(per_mm) == pytest.approx(float(half) / pixel, rel=0.01)
+    assert float(half) == pytest.approx(float(re.search(r"at (\S+) cycles", run("mtf", refocused[0]))[1]), rel=1e-3)
+    assert complaint("mtf", path, "--distance", "300").startswith("reconstruct: mla_lattice = none")

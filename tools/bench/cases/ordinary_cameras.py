@@ -75,7 +75,7 @@ def accuracy(
         }  # fmt: skip
 
 
-def _scene_of(kind: str, airy: float, film: int) -> mi.Scene:
+def noisy_scene(kind: str, airy: float, film: int) -> mi.Scene:
     """Return a scene of the noise's table: a wall whose texels pixels divide, or a small lamp before a dim wall."""
     camera = camera_of(airy, film)
     if kind == "textured wall":
@@ -108,7 +108,7 @@ def noise(
     """Take the variance of pixels over seeds."""
     mi.set_variant("llvm_ad_mono")
     for kind, airy, spp in itertools.product(scenes, pixels, samples):
-        scene, taken = _scene_of(kind, airy, film), {}
+        scene, taken = noisy_scene(kind, airy, film), {}
         for model, options in (("ray", {}), ("wave", {"wavelength": WAVELENGTH})):
             images = [render_capture(scene, model=model, spp=spp, seed=seed, **options).image for seed in range(seeds)]
             taken[model] = np.array(images, np.float64)
@@ -117,6 +117,43 @@ def noise(
             "scene": kind, "airy": airy, "spp": spp, "ratio": variance["wave"] / variance["ray"],
             "light": float(taken["wave"].mean() / taken["ray"].mean()),
         }  # fmt: skip
+
+
+@case(
+    "ordinary.bias",
+    "Mean of many wave captures of few samples by an ordinary camera against captures of many samples",
+    {
+        "scene": "{scene}", "pixel (Airy radii)": "{airy:g}", "samples": "{spp}", "light": "{light:.4f}",
+        "its noise": "{noise:.4f}", "squared difference over noise": "{ratio:.2f}",
+    },
+    (at_most("ratio", 2.0), at_most("deviation", 4.0)),
+    page="docs/theory/ordinary.md",
+    quick={"pixels": (1.0,), "samples": (8,), "film": 16, "many": 256},
+)  # fmt: skip
+def bias(
+    *,
+    scenes: tuple[str, ...] = ("textured wall", "lamp"),
+    pixels: tuple[float, ...] = (0.5, 1.0, 4.0),
+    samples: tuple[int, ...] = (2, 8, 32),
+    film: int = 24,
+    many: int = 1024,
+) -> Iterator[Row]:
+    """Take means over as many captures as have 512 samples together, and over eight of many samples."""
+    mi.set_variant("llvm_ad_mono")
+    for kind, airy in itertools.product(scenes, pixels):
+        scene = noisy_scene(kind, airy, film)
+        options = {"model": "wave", "wavelength": WAVELENGTH}
+        known = np.array([render_capture(scene, spp=many, seed=10**6 + s, **options).image for s in range(8)], float)
+        for spp in samples:
+            few = np.array([render_capture(scene, spp=spp, seed=s, **options).image for s in range(512 // spp)], float)
+            variance = sum(images.var(0, ddof=1).sum() / len(images) for images in (few, known))
+            light = few.sum((1, 2)) / known.sum((1, 2)).mean()
+            error = float(light.std(ddof=1)) / math.sqrt(len(light))
+            yield {
+                "scene": kind, "airy": airy, "spp": spp, "light": float(light.mean()), "noise": error,
+                "ratio": float(((few.mean(0) - known.mean(0)) ** 2).sum() / variance),
+                "deviation": abs(float(light.mean()) - 1) / error,
+            }  # fmt: skip
 
 
 def _captured(resolution: int, spp: int, model: str, seed: int = 0) -> np.ndarray:

@@ -21,7 +21,8 @@ from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.light.phase_space import PhaseSpace, plan_of
+from mitsuba_plenoptic.light.phase_space import PhaseSpace
+from mitsuba_plenoptic.light.scheme import plan_of
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.light.signed_rays import SignedRaySum
 from mitsuba_plenoptic.points.units import brightness_at, brightness_of, radiance_weight

@@ -64,7 +64,9 @@ def white(*, samples: int = 128) -> Iterator[Row]:
     light, dark = pictures()
     nominal = PlenopticCamera.preset("lfm_water")
     for name, wavelength in (("waves", 510.0), ("rays", None)):
-        found, _, seconds = once(lambda wavelength=wavelength: fit_white(light, nominal, dark=dark, wavelength=wavelength))
+        found, _, seconds = once(
+            lambda wavelength=wavelength: fit_white(light, nominal, dark=dark, wavelength=wavelength)
+        )
         judged = found.judgement
         if wavelength:
             scatter = scatter_of_lenses(found)

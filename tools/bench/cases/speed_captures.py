@@ -27,7 +27,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from mitsuba_plenoptic import Cluster, Job, PlenopticCamera, cli, estimate_capture, load_scene, render_capture
-from mitsuba_plenoptic.light import array_kernels, phase_space, signed_rays
+from mitsuba_plenoptic.light import array_kernels, phase_space, scheme, signed_rays
 from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY, find_patterns
 from mitsuba_plenoptic.points.patch import PatchBatch
 from mitsuba_plenoptic.points.recorder import Recorder
@@ -451,7 +451,7 @@ def accuracy(
 
 def _forget_plans() -> None:
     """Clear what is kept of plans, which do not state the constants that are replaced here."""
-    for cached in (phase_space.plan_of, signed_rays._kernels_of, signed_rays._convolution_of):
+    for cached in (scheme.plan_of, signed_rays._kernels_of, signed_rays._convolution_of):
         cached.cache_clear()
 
 

@@ -1,0 +1,40 @@
+"""The choice between cameras with and without a microlens array: how diffraction is planned, and rays are drawn."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+from ..camera import PlenopticCamera
+from .phase_space import PhaseSpace
+from .pixel_draws import PixelDraws
+from .pupil_diffraction import PupilDiffraction
+from .signed_draws import Draws
+
+Plan = PhaseSpace | PupilDiffraction
+"""The diffraction of a camera at one wavelength, as functions of rays and kernels of images."""
+
+
+class Scheme(NamedTuple):
+    """The classes that serve a camera's wave captures."""
+
+    plan: type[Plan]
+    draws: type[Draws] | type[PixelDraws]
+
+
+def scheme_of(camera: PlenopticCamera) -> Scheme:
+    """Return the classes that serve a camera."""
+    return Scheme(PhaseSpace, Draws) if camera.has_array else Scheme(PupilDiffraction, PixelDraws)
+
+
+@functools.lru_cache(maxsize=16)
+def plan_of(
+    camera: PlenopticCamera, wavelength: float, fine: bool, shortest: float, longest: float | None = None
+) -> Plan:
+    """Return a usual or a finer plan of a camera, cached for further captures.
+
+    `shortest` and `longest` are the extreme wavelengths among the capture's plans.
+    """
+    if not camera.has_array:
+        return PupilDiffraction(camera, wavelength, fine, shortest)
+    return PhaseSpace.of(camera, wavelength, fine, shortest, longest)
