@@ -269,6 +269,7 @@ def test_every_parameter_of_an_array_is_one():
         "mla_distance",
         "mla_lattice",
         "detector_width",
+        "detector_blur",
     }
 
 
