@@ -271,6 +271,7 @@ def test_every_parameter_of_an_array_is_one():
         "detector_width",
         "pixel_crosstalk",
         "pixel_response",
+        "detector_blur",
     }
 
 
