@@ -14,6 +14,7 @@ import argparse
 import base64
 import io
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -32,9 +33,12 @@ from picture_layout import DPI, WIDTH, coloured, drawn, in_browser, narrowed, sh
 from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.errors import require_choice
+from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
 from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
 from mitsuba_plenoptic.fitting import View
+from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
@@ -194,6 +198,14 @@ def ordinary() -> Image.Image:
         make = partial(in_colour, mp.PlenopticCamera(aperture_radius=radius, **size), 128, model)
         row.append((f"f/{40 / radius:g}, {model}s", stored(f"ordinary_{model}_{radius:g}", make).image))
     return sheet([row])
+
+
+@picture
+def real_camera() -> Image.Image:
+    """Show the white picture of a real microscope beside that of the camera fitted to it."""
+    folder = Path(os.environ["MITSUBA_PLENOPTIC_DATA"]) / "antleg"
+    white, dark = (read_picture(folder / name, linear=True) for name in ("radiometry_frame.png", "dark_frame.tif"))
+    return drawn(white_figure(fit_white(white, mp.PlenopticCamera.preset("lfm_water"), dark=dark, wavelength=510.0)))
 
 
 @picture

@@ -1,0 +1,89 @@
+"""Vignetting: micro-images of an even scene show the transmission of the pupil from each place of the array."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import scipy.ndimage
+
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Vignetting, reconstruct, render_capture
+from mitsuba_plenoptic.views import white_image
+
+VIGNETTING = Vignetting(
+    radius=[0.95, 0.0, 0.0, -0.15, 0.02, -0.1], scale=0.6, ellipse_x=[0.03, 0.02, 0.0], ellipse_y=[0.02],
+    slope_x=[0.1, 0.1, 0.0], slope_y=[-0.05], apodisation_2=[-0.2], apodisation_4=[0.05],
+)  # fmt: skip
+
+# The detector is in the image of the pupil, so that a pixel sees one place of it through the whole lens.
+CAMERA = PlenopticCamera(
+    focal_length=50, aperture_radius=3.5, mla_distance=60, mla_focal_length=1.2, detector_distance=60 / 49,
+    mla_pitch=0.15, detector_width=1.2, resolution=(240, 160), vignetting=VIGNETTING,
+)  # fmt: skip
+
+
+def expected(camera):
+    """Transmission at the pupil points that pixels see through the centres of their lenses."""
+    x, y = np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1))
+    scale = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
+    cx, cy = (np.floor(value * scale / camera.mla_pitch) + 0.5 for value in (x, y))
+    cx, cy = cx * camera.mla_pitch, cy * camera.mla_pitch
+    pupil = [
+        (c - (p - c) * camera.mla_distance / camera.detector_distance) / camera.pupil_radius
+        for p, c in ((x, cx), (y, cy))
+    ]
+    inside = np.hypot(*pupil) <= 1
+    return inside * camera.vignetting.power(*pupil, cx, cy)
+
+
+def captured(camera, model, spp):
+    scene = {"type": "scene", "lamp": {"type": "constant"}, "camera": camera.to_sensor(), "i": {"type": "direct"}}
+    return render_capture(
+        mi.load_dict(scene), model=model, spp=spp, **({"wavelength": 550.0} if model == "wave" else {})
+    )
+
+
+def test_micro_images_are_the_transmission_of_the_pupil():
+    wanted, white, rays = expected(CAMERA), white_image(CAMERA), captured(CAMERA, "ray", 64).image
+    # Away from the rim, which moves over a lens, a pixel's mean is its middle's value.
+    inside = scipy.ndimage.binary_erosion(wanted > 0, iterations=3)
+    assert inside.mean() > 0.3
+    assert np.abs(white - wanted)[inside].max() < 0.02
+    assert np.sqrt((rays - wanted)[inside].var()) < 0.01
+    assert white.mean() == pytest.approx(wanted.mean(), rel=0.005)
+    # Lenses at the border see a smaller pupil.
+    assert wanted[:61, :61].mean() < 0.85 * wanted[49:110, 89:150].mean()
+
+
+def test_waves_have_the_vignetting_of_rays():
+    waves, white = captured(CAMERA, "wave", 32).image, white_image(CAMERA)
+    assert waves.mean() == pytest.approx(white.mean(), rel=0.01)
+    # Diffraction blurs rims by a pixel.
+    blocks = [image.reshape(16, 10, 24, 10).mean((1, 3)) for image in (waves, white)]
+    assert np.sqrt(((blocks[0] - blocks[1]) ** 2).mean()) < 0.02 * blocks[1].mean()
+    plain = white_image(CAMERA.replace(vignetting=None)).reshape(16, 10, 24, 10).mean((1, 3))
+    assert np.sqrt(((blocks[0] - plain) ** 2).mean()) > 0.1 * plain.mean()
+
+
+def test_other_methods_refuse_by_name():
+    capture = captured(CAMERA, "ray", 4)
+    with pytest.raises(InputError, match=r"^vignetting"):
+        reconstruct(capture, 300, method="coherent", wavelength=550)
+    assert reconstruct(capture, 300, method="ray").image.max() > 0.8
+    with pytest.raises(InputError, match=r"^vignetting"):
+        CaptureOperator(CAMERA, [[0, 0, 300]], wavelength=550)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"radius": [1, 0]}, "radius = .*: it has 1, 3, 6, 10, 15 coefficients"),
+        ({"radius": [1], "slope_x": [np.nan]}, "slope_x"),
+        ({"radius": [1], "scale": 0}, "scale"),
+        ({"radius": [1], "slope": [0]}, "slope"),
+        ({"scale": 1}, "radius is missing"),
+    ],
+)
+def test_bad_input(given, words):
+    with pytest.raises(InputError, match=words):
+        PlenopticCamera(vignetting=given)
