@@ -205,7 +205,8 @@ def real_camera() -> Image.Image:
     """Show the white picture of a real microscope beside that of the camera fitted to it."""
     folder = Path(os.environ["MITSUBA_PLENOPTIC_DATA"]) / "antleg"
     white, dark = (read_picture(folder / name, linear=True) for name in ("radiometry_frame.png", "dark_frame.tif"))
-    return drawn(white_figure(fit_white(white, mp.PlenopticCamera.preset("lfm_water"), dark=dark, wavelength=510.0)))
+    found = fit_white(white, mp.PlenopticCamera.preset("lfm_water"), dark=dark, wavelength=510.0)
+    return narrowed(drawn(white_figure(found)), 820)
 
 
 @picture

@@ -18,7 +18,6 @@ from ..errors import (
     LEAST_FILL,
     MOST_SEED,
     STEEPEST_TILT,
-    naming,
     require_chief_rays,
     require_choice,
     require_count,
@@ -37,9 +36,9 @@ from ..extension import entries, place
 from ..lattice import APERTURES, LATTICES, NO_LATTICE
 from ..microlens.shape import MicrolensShape, known_shape
 from ..prescription import Glass
-from ..prescription.glass import LINE_D
+from ..prescription.glass import known_glass
 from ..prescription.lens_data import LensData
-from ..prescription.lens_file import lens_from_plain, read_lens
+from ..prescription.lens_file import known_lens
 from .aperture import Aperture, Blades, known_blades, known_image, require_alone
 from .entry import Captures, Form, Parameter, one, one_if_equal, one_if_single, record
 from .lens_transmissions import LensTransmissions, known_transmissions
@@ -57,23 +56,6 @@ MOST_APODISATION = 4.0
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
 
 _Glass = Glass | str | float | dict[str, Any]
-
-
-def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:
-    """Return a main lens from any of its forms; None means a thin lens."""
-    if value is None or isinstance(value, LensData):
-        return value
-    return read_lens(value) if isinstance(value, (str, Path)) else lens_from_plain(value)
-
-
-def known_glass(name: str, value: Any) -> Glass | None:
-    """Return the glass of a lens from any of its forms; it must have a refractive index at the d line (587.6 nm)."""
-    if value is None:
-        return None
-    glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
-    with naming(name):
-        glass.focal_ratio(LINE_D)
-    return glass
 
 
 @record

@@ -12,7 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, refuse_if, refusing, require_known, require_number, require_wavelength, short_repr
+from ..errors import (
+    InputError,
+    naming,
+    refuse_if,
+    refusing,
+    require_known,
+    require_number,
+    require_wavelength,
+    short_repr,
+)
 
 LINE_D, LINE_F, LINE_C = 587.5618, 486.1327, 656.2725
 """Wavelengths in nanometres at which catalogues give index and Abbe number: helium d, hydrogen F and C."""
@@ -282,3 +291,13 @@ def _catalogued() -> tuple[_Entry, ...]:
         low, high = (1e3 * float(row[f"{end}_wavelength"] or "nan") for end in ("min", "max"))
         found[file] = _Entry(maker, name, file, low, high)
     return tuple(found.values())
+
+
+def known_glass(name: str, value: Any) -> Glass | None:
+    """Return the glass of a lens from any of its forms; it must have a refractive index at the d line (587.6 nm)."""
+    if value is None:
+        return None
+    glass = value if isinstance(value, Glass) else Glass.from_plain(value, name)
+    with naming(name):
+        glass.focal_ratio(LINE_D)
+    return glass

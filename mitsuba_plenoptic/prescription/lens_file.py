@@ -75,3 +75,10 @@ def read_prescription(source: str | Path, resolve: Callable[[str], str] = str) -
 def lens_from_plain(value: Any) -> LensData:
     """Return the main lens of plain data: a prescription, unless an entry marks another kind."""
     return known_kind(value, Prescription).from_plain(value)
+
+
+def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:
+    """Return a main lens from any of its forms; None means a thin lens."""
+    if value is None or isinstance(value, LensData):
+        return value
+    return read_lens(value) if isinstance(value, (str, Path)) else lens_from_plain(value)

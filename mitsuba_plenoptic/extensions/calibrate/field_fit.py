@@ -26,7 +26,7 @@ _STEPS = dict.fromkeys(NUMBERS, 0.01) | {"stray": 0.001, "ellipse_x": 0.002, "el
 """Steps of differences that give derivatives."""
 
 _ZONES, ZONE_LENSES = 8, 24
-"""Zones of the field along a side, at most, and lenses of a zone that a fit uses."""
+"""FieldZones of the field along a side, at most, and lenses of a zone that a fit uses."""
 
 _REPEATS, _CONVERGED = 12, 1e-4
 """Steps of a fit at most, and the relative change of the residual that ends it."""
@@ -95,7 +95,7 @@ def solved(equations: np.ndarray, damping: float = 0.0) -> np.ndarray:
     return np.asarray(np.linalg.solve(normal, equations[:, -1] / scale) / scale)
 
 
-class Zones:
+class FieldZones:
     """Squares of the field, each with lenses of a picture."""
 
     def __init__(
@@ -233,7 +233,7 @@ class WhiteRecording:
         slopes -= (np.einsum("nlp,lp->nl", slopes, weight * image) / power)[:, :, None] * image
         return LensPixels(x, y, weight, brightness, residual, slopes, int((good - weight).sum()))
 
-    def fit(self, place: np.ndarray, zones: Zones, field: FieldNumbers, show: Show) -> np.ndarray:
+    def fit(self, place: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> np.ndarray:
         """Fit the polynomials to the lenses of zones; return normal equations (lenses, n, n + 1) of each lens."""
         best, damping, equations = np.inf, 0.0, np.zeros(0)
         before = dict(field.coefficients)
@@ -259,7 +259,7 @@ class WhiteRecording:
         show(1, 1)
         return equations
 
-    def judged(self, place: np.ndarray, zones: Zones, field: FieldNumbers, show: Show) -> Judgement:
+    def judged(self, place: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> Judgement:
         """Return how well zones' lenses at places (n, 2) agree with the model."""
         moved, brightness = np.full(place.shape, np.nan), np.full(len(place), np.nan)
         half = _BINS * int(np.ceil(self.model.reach))

@@ -13,7 +13,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...runtime.limits import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
-from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, Zones
+from .field_fit import ZONE_LENSES, FieldNumbers, FieldZones, Judgement, WhiteRecording
 from .fitted_camera import fitted_camera
 from .micro_image import MicroImageModel, PupilNumbers
 from .white_centres import find_centres
@@ -148,20 +148,20 @@ def fit_white(
     # First one pupil for all lenses, from a few of them.
     start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=_BLUR, stray=_STRAY)
     field = FieldNumbers(size, 0, start)
-    few = Zones(place, ~withheld, ZONE_LENSES // 4, generator)
+    few = FieldZones(place, ~withheld, ZONE_LENSES // 4, generator)
     recording.fit(place, few, field, lambda done, total: show(done, 4 * total))
     field = FieldNumbers(size, int((~withheld).sum()), PupilNumbers(*field.values(place[:1])[0]))
-    zones = Zones(place, ~withheld, ZONE_LENSES, generator)
+    zones = FieldZones(place, ~withheld, ZONE_LENSES, generator)
     equations = recording.fit(place, zones, field, lambda done, total: show(done + total, 4 * total))
     deviations = field.deviations(equations, generator)
-    everything = Zones(place, np.ones(len(place), bool))
+    everything = FieldZones(place, np.ones(len(place), bool))
     found = recording.judged(place, everything, field, lambda done, total: show(done + 2 * total, 4 * total))
     # Places become those of the array alone, fitted to lenses that are not withheld.
     array = fit_array(found.place[~withheld], lens[~withheld], camera)
     for name in ("centre_x", "centre_y"):
         field.coefficients[name] = np.zeros_like(field.coefficients[name])
     at_array = places(array, lens, camera)
-    tested = Zones(at_array, withheld)
+    tested = FieldZones(at_array, withheld)
     judgement = recording.judged(at_array, tested, field, lambda done, total: show(done + 3 * total, 4 * total))
     refuse_if(
         judgement.structure > _MOST_STRUCTURE or judgement.outliers > _MOST_OUTLIERS,
