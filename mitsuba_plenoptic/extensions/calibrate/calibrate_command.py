@@ -111,7 +111,7 @@ def calibrate(
         raise typer.BadParameter("--evaluate prints and writes no file", param_hint="--output")
     fitted = all(pictures) and board is None and output is not None and output.suffix.lower() == ".json"
     if report is not None and not fitted and (evaluate is not None or all(pictures)):
-        raise typer.BadParameter("a report is of a camera from corners or a white picture", param_hint="--report")
+        raise typer.BadParameter("a report is of a calibration from corners or a white picture", param_hint="--report")
     require_different(output, report)
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white, dark)
