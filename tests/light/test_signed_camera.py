@@ -180,7 +180,9 @@ def test_against_differences_of_held_rays(node, name):
     assert found == pytest.approx(expected, rel=0.05 if moves else 0.015, abs=1.0 if name == "detector_width" else None)
 
 
-@pytest.mark.parametrize("name", ["mla_offset", "detector_distance", "detector_width"])
+@pytest.mark.parametrize(
+    "name", ["mla_offset", pytest.param("detector_distance", marks=pytest.mark.slow), "detector_width"]
+)
 def test_coarse_pixels_are_the_means_of_fine_ones(name):
     fine, parts = MODELS["ideal"], 3
     found = []
