@@ -1,4 +1,4 @@
-r"""Captures of displaced or tilted lenses as a regular, upright array would have recorded them.
+r"""Captures of displaced, tilted or unequal lenses as a regular, upright array of equal ones would have recorded them.
 
 A tilted array has each lens at its own height h, towards the main lens. A ray through the pupil point P and the lens's
 centre c meets the detector at :math:`p = c - (z + h)(P - c) / (b - h)`. In a camera whose array stands upright, the
@@ -13,6 +13,9 @@ displaced at the end.
 
 Both rays through P come from the same point of the object for P on the axis. For others they are :math:`h P / b` apart
 on the array, a defocus that remains.
+
+Where vignetting or single lenses are darker than an even pupil and equal lenses, the capture is divided by the white
+image and multiplied by that of the even camera. Light that vignetting keeps out altogether stays missing.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from ..camera import PlenopticCamera
 from ..lattice import Displacement
 from ..lattice.lens_shifts import WARP_POWERS
 from ..light.lens_kinds import regular_array
+from ..views.white_image import white_image
 
 _BLOCK = 2**20
 """Pixels that are looked up together."""
@@ -38,18 +42,32 @@ _ORDER = 3
 _NEAR = 0.01
 """Pixels by which micro-images may be displaced that stay as they are."""
 
+_DARKEST = 0.25
+"""Light of a pixel in the white image, over that of the even camera, below which the pixel is not brightened."""
+
+_EVEN: dict[str, Any] = {"vignetting": None, "mla_transmissions": None}
+"""Parameters of a camera whose lenses see the same pupil equally bright."""
+
 _ASIDE = 0.1
 """Displacement of lenses over the pitch up to which images stay as they are."""
 
 
+def is_uneven(camera: PlenopticCamera) -> bool:
+    """Return whether lenses see different pupils, or are unequally bright."""
+    return any(getattr(camera, name) is not None for name in _EVEN)
+
+
 def straightened(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera with an upright array of regular lenses; the same camera if it has one.
+    """Return the camera with an upright array of regular, equal lenses; the same camera if it has one.
 
     In the image of the stop displaced lenses see the object from other directions, which the response to points knows.
     """
-    if camera.lens_data.images_stop or (camera.lattice.displacement is None and not any(camera.mla_tilt)):
+    if camera.lens_data.images_stop:
         return camera
-    regular = regular_array(camera)
+    even = camera.replace(**_EVEN) if is_uneven(camera) else camera
+    if camera.lattice.displacement is None and not any(camera.mla_tilt):
+        return even
+    regular = regular_array(even)
     return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
 
 
@@ -57,6 +75,10 @@ def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> N
     """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it."""
     regular = straightened(camera)
     if regular is camera:
+        return image
+    if is_uneven(camera):
+        camera, image = camera.replace(**_EVEN), image * _brightened(camera)[..., None]
+    if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
     found = np.empty_like(image)
     splines = [spline_filter(channel, _ORDER) for channel in np.moveaxis(image.astype(np.float64), -1, 0)]
@@ -68,6 +90,15 @@ def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> N
         found[rows][still] = image[rows][still]
     # Splines overshoot at the edges of micro-images.
     return found.clip(image.min(), None)
+
+
+def _brightened(camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return the factors of pixels (rows, columns) that make white captures of a camera those of the even one."""
+    # A blur changes the images' rims alike.
+    sharp = camera.replace(detector_blur=0.0)
+    white, even = white_image(sharp), white_image(sharp.replace(**_EVEN))
+    known = (white > 0) & (white > _DARKEST * even)
+    return np.where(known, even / np.where(known, white, 1), 1).astype(np.float32)
 
 
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
