@@ -205,7 +205,7 @@ def reconstruct(
     distances = require_distances(distance, camera)
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        require_ideal(camera, besides=("mla_jitter", "detector_blur"))
+        require_ideal(camera, besides=("mla_jitter",))
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:

@@ -58,13 +58,13 @@ def is_uneven(camera: PlenopticCamera) -> bool:
 
 
 def straightened(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera with an upright array of regular, equal lenses; the same camera if it has one.
+    """Return the camera with an upright array of regular, equal lenses and no blur; the same camera if it has these.
 
     In the image of the stop displaced lenses see the object from other directions, which the response to points knows.
     """
     if camera.lens_data.images_stop:
         return camera
-    even = camera.replace(**_EVEN) if is_uneven(camera) else camera
+    even = camera.replace(**_EVEN, detector_blur=0.0) if is_uneven(camera) or camera.detector_blur else camera
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return even
     regular = regular_array(even)
@@ -77,7 +77,7 @@ def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> N
     if regular is camera:
         return image
     if is_uneven(camera):
-        camera, image = camera.replace(**_EVEN), image * _brightened(camera)[..., None]
+        image = image * _brightened(camera)[..., None]
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
     found = np.empty_like(image)
