@@ -15,7 +15,6 @@ from mitsuba_plenoptic import (
     LensTransmissions,
     PlenopticCamera,
     decode,
-    reconstruct,
     render_capture,
 )
 from mitsuba_plenoptic.views.white_image import white_image
@@ -109,5 +108,3 @@ def test_files_and_refusals(tmp_path):
         PlenopticCamera(mla_lattice="none", mla_transmissions=TABLE)
     with pytest.raises(InputError, match=r"mla_transmissions = LensTransmissions\(.*leave it out"):
         CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
-    with pytest.raises(InputError, match=r"mla_transmissions = .*leave it out"):
-        reconstruct(Capture(np.ones(CAMERA.shape, np.float32), CAMERA, 633.0), distance=240, method="coherent")

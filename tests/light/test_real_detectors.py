@@ -102,7 +102,7 @@ def test_white_images_are_blurred():
 
 @pytest.mark.parametrize("method", ["coherent", "deconvolved"])
 def test_reconstructions_leave_the_blur(method):
-    image = np.random.default_rng(2).random(CAMERA.shape, np.float32)
+    image = white_image(CAMERA)
     blurry, sharp = (
         reconstruct(Capture(image, camera, 633.0), distance=240, method=method).image
         for camera in (CAMERA.replace(detector_blur=BLUR), CAMERA)
