@@ -133,6 +133,7 @@ class StandIn:
 
     def __init__(self):
         self.to_host = []
+        self.free, self.kept, self.total = 16 * 2**30, 0, 16 * 2**30
         arrays = SimpleNamespace(
             **{name: _function(getattr(np, name)) for name in _FUNCTIONS},
             # A universal function of CuPy has this method, too.
@@ -142,7 +143,10 @@ class StandIn:
             array=self._array,
             asnumpy=self._asnumpy,
             from_dlpack=lambda array: DeviceArray(_dr_numpy(array)),
+            get_default_memory_pool=lambda: SimpleNamespace(free_all_blocks=self._release),
+            get_default_pinned_memory_pool=lambda: SimpleNamespace(free_all_blocks=lambda: None),
             cuda=SimpleNamespace(
+                runtime=SimpleNamespace(memGetInfo=lambda: (self.free, self.total)),
                 Device=lambda: SimpleNamespace(synchronize=lambda: None),
                 Event=lambda: SimpleNamespace(record=lambda: None, synchronize=lambda: None),
                 get_elapsed_time=lambda start, end: 1.0,
@@ -151,6 +155,9 @@ class StandIn:
         names = "fft", "ifft", "rfft", "irfft", "fft2", "ifft2"
         transforms = SimpleNamespace(**{name: _transform(getattr(scipy.fft, name)) for name in names})
         self.backend = Backend(dr.llvm, arrays, transforms, SimpleNamespace(csr_matrix=_Matrix), is_cuda=True)
+
+    def _release(self):
+        self.free, self.kept = self.free + self.kept, 0
 
     def _asarray(self, array, dtype=None, order="K"):
         if isinstance(array, DeviceArray):

@@ -21,7 +21,6 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.point_spread import point_fields
-from mitsuba_plenoptic.refocus import radiance
 from mitsuba_plenoptic.runtime import backend as _backend
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
@@ -81,24 +80,6 @@ PLANNED = {"sum on a turned array"}
 """The orders of an array that is no product of two axes are transformed on the host, once for each optical system."""
 LONG = {"sum of all", "sum on a turned array", "coherent", "partially coherent", "adjoint", "deconvolved"}
 """Run by `make slow`."""
-
-
-@pytest.fixture
-def device(monkeypatch):
-    """Have the stand-in chosen, beside Dr.Jit on LLVM, whose arrays count as lying on the device."""
-    stand_in = device_stand_in.StandIn()
-
-    def numpy(array):
-        stand_in.to_host.append((dr.width(array),))
-        return device_stand_in._dr_numpy(array)
-
-    monkeypatch.setattr(_backend, "_cuda", lambda: stand_in.backend)
-    monkeypatch.setattr(_backend, "array_module", lambda: dr.cuda)
-    monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
-    monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
-    radiance._results.clear()
-    yield stand_in
-    radiance._results.clear()
 
 
 @pytest.mark.parametrize(
