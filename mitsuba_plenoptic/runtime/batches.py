@@ -122,7 +122,12 @@ class Threads:
 
 
 def on_all_cores(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return a function's results for items, from a thread for each core; linear algebra stays on these threads."""
+    """Return a function's results for items, from a thread for each core; linear algebra stays on these threads.
+
+    A CUDA device takes its work from the calling thread.
+    """
+    if on_cuda():
+        return [function(item) for item in items]
     with single_threaded_blas(), ThreadPoolExecutor(worker_count()) as pool:
         return list(pool.map(function, items))
 
