@@ -1,8 +1,5 @@
 """The stand-in for a CUDA device, for all tests of what runs on one."""
 
-import functools
-import sys
-
 import coverage
 import device_stand_in
 import drjit as dr
@@ -16,16 +13,6 @@ def measured_as(context):
     """Have lines that run from here on counted in a context of their own, where coverage is measured."""
     if measuring := coverage.Coverage.current():
         measuring.switch_context(context)
-
-
-def forget():
-    """Empty the caches of all functions, whose results were computed by the other libraries."""
-    for name, module in list(sys.modules.items()):
-        if name.startswith("mitsuba_plenoptic"):
-            for value in list(vars(module).values()):
-                for each in (value, *(vars(value).values() if isinstance(value, type) else ())):
-                    if isinstance(each, functools._lru_cache_wrapper):
-                        each.cache_clear()
 
 
 @pytest.fixture(autouse=True)
@@ -50,9 +37,9 @@ def device(monkeypatch):
     monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
     monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
     radiance._results.clear()
-    forget()
+    device_stand_in.forget()
     measured_as("device")
     yield stand_in
     measured_as("processor")
     radiance._results.clear()
-    forget()
+    device_stand_in.forget()

@@ -6,6 +6,8 @@ It follows CuPy where it differs from NumPy: it has CuPy's functions and methods
 counted, that of a single number, as in ``float(x)`` and ``if x:``, too.
 """
 
+import functools
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -29,6 +31,16 @@ NAMES = recorded_names()
 _ATTRIBUTES = ("shape", "size", "ndim", "dtype", "flags", "itemsize", "nbytes", "strides")
 _VIEWS = ("T", "real", "imag")
 _TO_HOST = ("get", "item", "tolist", "tobytes")
+
+
+def forget():
+    """Empty the caches of all functions, whose results were computed by the other libraries."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("mitsuba_plenoptic"):
+            for value in list(vars(module).values()):
+                for each in (value, *(vars(value).values() if isinstance(value, type) else ())):
+                    if isinstance(each, functools._lru_cache_wrapper):
+                        each.cache_clear()
 
 
 class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
