@@ -41,7 +41,10 @@ MEANS = 1e-3
 """Largest relative difference of the means of captures of a scene."""
 
 NOISE = (0.9, 1.1)
-"""Limits of the differences of such captures over their estimated noise, as RMS."""
+"""Limits of the differences of such captures over their estimated noise, as RMS, over that of two by the processor.
+
+The estimate is one of few samples: two captures of the letters by waves on the processor have 0.68, by rays 1.03.
+"""
 
 Row = dict[str, Any]
 Check = tuple[float, Callable[[str], Row]]
@@ -113,13 +116,18 @@ def compare(scene: str, model: str, variant: str) -> Row:
     with peak_memory() as peak:
         cold, ours = timed(lambda: capture(variant, 1))
         warm, _ = timed(lambda: capture(variant, 1))
-    theirs = capture("llvm_ad_mono", 2)
+    theirs, others = capture("llvm_ad_mono", 2), capture("llvm_ad_mono", 3)
     means = float(ours.image.mean() / theirs.image.mean() - 1)
-    noise = np.hypot(ours.noise, theirs.noise)
-    lit = noise > 0
-    rms = float(np.sqrt(np.mean(((ours.image - theirs.image)[lit] / noise[lit]) ** 2)))
+    rms = over_noise(ours, theirs) / over_noise(theirs, others)
     passed = abs(means) <= MEANS and NOISE[0] <= rms <= NOISE[1]
     return {"passed": passed, "means": means, "over_noise": rms, "cold": cold, "warm": warm, "peak": peak[0]}
+
+
+def over_noise(one: Any, other: Any) -> float:
+    """Return the RMS of the difference of two captures over its estimated noise."""
+    noise = np.hypot(one.noise, other.noise)
+    lit = noise > 0
+    return float(np.sqrt(np.mean(((one.image - other.image)[lit] / noise[lit]) ** 2)))
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:

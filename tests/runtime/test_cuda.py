@@ -23,10 +23,11 @@ from mitsuba_plenoptic import (
     render_capture,
 )
 from mitsuba_plenoptic.extensions.inverse.differentiable import CoherentRefocus
+from mitsuba_plenoptic.light.convolution import Convolution
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.runtime import backend as _backend
-from tools.bench.scenes.light_paths import bars, scene_of, sensor
+from tools.bench.scenes.light_paths import bars, facing, scene_of, sensor
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
@@ -37,6 +38,8 @@ TINY = SMALL.replace(detector_width=0.128, resolution=(64, 64))
 SIDE = 2048
 """Numbers that may leave the device before the end: the sums of a grid's rows, by which the physics is guarded."""
 TURNED = CAMERA.replace(mla_lattice="hexagonal", mla_rotation=7.0)
+FOCUSED = TINY.replace(detector_distance=0.6)
+GRID = np.array([(0.128 * i, 0.128 * j, 240.0) for i in range(-2, 3) for j in range(-2, 3)])
 COARSE = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 _random = np.random.default_rng(0)
 CAPTURE = _random.random(CAMERA.shape, dtype=np.float32)
@@ -45,6 +48,7 @@ _waves[:26, :35], _waves[-25:, -34:] = _random.standard_normal((26, 35)), _rando
 FIELD = np.fft.ifft2(_waves).astype(np.complex64)
 POSITIONS = np.column_stack([_random.uniform(-0.4, 0.4, (20, 2)), _random.uniform(210, 275, 20)])
 WEIGHTS = _random.random((20, 2))
+WAVES = {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "path"}}
 PHASORS = np.exp(2j * np.pi * _random.random(20)).astype(np.complex64)
 TWO = Spectrum((550.0, 633.0), ((1.0, 0.5), (0.0, 1.0)))
 PUPILS = np.maximum(_random.random((20, 8, 8)) - 0.3, 0)
@@ -73,6 +77,31 @@ def full_fields():
 def signed_rays(lenses=4, pixels=16, spp=4, **parameters):
     scene = scene_of(sensor(lenses, pixels, **parameters), **bars(240.0))
     return [render_capture(scene, model="wave", method="signed_rays", spp=spp).image]
+
+
+def convolutions():
+    made = Convolution(SMALL, [np.ones((5, 5), np.float32), _random_image(9, 9)])
+    image = made.forward(_backend.backend().arrays.asarray(_random_image(2, made.box.rows, made.box.columns)))
+    back = made.adjoint(_random_image(*SMALL.shape))
+    return [_backend.backend().to_host(part) for part in (image, *back)]
+
+
+def _random_image(*shape):
+    return np.random.default_rng(1).random(shape, dtype=np.float32)
+
+
+def signed_gradient():
+    wall = facing(240.0, 0.2, emitter={"type": "area", "radiance": 1.0})
+    scene = scene_of(sensor(4, 8), WAVES, wall=wall)
+    parameters, found = mi.traverse(scene), []
+    for name in ("wall.emitter.radiance.value", "camera.mla_distance"):
+        dr.enable_grad(parameters[name])
+        parameters.update()
+        image = mi.render(scene, parameters, spp=4)
+        dr.backward(dr.sum(dr.square(image), axis=None))
+        found.append(np.array(dr.grad(parameters[name]), np.float64).ravel())
+        dr.disable_grad(parameters[name])
+    return found
 
 
 def coherent_sums():
@@ -117,6 +146,16 @@ WORKS = {
         point_spread_function(TINY.replace(mla_rotation=7.0), POSITIONS[0], wavelength=633, method="full_field")
     ],
     "sum of full fields": lambda: [full_fields().forward(WEIGHTS[:2, 0]), full_fields().adjoint(CAPTURE[:64, :64])],
+    "convolution": convolutions,
+    "copies": lambda: [capture(SMALL, GRID, np.linspace(1, 2, len(GRID))[:, None])],
+    "copies of a turned array": lambda: [capture(SMALL.replace(mla_rotation=7.0), GRID[:9], np.ones((9, 1)))],
+    "incoherent": lambda: [
+        reconstruct(CAPTURE[:64, :64], 240.0, camera=TINY, wavelength=633, method="incoherent").image
+    ],
+    "focused camera": lambda: [
+        reconstruct(CAPTURE[:64, :64], 240.0, camera=FOCUSED, wavelength=633, method="partial").image
+    ],
+    "gradient of signed rays": signed_gradient,
     "derivatives": derivatives,
     "derivatives of a reconstruction": lambda: refocus_derivatives(1),
     "derivatives of subsets": lambda: refocus_derivatives(4),
@@ -142,8 +181,11 @@ HANDED = {
     "derivatives": 60_000,
     # Light on the pupil, where NumPy and SciPy sum the points.
     "coherent sums": 2_200_000,
-    # Kernels of the response, once for each camera.
+    # Kernels of the response, which are SciPy's.
     "deconvolved": 700_000,
+    "incoherent": 600_000,
+    # Gradients are brought from the images to the rays by NumPy.
+    "gradient of signed rays": 2_300_000,
     "sum of full fields": 12_000,
     # Its matrix is one of SciPy's.
     "stored operator": 8_000,
@@ -159,8 +201,20 @@ HANDED = {
 """Numbers beside the result that leave the device."""
 SCALARS = 40
 """Single numbers that may leave it: what arrived of each batch, and the power by which the physics is guarded."""
-LONG = {"sum of all", "sum on a turned array", "coherent", "partially coherent", "adjoint", "deconvolved"}
+LONG = {
+    "gradient of signed rays",
+    "sum of all",
+    "sum on a turned array",
+    "coherent",
+    "partially coherent",
+    "adjoint",
+    "deconvolved",
+}
 LONG |= {
+    "copies",
+    "copies of a turned array",
+    "incoherent",
+    "focused camera",
     "derivatives",
     "stored operator",
     "full field on a turned array",
