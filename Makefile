@@ -46,6 +46,7 @@ coverage: $(VENV)/.ready llvm
 	rm -rf build/coverage && mkdir -p build/coverage
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=html --cov-report=term
 	$(BIN)/python tools/show_coverage.py
+	$(BIN)/python tools/stand_in_coverage.py
 
 slow: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -m slow

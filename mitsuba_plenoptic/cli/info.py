@@ -181,14 +181,16 @@ def _table(rows: list[Row]) -> Table:
 def doctor(as_json: Json = False) -> None:
     """Check the installation: versions, LLVM, Mitsuba variants, threads and GPU.
 
-    The exit status is 0 if captures can be rendered here and 1 if not.
+    Each variant that may work renders a triangle in a process of its own, which takes some seconds. The exit status
+    is 0 if captures can be rendered here with the default variant, and 1 if not.
     """
     from ..report.installation import inspect_installation
 
     found = inspect_installation()
     if as_json:
         sections = {title: dict(lines) for title, lines in found.sections.items()}
-        typer.echo(json.dumps({"ready": found.ready, "problem": found.problem, **sections}, indent=1))
+        facts: dict[str, Any] = {"ready": found.ready, "verdict": found.verdict, "problem": found.problem}
+        typer.echo(json.dumps(facts | sections, indent=1))
         raise typer.Exit(0 if found.ready else 1)
     for title, lines in found.sections.items():
         typer.echo(f"\n{typer.style(title, bold=True)}")
@@ -197,6 +199,6 @@ def doctor(as_json: Json = False) -> None:
     typer.echo()
     if found.problem:
         typer.echo(f"Problem: {found.problem}.")
+    typer.echo(f"{found.verdict}.")
     if not found.ready:
         raise typer.Exit(1)
-    typer.echo("Ready to render.")

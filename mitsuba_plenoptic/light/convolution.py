@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..runtime.backend import backend
 from ..runtime.batches import Box, Part, add, on_all_cores
 from ..runtime.fft import fast_length, resting_drjit, worker_count
 
@@ -26,7 +26,7 @@ _SQUARE = 1536
 
 
 class Convolution:
-    """Convolutions of images with kernels, computed one after another."""
+    """Convolutions of images with kernels, computed one after another where the active variant's arrays lie."""
 
     def __init__(
         self,
@@ -45,11 +45,13 @@ class Convolution:
         rows, columns = (_even(count, most) for count in size or (self.box.rows, self.box.columns))
         self.tile = rows, columns
         self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
-        self._spectra = np.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        self._libraries = backend()
+        arrays, self._transforms = self._libraries.arrays, self._libraries.transforms
+        self._spectra = arrays.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
 
         def transform(rank: int) -> None:
-            kernel = kernels[rank]
-            self._spectra[rank] = scipy.fft.rfft2(np.pad(kernel, self._margin - kernel.shape[0] // 2), self._size)
+            kernel = arrays.asarray(np.pad(kernels[rank], self._margin - kernels[rank].shape[0] // 2))
+            self._spectra[rank] = self._transforms.rfft2(kernel, self._size)
 
         on_all_cores(transform, range(self.ranks))
 
@@ -74,19 +76,21 @@ class Convolution:
         box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
         wanted = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
-        result = np.zeros((1, wanted.rows, wanted.columns), np.float32)
+        arrays = self._libraries.arrays
+        result = arrays.zeros((1, wanted.rows, wanted.columns), np.float32)
 
         def convolved(tile: tuple[slice, slice]) -> Part:
             rows, columns = tile
             size = rows.stop - rows.start, columns.stop - columns.start
-            total = np.zeros(self._spectra.shape[1:], np.complex64)
+            total = arrays.zeros(self._spectra.shape[1:], np.complex64)
             for image, spectrum in zip(images, self._spectra, strict=True):
                 samples = image[rows, columns]
-                if samples.any():  # microlenses of this kind may be elsewhere
-                    part = scipy.fft.rfft2(samples, self._size)
+                # Microlenses of this kind may be elsewhere; to ask a device takes longer than to go on.
+                if self._libraries.is_cuda or samples.any():
+                    part = self._transforms.rfft2(samples, self._size)
                     part *= spectrum
                     total += part
-            square = scipy.fft.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
+            square = self._transforms.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
             return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
 
         with resting_drjit():
@@ -98,25 +102,26 @@ class Convolution:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
-        samples = np.zeros((1, reached.rows, reached.columns), np.float32)
-        add(Part(self._window, pixels[None]), reached, samples)
+        arrays = self._libraries.arrays
+        samples = arrays.zeros((1, reached.rows, reached.columns), np.float32)
+        add(Part(self._window, arrays.asarray(pixels)[None]), reached, samples)
 
         # The transform is circular: samples after these wrap around, and are cut off below.
         def transformed(tile: tuple[slice, slice]) -> NDArray[np.complex64]:
             rows, columns = tile
             part = samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
-            return np.asarray(scipy.fft.rfft2(part, self._size))
+            return arrays.asarray(self._transforms.rfft2(part, self._size))
 
         def correlated(spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
-            image = np.empty((box.rows, box.columns), np.float32)
+            image = arrays.empty((box.rows, box.columns), np.float32)
             for part, (rows, columns) in zip(parts, tiles, strict=True):
-                square = scipy.fft.irfft2(part * spectrum.conj(), self._size, overwrite_x=True)
+                square = self._transforms.irfft2(part * spectrum.conj(), self._size, overwrite_x=True)
                 image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
             return image
 
         with resting_drjit():
             parts = on_all_cores(transformed, tiles)
-            return on_all_cores(correlated, self._spectra)
+            return on_all_cores(correlated, iter(self._spectra))
 
     def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
         """Yield the slices of rows and columns of each tile of a box."""
@@ -143,10 +148,13 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
     # One tile is timed.
     rows, columns = convolutions[0].tile
     trial = Box(block.left, block.top, min(columns, block.columns), min(rows, block.rows))
+    libraries = backend()
+    libraries.synchronize()
     start = time.perf_counter()
     for convolution in convolutions:
-        images = np.ones((convolution.ranks, trial.rows, trial.columns), np.float32)
+        images = libraries.arrays.ones((convolution.ranks, trial.rows, trial.columns), np.float32)
         convolution.forward(images, trial, convolution.reached(trial))
+    libraries.synchronize()
     seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
     waiting = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
     # At a time two blocks are convolved, one waits and one is traced.
@@ -188,7 +196,7 @@ class Block:
 def _convolve(block: Block) -> Part:
     # Kernels of longer wavelengths reach farther.
     pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
-    sums = np.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
+    sums = backend().arrays.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
     for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
         sums[channel] += convolution.forward(images, block.bins, pixels)
     return Part(pixels, sums)

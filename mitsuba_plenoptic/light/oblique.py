@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..runtime.backend import backend_of
+
 DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
 """Direction cosines, over the largest ones, for which kernels are computed to find their changes."""
 
@@ -129,18 +131,20 @@ class Oblique:
     def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the terms (terms, ...) of direction cosines (2, ...); an empty array without combinations."""
         u, v = cosines / np.float32(self.largest)
-        return np.reshape(np.array(terms(u, v) if self.count else [], np.float32), (-1, *u.shape))
+        arrays = backend_of(u).arrays
+        return arrays.stack(terms(u, v)) if self.count else arrays.zeros((0, *u.shape), np.float32)
 
     def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the derivatives (2, terms, ...) of `terms` with respect to each cosine."""
         scale = np.float32(1 / self.largest)
         u, v = cosines * scale
-        none, one = np.zeros_like(u), np.full_like(u, scale)
+        arrays = backend_of(u).arrays
+        none, one = arrays.zeros_like(u), arrays.full_like(u, scale)
         parts = [
             [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv] if self.count else []
             for du, dv in ((one, none), (none, one))
         ]
-        return np.reshape(np.array(parts, np.float32), (2, -1, *u.shape))
+        return arrays.stack([arrays.stack(part) if part else arrays.zeros((0, *u.shape), np.float32) for part in parts])
 
 
 def changes() -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..runtime.backend import backend_of
 from ..runtime.limits import single_threaded_blas
 from .oblique import Oblique, moved
 
@@ -94,13 +95,16 @@ class PixelKernels:
 
         `terms` (terms, pixels) are the terms of the direction in which light meets the lenses.
         """
-        images, sums = np.split(self._factors @ values.reshape(self._factors.shape[1], -1), [len(self.kernels)])
-        return images + self._of_sums @ (terms[self._term] * sums) if len(sums) else images
+        held, count = backend_of(values).arrays.asarray, len(self.kernels)
+        both = held(self._factors) @ values.reshape(self._factors.shape[1], -1)
+        images, sums = both[:count], both[count:]
+        return images + held(self._of_sums) @ (terms[held(self._term)] * sums) if len(sums) else images
 
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of the images that is proportional to the terms of direction; see `combined`."""
-        sums = self._factors[len(self.kernels) :] @ values.reshape(self._factors.shape[1], -1)
-        return np.asarray(self._of_sums @ (terms[self._term] * sums))
+        held = backend_of(values).arrays.asarray
+        sums = held(self._factors[len(self.kernels) :]) @ values.reshape(self._factors.shape[1], -1)
+        return held(held(self._of_sums) @ (terms[held(self._term)] * sums))
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:

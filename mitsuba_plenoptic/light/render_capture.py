@@ -136,6 +136,7 @@ def render_capture(
         columns,
         f"capture of {columns} x {rows} pixels",
         lambda width: f"{width} x {max(1, round(width * rows / columns))} pixels",
+        computed=True,
     )
     # Two sensors with the same camera must not share a checkpoint.
     which = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}

@@ -200,10 +200,10 @@ class CameraTangents(_CameraSum):
     ) -> NDArray[np.float32]:
         """Return the images made from all sets of values; see `_bring`."""
         parts, bent = values[:-2], values[-2:]
-        *held, own = np.split(parts, self._sets)
+        *held, own = self.arrays.split(parts, self._sets)
         changed = (float(self._changes[name][i]) * own for name, i in self._of_kernels)
-        images = super()._combined(kernels, np.concatenate([*held, *changed]), cosines, number)
-        turned = np.einsum("atx,ax->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
+        images = super()._combined(kernels, self.arrays.concatenate([*held, *changed]), cosines, number)
+        turned = self.arrays.einsum("atx,ax->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
         images[: len(kernels[0].kernels)] += kernels[0].turned(own, turned)
         return images
 

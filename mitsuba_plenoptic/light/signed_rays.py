@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import pixel_response
-from ..runtime.backend import drjit_array, quotient
+from ..runtime.backend import backend, drjit_array, on_cuda, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..runtime.limits import single_threaded_blas
@@ -108,7 +108,6 @@ class NodeLight(NamedTuple):
 class SignedRaySum:
     """A signed-ray capture, computed by blocks of the detector; a `runtime.batches.LongSum`."""
 
-    arrays: Any = np
     _sets = 1
     """Values of a ray for each coefficient: 1, except for derivatives."""
 
@@ -130,6 +129,7 @@ class SignedRaySum:
         spp: int,
         seed: int,
     ) -> None:
+        self.arrays: Any = backend().arrays
         self._camera, self._light, self._nodes, self._drawn = camera, light, nodes, drawn
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
@@ -165,14 +165,15 @@ class SignedRaySum:
             with busy_drjit():
                 sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
-            rows, columns = np.nonzero(self._far(bins))
-            for image in images:
-                image[:, rows, columns] *= _THINNED**2
+            if (far := self._far(bins)).any():
+                all_light = self.arrays.asarray(np.where(far, np.float32(_THINNED**2), np.float32(1)))
+                for image in images:
+                    image *= all_light
             yield Block(bins, images, self._convolutions, self._channels)
 
     def image(self, total: PartialSum) -> NDArray[np.float32]:
         """Return the image, the sum of all blocks."""
-        return np.ascontiguousarray(np.moveaxis(total.sums, 0, -1))
+        return np.ascontiguousarray(np.moveaxis(backend().to_host(total.sums), 0, -1))
 
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
@@ -214,7 +215,7 @@ class SignedRaySum:
         size = self._blocks[0].rows, self._blocks[0].columns
         # Those of derivatives are used once.
         make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
-        made = [make(self._camera, tuple(itertools.chain(*kinds)), size) for kinds in self._kernels]
+        made = [make(self._camera, tuple(itertools.chain(*kinds)), size, on_cuda()) for kinds in self._kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
     def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[NDArray[np.float32]]:
@@ -222,7 +223,7 @@ class SignedRaySum:
         every = dr.width(pixels)
         counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
         # Written, as the system maps memory that is read before it is written in small pages, which takes longer.
-        sums = [np.full((count, every), 0, np.float32) for count in counts]
+        sums = [self.arrays.full((count, every), 0, np.float32) for count in counts]
         dr.eval(pixels)
         before: tuple[Lot, Brought] | None = None
         for lot in self._lots(box, pixels, seeds):
@@ -238,22 +239,25 @@ class SignedRaySum:
     @single_threaded_blas()
     def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
         """Add the light of a lot's rays to the images."""
-        images, some, shape = iter(sums), lot.some.numpy().astype(np.intp), (dr.width(lot.some), self._parts**2)
-        cosines = np.array([value.numpy() for value in brought.cosines])
-        # The pixels of a lens are in order, so that each is contained once until the next lens.
-        ends = [0, *(1 + np.flatnonzero(some[1:] <= some[:-1])).tolist(), len(some)]
+        libraries = backend()
+        arrays, held = self.arrays, libraries.from_drjit
+        images, some, shape = iter(sums), held(lot.some).astype(np.intp), (dr.width(lot.some), self._parts**2)
+        cosines = arrays.stack([held(value) for value in brought.cosines])
+        # The pixels of a lens are in order, so that each is contained once until the next lens; a device adds them all.
+        starts = [] if libraries.is_cuda else (1 + np.flatnonzero(some[1:] <= some[:-1])).tolist()
+        ends = [0, *starts, len(some)]
         for number, node in enumerate(brought.values):
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
             for parts in node:
-                total, values = next(images)[rows[0].start : rows[-1].stop], [part.numpy() for part in parts]
+                total, values = next(images)[rows[0].start : rows[-1].stop], [held(part) for part in parts]
                 values = [part.reshape(shape) for part in values]
                 for few in kernels[0].portions(ends):
-                    own = np.moveaxis(np.stack([v[few] for v in values], axis=1), 0, 2)
-                    if not own.any():
+                    own = arrays.moveaxis(arrays.stack([v[few] for v in values], axis=1), 0, 2)
+                    if not libraries.is_cuda and not own.any():
                         continue
                     # Row by row, which takes a fraction of the time of a sum with columns of a matrix.
                     for row, part in zip(total, self._combined(kernels, own, cosines[:, few], number), strict=True):
-                        np.add.at(row, some[few], part)
+                        arrays.add.at(row, some[few], part)
 
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
@@ -262,8 +266,8 @@ class SignedRaySum:
 
         `cosines` (2, pixels) are the direction cosines of the pixels' light.
         """
-        terms, parts = self._nodes[number].plan.oblique.terms(cosines), np.split(values, len(kernels))
-        return np.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
+        terms, parts = self._nodes[number].plan.oblique.terms(cosines), self.arrays.split(values, len(kernels))
+        return self.arrays.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
 
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
         """Yield, in lots, the pixels of a box with each lens that lights them."""
@@ -321,7 +325,9 @@ class SignedRaySum:
             convolutions, every = iter(self._convolutions), bins.rows * bins.columns
             felt = [
                 [
-                    np.reshape(next(convolutions).adjoint(gradient[channel], bins), (-1, every))
+                    np.stack(
+                        [backend().to_host(image) for image in next(convolutions).adjoint(gradient[channel], bins)]
+                    ).reshape(-1, every)
                     for channel in node.channels
                 ]
                 for node in self._nodes
@@ -353,7 +359,8 @@ class SignedRaySum:
     def probe(self) -> NDArray[np.float32]:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
         pixels = self._some(_PROBES // self._parts**2)
-        return np.concatenate([np.ravel(part) for part in self._trace(self._bins, pixels, np.random.SeedSequence(0))])
+        traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
+        return np.concatenate([backend().to_host(part).ravel() for part in traced])
 
     def cost(self) -> tuple[float, float]:
         """Return the time in seconds and the bytes that the sum takes, estimated from some pixels and tiles."""
@@ -540,6 +547,8 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
 
 
 @functools.lru_cache(maxsize=4)
-def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int]) -> Convolution:
-    """Return the convolution with kernels, whose spectra are cached for further captures of the camera."""
+def _convolution_of(
+    camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int], cuda: bool
+) -> Convolution:
+    """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
     return Convolution(camera, [kernel for each in sets for kernel in each.kernels], size)

@@ -28,7 +28,7 @@ from ..errors import InputError
 from ..lenses.thin import ThinLens
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres, phasor, soft_edge
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, backend_of
 from ..runtime.fft import Field, as_field, pack, rows_and_columns
 from .arrival import blocks
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
@@ -136,7 +136,9 @@ class Layer:
         )
         cover = types.Float(soft_edge(self._lens.inside((x, y)) / grid.pitch))
         light = phasor(self._carrier.common((x, y))) * cover
-        return as_field(pack(light), (grid.count, grid.count))
+        # Points are summed over the pupil by NumPy and SciPy, with CUDA, too.
+        packed = pack(light)
+        return backend_of(packed).to_host(as_field(packed, (grid.count, grid.count)))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
         """Return values on the pupil at rows of the samples, interpolated from the values at the nodes."""

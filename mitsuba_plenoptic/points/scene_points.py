@@ -120,7 +120,9 @@ def find_points(
     window = LensWindow.of(system)
     lenses = len(window.index)
     what = f"spp = {count}: {count} points in each of {lenses} lenses"
-    require_memory_for(lambda number: float(_POINT_BYTES) * number * lenses, count, what, "spp = {}".format)
+    require_memory_for(
+        lambda number: float(_POINT_BYTES) * number * lenses, count, what, "spp = {}".format, computed=True
+    )
     pairs = sample_pairs(count, seed)
     finder = _Finder(lights, system, window, pairs, paths)
     total, step = len(window.index) * count, max(1, _LANES // max(paths, _CELLS**2))

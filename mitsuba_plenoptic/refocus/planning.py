@@ -46,7 +46,7 @@ from ..light.microlenses import bend
 from ..optics import guards, rays
 from ..optics.waves import in_millimetres
 from ..runtime.fft import fast_length
-from ..runtime.limits import memory_limit, require_memory
+from ..runtime.limits import check_memory, work_limit
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]
@@ -64,7 +64,7 @@ _MOST_TRANSFORMED = 2**35
 More takes many minutes.
 """
 
-_STRIPS_MEMORY, _MEMORY = 5.5 * 2**30, 7 * 2**30
+_STRIPS_MEMORY, FIELD_MEMORY = 5.5 * 2**30, 7 * 2**30
 """Bytes of fields from which on strips are taken, and beyond which a reconstruction is refused.
 
 The whole process takes up to 2 GiB more than the fields.
@@ -282,18 +282,13 @@ def plan(
     """Return the grids for a capture and object distances, with as few strips as the memory allows."""
     rows = lit[1][1] - lit[1][0]
     count, made = 1, _plan(camera, wavelength, distances, lit, oversample, 1)
-    while made.memory > min(_STRIPS_MEMORY, memory_limit()) and 2 * count <= rows:
+    while made.memory > min(_STRIPS_MEMORY, work_limit(made.memory)) and 2 * count <= rows:
         count *= 2
         finer = _plan(camera, wavelength, distances, lit, oversample, count)
         if finer.memory >= made.memory:
             break
         made = finer
     return made
-
-
-def field_memory() -> float:
-    """Return the bytes that the fields of a reconstruction may take."""
-    return min(_MEMORY, memory_limit())
 
 
 def _plan(
@@ -340,7 +335,7 @@ def check_pupil_diffraction(camera: PlenopticCamera, wavelength: float, distance
 def require_feasible(made: FieldPlan) -> None:
     """Refuse a plan that needs too much memory or too much work."""
     what = f"camera with {made.subsamples} field samples a pixel; its wave reconstruction"
-    require_memory(made.memory, what, limit=field_memory())
+    check_memory(made.memory, what, most=FIELD_MEMORY)
     refuse_if(
         made.transformed > _MOST_TRANSFORMED,
         f"{what}: {made.transformed:.2g} samples would be transformed, at most {_MOST_TRANSFORMED:.2g} are",

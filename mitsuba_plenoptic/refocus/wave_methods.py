@@ -60,7 +60,7 @@ from ..optics import guards, rays
 from ..optics.waves import parabola, phasor, power, soft_edge
 from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, resting_drjit
-from ..runtime.limits import check_memory, require_memory
+from ..runtime.limits import check_memory, work_limit
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
 from .methods import Progress, Task, method, portion, work_of
@@ -77,6 +77,7 @@ from .passages import (
     to_directions_vjp,
 )
 from .planning import (
+    FIELD_MEMORY,
     OBJECT_MARGIN,
     Directions,
     FieldPlan,
@@ -85,7 +86,6 @@ from .planning import (
     Strip,
     Window,
     check_pupil_diffraction,
-    field_memory,
     plan,
     require_feasible,
 )
@@ -320,13 +320,14 @@ class BackwardFields:
                 8.0 * (interleave**2 + 1) * step.x.new_padded * step.y.new_padded for step in grids.to_objects
             )
             memory = grids.memory + 8.0 * columns + 2 * on_array + at_object
-            require_memory(memory, "derivatives of a wave reconstruction", limit=field_memory())
+            check_memory(memory, "derivatives of a wave reconstruction", most=FIELD_MEMORY)
         self._pupil = _Pupil(grids.pupil, camera.aperture_radius)
         # The light of all lenses on the array serves every subset, where it fits into memory.
         self._holds = interleave > 1 and relay and len(grids.strips) == 1
-        self._holds &= grids.memory + on_array <= field_memory()
+        held = grids.memory + on_array
+        self._holds &= held <= min(FIELD_MEMORY, work_limit(held))
         if self._holds:
-            require_memory(grids.memory + on_array, "a wave reconstruction by subsets", limit=field_memory())
+            check_memory(held, "a wave reconstruction by subsets", most=FIELD_MEMORY)
         once = [strip.to_mla for strip in grids.strips] if self._holds else []
         each = [step for strip in grids.strips for step in strip.steps if step not in once] + list(to_planes)
         # To write what is held, to memory never used before, takes as long as the transforms of that.

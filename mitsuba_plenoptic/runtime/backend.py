@@ -156,6 +156,18 @@ class Backend:
         """Return a finished array in NumPy's memory."""
         return self.arrays.asnumpy(array) if self.is_cuda else array
 
+    def free_memory(self) -> float:
+        """Return the bytes that are free on the CUDA device; what the libraries keep for later is not."""
+        return float(self.arrays.cuda.runtime.memGetInfo()[0])
+
+    def release(self) -> None:
+        """Give the memory that is not in use back to the device: neither library takes it from the other's cache."""
+        if self.is_cuda:
+            self.synchronize()
+            dr.flush_malloc_cache()
+            self.arrays.get_default_memory_pool().free_all_blocks()
+            self.arrays.get_default_pinned_memory_pool().free_all_blocks()
+
     def synchronize(self) -> None:
         """Wait until all requested computations are finished."""
         dr.sync_thread()
@@ -165,7 +177,28 @@ class Backend:
 
 def backend() -> Backend:
     """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere."""
-    return _cuda() if array_module() is dr.cuda else _processor()
+    return _cuda() if on_cuda() else _processor()
+
+
+def free_device_memory(needed: float) -> float | None:
+    """Return the bytes free on the active variant's device, None for the processor's variants or without CuPy.
+
+    Where they are fewer than needed, what the libraries keep is released first.
+    """
+    if not on_cuda():
+        return None
+    try:
+        device = _cuda()
+    except InputError:
+        return None
+    if device.free_memory() < needed:
+        device.release()
+    return device.free_memory()
+
+
+def on_cuda() -> bool:
+    """Return whether the active variant computes on a CUDA device."""
+    return array_module() is dr.cuda
 
 
 def backend_of(array: Any) -> Backend:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_count, require_module
-from .backend import backend, set_variant
+from .backend import backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
 from .limits import single_threaded_blas, software
 
@@ -122,7 +122,12 @@ class Threads:
 
 
 def on_all_cores(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return a function's results for items, from a thread for each core; linear algebra stays on these threads."""
+    """Return a function's results for items, from a thread for each core; linear algebra stays on these threads.
+
+    A CUDA device takes its work from the calling thread.
+    """
+    if on_cuda():
+        return [function(item) for item in items]
     with single_threaded_blas(), ThreadPoolExecutor(worker_count()) as pool:
         return list(pool.map(function, items))
 
@@ -261,6 +266,8 @@ class Job:
             if count > state.sums:
                 image = task.combine(self._sum(task, state, done, items))
                 state = Snapshot(count, np.add(state.image, image, out=state.image))
+                # The next sum has arrays of other sizes.
+                backend().release()
             done += task.items
         refuse_if(state.sums > count, f"checkpoint: it is damaged: {state.sums} sums are no part of {count}")
         return state.image
@@ -454,7 +461,8 @@ def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]
         # Dr.Jit's part is done by one thread at a time, where a worker has several.
         with _lock:
             set_variant(variant)
-            stop_threads()
+            if not on_cuda():
+                stop_threads()
             work = batch.prepare()
         results.append(work())
     return results

@@ -29,7 +29,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..errors import refuse_if
-from .backend import backend_of, drjit_array, quotient
+from .backend import backend_of, drjit_array, on_cuda, quotient
 
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
@@ -58,8 +58,11 @@ def resting_drjit() -> Iterator[None]:
 
     Idle workers of Dr.Jit wait actively for up to 20 ms, during which a threaded FFT would get half of every core. The
     number of threads is shared by the whole process: the first Python thread to enter sets it to one, and the last to
-    leave restores it.
+    leave restores it. On CUDA they have nothing to do, and stay.
     """
+    if on_cuda():
+        yield
+        return
     global _resting, _busy_threads
     with _rest:
         if _resting == 0:

@@ -1,9 +1,14 @@
-"""Limits of the memory of a computation, estimated before allocation; a refusal says what would fit."""
+"""Limits of the memory of a computation, estimated before allocation; a refusal says what would fit.
+
+What is read, written and decoded lies in the machine's memory, `require_memory`. Fields, rays and images that Dr.Jit
+and the backend's library compute lie where the active variant computes, `check_memory`: with CUDA on the device.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+import math
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -15,6 +20,7 @@ from typing import Any
 from threadpoolctl import ThreadpoolController
 
 from ..errors import InputError, refusing, require_number
+from .backend import free_device_memory
 
 GIB = 2**30
 
@@ -22,7 +28,7 @@ VARIABLE = "MITSUBA_PLENOPTIC_MEMORY"
 """Environment variable that sets the limit, in GiB."""
 
 _FRACTION = 0.75
-"""Fraction of the machine's memory that is allowed by default; the rest is for what is underestimated."""
+"""Fraction of a memory that is allowed by default; the rest is for what is underestimated."""
 
 MEMORY_LIMIT = 4 * GIB
 """Largest memory in bytes for one propagation."""
@@ -48,11 +54,33 @@ def memory_limit() -> float:
     return require_number(VARIABLE, number, positive=True) * GIB
 
 
-def require_memory(
-    needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, limit: float | None = None
+def work_limit(needed: float) -> float:
+    """Return the bytes that one computation of `needed` bytes may take where the active variant computes.
+
+    On a CUDA device it is three quarters of the memory that is free, once caches are released if they are in the way,
+    and no more than ``MITSUBA_PLENOPTIC_MEMORY`` says.
+    """
+    free = free_device_memory(needed / _FRACTION)
+    if free is None:
+        return memory_limit()
+    return min(_FRACTION * free, memory_limit() if VARIABLE in os.environ else math.inf)
+
+
+def require_memory(needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+    """Refuse work that needs more of the machine's memory than is allowed."""
+    _require(needed, what, fits, memory_limit(), "memory")
+
+
+def check_memory(
+    needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, most: float = MEMORY_LIMIT
 ) -> None:
-    """Refuse work that needs more memory than is allowed."""
-    limit = memory_limit() if limit is None else limit
+    """Refuse work that needs more than `most` bytes, or than `work_limit` allows where the active variant computes."""
+    name = "memory" if free_device_memory(0.0) is None else "device memory"
+    _require(needed, what, fits, min(most, work_limit(needed)), name)
+
+
+def _require(needed: float, what: str, fits: Callable[[float], str | None] | None, limit: float, name: str) -> None:
+    """Refuse work that needs more than `limit` bytes of a memory of this name."""
     for sizes in _asked:
         sizes.append(needed)
     # Written so that an estimate that is not a number is refused too.
@@ -60,15 +88,10 @@ def require_memory(
         return
     hint = fits(limit) if fits else None
     raise InputError(
-        f"{what}: it would need {_gib(needed)} of memory, at most {_gib(limit)} are allowed"
+        f"{what}: it would need {_gib(needed)} of {name}, at most {_gib(limit)} are allowed"
         + (f"; {hint} would fit" if hint else "")
         + unit_hint(needed, limit)
     )
-
-
-def check_memory(bytes_needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
-    """Refuse work that needs more than `MEMORY_LIMIT`, or than `memory_limit`; see `require_memory`."""
-    require_memory(bytes_needed, what, fits, limit=min(MEMORY_LIMIT, memory_limit()))
 
 
 _asked: list[list[float]] = []
@@ -76,7 +99,7 @@ _asked: list[list[float]] = []
 
 @contextmanager
 def memory_asked() -> Iterator[list[float]]:
-    """Collect the bytes of all computations that call `require_memory` within the context."""
+    """Collect the bytes of all computations that ask for memory within the context."""
     sizes: list[float] = []
     _asked.append(sizes)
     try:
@@ -99,14 +122,22 @@ def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int
     return low
 
 
-def require_memory_for(memory: Callable[[int], float], size: int, what: str, words: Callable[[int], str]) -> None:
-    """Refuse work of a size, whose bytes `memory` gives, as `require_memory` does; `words` state a size that fits."""
+def require_memory_for(
+    memory: Callable[[int], float], size: int, what: str, words: Callable[[int], str], *, computed: bool = False
+) -> None:
+    """Refuse work of a size, whose bytes `memory` gives; `words` state a size that fits.
+
+    It lies in the machine's memory, or is `computed` where the active variant computes.
+    """
 
     def fitting(limit: float) -> str | None:
         largest = largest_fitting(memory, limit, size)
         return words(largest) if largest else None
 
-    require_memory(memory(size), what, fitting)
+    if computed:
+        check_memory(memory(size), what, fitting, most=math.inf)
+    else:
+        require_memory(memory(size), what, fitting)
 
 
 # The memory of a machine does not change.

@@ -1,9 +1,14 @@
 """A stand-in for CuPy on a machine without a CUDA device: arrays that refuse to be mixed with NumPy's.
 
-It follows CuPy where it differs from NumPy: nothing is converted implicitly, a transform takes no `workers`, gives a
-fresh array for a view, and leaves nothing of use in what it may overwrite. Every way to the host is counted.
+It follows CuPy where it differs from NumPy: it has CuPy's functions and methods alone, by the names of CuPy 14.2 in
+``cupy_names.txt``; nothing is converted implicitly; what would be a scalar stays on the device; a transform takes no
+`workers`, gives a fresh array for a view, and leaves nothing of use in what it may overwrite. Every way to the host is
+counted, that of a single number, as in ``float(x)`` and ``if x:``, too.
 """
 
+import functools
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import drjit as dr
@@ -14,23 +19,43 @@ from mitsuba_plenoptic.runtime.backend import Backend
 
 _dr_numpy = dr.ArrayBase.numpy
 
-_FUNCTIONS = (
-    "arange", "ascontiguousarray", "bincount", "clip", "copyto", "cumsum", "einsum", "empty", "eye", "floor",
-    "iscomplexobj",
-    "matmul", "maximum", "moveaxis", "multiply", "ones", "pad", "repeat", "roll", "sqrt", "square", "stack",
-    "tensordot", "where", "zeros",
-)  # fmt: skip
+
+def recorded_names():
+    """Return CuPy's names, of functions, methods, transforms and methods of universal functions."""
+    parts = (Path(__file__).parent / "cupy_names.txt").read_text().split("# ")[1:]
+    return {title: frozenset(" ".join(lines).split()) for title, *lines in (part.splitlines() for part in parts)}
+
+
+NAMES = recorded_names()
+
+_ATTRIBUTES = ("shape", "size", "ndim", "dtype", "flags", "itemsize", "nbytes", "strides")
+_VIEWS = ("T", "real", "imag")
+_TO_HOST = ("get", "item", "tolist", "tobytes")
+
+
+def forget():
+    """Empty the caches of all functions, whose results were computed by the other libraries."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("mitsuba_plenoptic"):
+            for value in list(vars(module).values()):
+                for each in (value, *(vars(value).values() if isinstance(value, type) else ())):
+                    if isinstance(each, functools._lru_cache_wrapper):
+                        each.cache_clear()
 
 
 class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
     """An array that only the stand-in's functions and its own operators can read."""
 
     __hash__ = None
+    # The numbers that have left the device one by one, of all arrays.
+    scalars = 0
 
     def __init__(self, host, base=None):
         self._host, self.base = host, base
 
     def __array_ufunc__(self, function, method, *inputs, **options):
+        if function.__name__ not in NAMES["functions"]:
+            raise TypeError(f"CuPy has no universal function {function.__name__}")
         result = getattr(function, method)(*_unwrap(inputs), **_unwrap_options(options))
         return options["out"][0] if "out" in options else _wrap(result)
 
@@ -57,25 +82,39 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
     def __setitem__(self, index, value):
         self._host[_unwrap(index)] = _unwrap(value)
 
+    def _scalar(self, kind):
+        DeviceArray.scalars += 1
+        return kind(self._host)
+
     def __float__(self):
-        return float(self._host)
+        return self._scalar(float)
 
     def __complex__(self):
-        return complex(self._host)
+        return self._scalar(complex)
+
+    def __int__(self):
+        return self._scalar(int)
+
+    def __index__(self):
+        return self._scalar(int)
+
+    def __bool__(self):
+        return self._scalar(bool)
 
     def __getattr__(self, name):
-        if name in ("shape", "size", "ndim", "dtype", "flags"):
+        if name in _ATTRIBUTES:
             return getattr(self._host, name)
-        if name in ("T", "real", "imag"):
+        if name in _VIEWS:
             return DeviceArray(getattr(self._host, name), self)
-        if name in ("astype", "conj", "copy", "ravel", "reshape", "sum", "transpose", "view"):
-            return lambda *args, **kwargs: _wrap(getattr(self._host, name)(*_unwrap(args), **kwargs), self)
-        raise AttributeError(name)
+        if name not in NAMES["methods"] or name in _TO_HOST:
+            raise AttributeError(f"{name}: no method of CuPy's arrays that stays on the device")
+        return lambda *args, **kwargs: _wrap(getattr(self._host, name)(*_unwrap(args), **_unwrap_options(kwargs)), self)
 
 
 def _wrap(result, base=None):
-    # As in CuPy, what would be a scalar stays on the device.
-    return DeviceArray(np.asarray(result), base) if isinstance(result, np.ndarray | np.generic) else result
+    if isinstance(result, np.ndarray | np.generic):
+        return DeviceArray(np.asarray(result), base)
+    return type(result)(_wrap(part, base) for part in result) if isinstance(result, tuple | list) else result
 
 
 def _unwrap(value):
@@ -114,6 +153,23 @@ def _transform(function):
     return call
 
 
+class _Named:
+    """Functions of a library of the processor, of which CuPy has these names alone."""
+
+    def __init__(self, library, names, wrap, **own):
+        self._library, self._names, self._wrap = library, names, wrap
+        vars(self).update(own)
+
+    def __getattr__(self, name):
+        if name.startswith("_") or name not in self._names:
+            raise AttributeError(f"CuPy has no function {name}")
+        given = getattr(self._library, name)
+        made = self._wrap(given)
+        for method in NAMES["ufunc methods"] if isinstance(given, np.ufunc) else ():
+            setattr(made, method, _function(getattr(given, method)))
+        return made
+
+
 class _Matrix:
     def __init__(self, matrix):
         self._matrix = matrix
@@ -122,39 +178,48 @@ class _Matrix:
         return DeviceArray(np.asfortranarray(self._matrix @ _unwrap(other)))
 
 
-def _with_reduceat():
-    add = _function(np.add)
-    add.reduceat = _function(np.add.reduceat)
-    return add
-
-
 class StandIn:
     """The libraries of a CUDA device, in the processor's memory."""
 
     def __init__(self):
         self.to_host = []
-        arrays = SimpleNamespace(
-            **{name: _function(getattr(np, name)) for name in _FUNCTIONS},
-            # A universal function of CuPy has this method, too.
-            **{"add": _with_reduceat()},
+        # The device's memory, in bytes, and what a library keeps of it.
+        self.free, self.kept, self.total = 16 * 2**30, 0, 16 * 2**30
+        self._before = DeviceArray.scalars
+        arrays = _Named(
+            np,
+            NAMES["functions"],
+            _function,
             ndarray=DeviceArray,
             asarray=self._asarray,
             array=self._array,
             asnumpy=self._asnumpy,
             from_dlpack=lambda array: DeviceArray(_dr_numpy(array)),
+            get_default_memory_pool=lambda: SimpleNamespace(free_all_blocks=self._release),
+            get_default_pinned_memory_pool=lambda: SimpleNamespace(free_all_blocks=lambda: None),
             cuda=SimpleNamespace(
+                runtime=SimpleNamespace(memGetInfo=lambda: (self.free, self.total)),
                 Device=lambda: SimpleNamespace(synchronize=lambda: None),
                 Event=lambda: SimpleNamespace(record=lambda: None, synchronize=lambda: None),
                 get_elapsed_time=lambda start, end: 1.0,
             ),
         )
-        names = "fft", "ifft", "rfft", "irfft", "fft2", "ifft2"
-        transforms = SimpleNamespace(**{name: _transform(getattr(scipy.fft, name)) for name in names})
+        transforms = _Named(scipy.fft, NAMES["transforms"], _transform)
         self.backend = Backend(dr.llvm, arrays, transforms, SimpleNamespace(csr_matrix=_Matrix), is_cuda=True)
+
+    @property
+    def scalars(self):
+        """Numbers that have left the device one by one."""
+        return DeviceArray.scalars - self._before
+
+    def _release(self):
+        self.free, self.kept = self.free + self.kept, 0
 
     def _asarray(self, array, dtype=None, order="K"):
         if isinstance(array, DeviceArray):
-            return array if order == "K" else DeviceArray(np.asarray(array._host, dtype, order=order))
+            if order == "K" and dtype in (None, array.dtype):
+                return array
+            return DeviceArray(np.asarray(array._host, dtype, order=order))
         return DeviceArray(np.array(array, dtype, order=order))
 
     def _array(self, array, dtype=None, copy=True, order="K"):

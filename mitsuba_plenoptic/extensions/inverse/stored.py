@@ -17,7 +17,7 @@ from ...points.mixing import SpectralSum, mix
 from ...points.operator import CaptureOperator
 from ...runtime.backend import one_at_a_time
 from ...runtime.batches import Job
-from ...runtime.limits import check_memory
+from ...runtime.limits import require_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 
 _SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSpreads}
@@ -108,7 +108,7 @@ class StoredOperator(CaptureOperator):
         matrices, parts = self._computed(job), list(self._channels.parts(1))
         mixed = [part.after @ part.before.T for part in parts]
         entries = sum(matrices[part.wavelength].nnz * own.size for part, own in zip(parts, mixed, strict=True))
-        check_memory(2.0 * entries * (self._dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
+        require_memory(2.0 * entries * (self._dtype.itemsize + 8), "sparse matrix of all channels and wavelengths")
         if len(parts) == mixed[0].size == 1:
             return matrices[parts[0].wavelength] * self._dtype.type(mixed[0].item())
         return sum(
@@ -137,7 +137,7 @@ class StoredOperator(CaptureOperator):
         """
         wavelengths, matrix = self._channels.mixing(1)
         rows, columns = math.prod(self.camera.shape) * len(matrix), len(self.points) * len(wavelengths)
-        check_memory(float(self._dtype.itemsize) * rows * columns, f"dense matrix of {rows} x {columns}")
+        require_memory(float(self._dtype.itemsize) * rows * columns, f"dense matrix of {rows} x {columns}")
         return self.to_sparse(job=job).toarray()
 
     def _computed(self, job: Job | None) -> dict[float, Any]:

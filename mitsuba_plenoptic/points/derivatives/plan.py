@@ -17,7 +17,7 @@ from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...runtime.backend import backend
 from ...runtime.batches import BatchMap, Job, PartialSum, SumTask, Threads, add
-from ...runtime.limits import MEMORY_LIMIT, largest_fitting, memory_limit, single_threaded_blas
+from ...runtime.limits import MEMORY_LIMIT, largest_fitting, single_threaded_blas, work_limit
 from ..accuracy import derivative_band_for, derivatives_share
 from ..mixing import WavelengthPlans, groups, mix
 from ..patch_factors import Fields
@@ -176,7 +176,7 @@ class DerivativePlan(PatchPlan):
         def memory(count: int) -> float:
             return self.memory(batch_map, self._kept(count * channels))
 
-        return max(1, largest_fitting(memory, min(MEMORY_LIMIT, memory_limit()), directions))
+        return max(1, largest_fitting(memory, min(MEMORY_LIMIT, work_limit(memory(directions))), directions))
 
     def _kept(self, channels: int) -> int:
         """Return the number of images in memory for the derivatives of some channels."""

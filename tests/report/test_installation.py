@@ -1,0 +1,86 @@
+"""``doctor``: what it calls ready renders, and what fails is named, without a GPU, without OptiX, without LLVM."""
+
+import json
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.report import installation
+
+NO_LLVM = "no LLVM 17 or newer was found; run: INSTALL"
+NO_OPTIX = (
+    "import sys; print('jit_optix_init(): libnvoptix.so.1 could not be loaded', file=sys.stderr); "
+    "raise RuntimeError('Could not initialize OptiX!')"
+)
+
+
+@pytest.fixture
+def machine(monkeypatch, capfd):
+    """Return the status and the JSON of ``doctor`` on a machine with these parts."""
+
+    def simulate(*, cuda=False, llvm=None, script=installation._TRIANGLE):
+        monkeypatch.setattr(dr, "has_backend", lambda _: cuda)
+        monkeypatch.setattr(mi, "variants", lambda: ["scalar_rgb", "llvm_ad_mono", "cuda_ad_mono"])
+        monkeypatch.setattr(installation.llvm, "problem", lambda: llvm)
+        # The variant that is tried takes its script by its name, so that one can fail beside another.
+        monkeypatch.setattr(installation, "_TRIANGLE", script)
+        status = main(["doctor", "--json"])
+        return status, json.loads(capfd.readouterr().out)
+
+    return simulate
+
+
+def for_cuda(script):
+    """Return a script that does this with CUDA, and renders the triangle with LLVM."""
+    return f"import sys\nif 'cuda' in sys.argv[1]:\n    {script}\nelse:\n    exec({installation._TRIANGLE!r})\n"
+
+
+def test_without_a_gpu_llvm_renders(machine):
+    status, found = machine()
+    assert status == 0 and found["ready"] and found["verdict"] == "Ready to render"
+    assert found["Variants"] == {"llvm_ad_mono": "works here", "cuda_ad_mono": "not usable here"}
+    assert found["GPU"]["CUDA"] == "not found" and "OptiX" not in found["GPU"]
+
+
+def test_a_driver_without_optix(machine):
+    status, found = machine(cuda=True, script=for_cuda(NO_OPTIX))
+    assert status == 0 and found["Variants"]["llvm_ad_mono"] == "works here"
+    assert found["Variants"]["cuda_ad_mono"] == "fails here: RuntimeError: Could not initialize OptiX!"
+    assert all(words in found["GPU"]["OptiX"] for words in ("fails", "535 or newer", "NVIDIA_DRIVER_CAPABILITIES"))
+
+
+@pytest.mark.skipif(dr.has_backend(dr.JitBackend.CUDA), reason="a CUDA device is here")
+def test_a_driver_that_mitsuba_cannot_use(machine):
+    """The true failure of a true CUDA variant, with a driver found that is not there, and nothing else to render."""
+    status, found = machine(cuda=True, llvm=NO_LLVM)
+    assert status == 1 and found["verdict"] == "Not ready: no variant renders here" and found["problem"] == NO_LLVM
+    assert found["Variants"]["llvm_ad_mono"] == "not usable here"
+    assert found["Variants"]["cuda_ad_mono"].startswith("fails here: ") and "535" in found["GPU"]["OptiX"]
+
+
+def test_cuda_without_llvm_is_not_ready_for_the_default_variant(machine):
+    status, found = machine(cuda=True, llvm=NO_LLVM, script="pass")
+    assert status == 1 and not found["ready"] and found["GPU"]["OptiX"] == "works"
+    assert found["verdict"] == (
+        "Not ready: llvm_ad_mono, the default variant, does not render here; --variant cuda_ad_mono does"
+    )
+
+
+@pytest.mark.parametrize(
+    ("script", "fault"),
+    [
+        ("import os, sys; sys.stderr.write('LLVM ERROR: a line\\n'); sys.stderr.flush(); os.abort()",
+         "ended by SIGABRT after: LLVM ERROR: a line"),
+        ("import time; time.sleep(60)", "no answer within 0.3 s"),
+        ("raise SystemExit(3)", "exit status 3"),
+        (installation._TRIANGLE.replace("0, 0, 4], [0", "0, 0, 8.95], [0"),
+         "AssertionError: a triangle at a distance of 4 is rendered at 8.9"),
+    ],
+)  # fmt: skip
+def test_a_variant_that_aborts_hangs_or_renders_something_else(script, fault, monkeypatch):
+    monkeypatch.setattr(installation, "_TRIANGLE", script)
+    if "sleep" in script:
+        monkeypatch.setattr(installation, "TRIAL_SECONDS", 0.3)
+    assert installation.trial("llvm_ad_mono").startswith(fault)

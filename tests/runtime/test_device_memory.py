@@ -1,0 +1,94 @@
+"""Memory on a CUDA device, by the stand-in: limits follow the active variant, and caches are not in the way."""
+
+import drjit as dr
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, Job, PlenopticCamera, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic.runtime import limits
+from mitsuba_plenoptic.runtime.batches import SumTask
+from mitsuba_plenoptic.runtime.limits import GIB, VARIABLE, check_memory, require_memory, work_limit
+
+CAMERA = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+
+
+@pytest.fixture(autouse=True)
+def machine(monkeypatch):
+    """Leave the limit to the memory, which is 1024 GiB here."""
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(limits, "_machine_memory", lambda: 1024.0 * GIB)
+
+
+@pytest.fixture
+def flushed(device, monkeypatch):
+    """Count how often Dr.Jit's cache is emptied."""
+    calls = []
+    monkeypatch.setattr(dr, "flush_malloc_cache", lambda: calls.append(device.free))
+    return calls
+
+
+def test_the_limit_is_the_devices_where_a_cuda_variant_is_active(device):
+    device.free = 8 * GIB
+    assert work_limit(1.0) == 6 * GIB
+    with pytest.raises(
+        InputError, match=r"a field: it would need 7.0 GiB of device memory, at most 6.0 GiB are allowed"
+    ):
+        check_memory(7 * GIB, "a field", most=16 * GIB)
+    # What is read and decoded lies in the machine's memory.
+    require_memory(700 * GIB, "a picture")
+    with pytest.raises(InputError, match="it would need 800 GiB of memory, at most 768 GiB"):
+        require_memory(800 * GIB, "a picture")
+
+
+def test_without_a_device_the_limit_is_the_machines():
+    assert work_limit(1.0) == 768 * GIB
+    with pytest.raises(InputError, match="it would need 800 GiB of memory"):
+        check_memory(800 * GIB, "a field", most=1024 * GIB)
+
+
+def test_the_variable_limits_the_device_but_does_not_enlarge_it(device, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "2")
+    assert work_limit(1.0) == 2 * GIB
+    monkeypatch.setenv(VARIABLE, "64")
+    assert work_limit(1.0) == 0.75 * device.free
+
+
+def test_caches_are_emptied_before_a_refusal_and_only_then(device, flushed):
+    device.free, device.kept = 1 * GIB, 7 * GIB
+    check_memory(0.5 * GIB, "a field")
+    assert not flushed and device.kept
+    check_memory(3 * GIB, "a field")
+    assert flushed == [1 * GIB] and not device.kept
+    with pytest.raises(InputError, match=r"7.0 GiB of device memory, at most 6.0 GiB"):
+        check_memory(7 * GIB, "a field", most=16 * GIB)
+
+
+def test_caches_are_emptied_between_the_sums_of_a_job(device, flushed):
+    class Nothing:
+        arrays, channels, items = device.backend.arrays, 1, np.zeros(0, np.int64)
+        box = type("Box", (), {"rows": 2, "columns": 2})
+
+        def batches(self, first):
+            yield from ()
+
+        def image(self, total):
+            return device.backend.to_host(total.sums).transpose(1, 2, 0)
+
+    tasks = [SumTask(0, Nothing, lambda image: image + 1) for _ in range(3)]
+    assert (Job().run(tasks, (2, 2, 1), 0) == 3).all() and len(flushed) == 3
+
+
+def test_captures_and_reconstructions_name_the_device(device):
+    device.free = 2**20
+    with pytest.raises(InputError, match="GiB of device memory"):
+        reconstruct(np.ones(CAMERA.shape, np.float32), 240.0, camera=CAMERA, wavelength=633, method="coherent")
+    with pytest.raises(InputError, match=r"capture of .* GiB of device memory"):
+        render_capture(load_scene("white", parameters={"resolution": "512"}), spp=4)
+
+
+def test_without_cupy_the_machine_limits_what_rays_need(device, monkeypatch):
+    def missing():
+        raise InputError("waves on CUDA need CuPy")
+
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.backend._cuda", missing)
+    assert work_limit(1.0) == 768 * GIB
