@@ -276,7 +276,7 @@ class CoreParameters:
             "Relative brightness of single lenses, from 0 to 4, see `LensTransmissions`: a table of rows and columns "
             "of lenses around the axis, beyond which it is 1; as a file, as JSON text or a JSON file of its "
             "parameters, in Python also as an array. For rays, waves of scenes, white images, decoding and "
-            "reconstructions, which divide it out, and for waves of points by method ``full_field``."
+            "reconstructions, which divide it out, and for waves of points."
         ),
         form=Form.LENSES,
         otherwise="equal lenses",
@@ -291,7 +291,7 @@ class CoreParameters:
             "Outline, apodisation and slope of the pupil as they change over the field, see `Vignetting`: as a JSON "
             "file, its text or a dictionary of its parameters. The power of light is multiplied by it; light diffracts "
             "at the rim of `aperture_radius` alone. For rays, waves of scenes, white images, decoding and "
-            "reconstructions, which divide it out."
+            "reconstructions, which divide it out, and for waves of points behind thin main lenses and objectives."
         ),
         form=Form.VIGNETTING,
         otherwise="the same pupil for all lenses",

@@ -16,6 +16,9 @@ _DEGREES = {1: 0, 3: 1, 6: 2, 10: 3, 15: 4}
 _LARGEST = 100.0
 """Size of a coefficient at most."""
 
+_NARROWEST = 1e-4
+"""Smallest radius of an outline, over the pupil's."""
+
 
 @suggest_keywords
 @dataclass(frozen=True)
@@ -31,7 +34,9 @@ class Vignetting:
     and 0 elsewhere. Each of the numbers is a polynomial of the place over a scale, whose 1, 3, 6, 10 or 15 coefficients
     are those of 1; X, Y; :math:`X^2`, X Y, :math:`Y^2`; and so on, :math:`X = x / scale`. Coordinates are those of the
     camera frame. What the pupil's rim, at `aperture_radius`, cuts stays dark, so that :math:`\rho` above 1 has no
-    effect. Light is weighted by T after the main lens: by waves, too, light diffracts at the rim alone.
+    effect. Light is weighted by T after the main lens: in wave captures of scenes, too, light diffracts at the rim
+    alone. Light of points has the amplitude :math:`\sqrt{T}` behind the pupil, where (x, y) is the place at which its
+    ray through the pupil point meets the array, and diffracts at the outline, too.
 
     Parameters
     ----------
@@ -103,13 +108,28 @@ class Vignetting:
         x, y : array
             Places on the array in the camera frame, in millimetres.
         """
+        square, _, value = self._within(px, py, x, y)
+        return select(square <= 1, value, 0.0)
+
+    def outline(self, px: Any, py: Any, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return the distance from the outline, positive inside, and the transmission as if the outline were wider.
+
+        Parameters are those of `power`. The distance is in units of the pupil's radius, to first order.
+        """
+        square, radius, value = self._within(px, py, x, y)
+        return radius * (1 - module_of(square).sqrt(square)), value
+
+    def _within(self, px: Any, py: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
+        """Return r^2, the outline's radius, and the transmission regardless of the outline."""
         n = self.at(x, y)
-        u = ((1 - n["ellipse_x"]) * px - n["ellipse_y"] * py) / n["radius"]
-        v = ((1 + n["ellipse_x"]) * py - n["ellipse_y"] * px) / n["radius"]
+        # Far beyond the detector polynomials may have any value.
+        radius = module_of(px * x).maximum(n["radius"], _NARROWEST)
+        u = ((1 - n["ellipse_x"]) * px - n["ellipse_y"] * py) / radius
+        v = ((1 + n["ellipse_x"]) * py - n["ellipse_y"] * px) / radius
         square = u * u + v * v
         slope = n["slope_x"] * u + n["slope_y"] * v
         value = 1 + slope + square * (n["apodisation_2"] + n["apodisation_4"] * square)
-        return select(square <= 1, module_of(square).maximum(value, 0), 0.0)
+        return square, radius, module_of(square).maximum(value, 0)
 
     def to_plain(self) -> dict[str, Any]:
         """Return the coefficients as lists by name, and the scale, for files and headers."""

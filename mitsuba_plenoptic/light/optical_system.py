@@ -87,12 +87,12 @@ class OpticalSystem:
         PhysicsError
             If the path through a real lens cannot be fitted.
         """
-        require_ideal(self.camera, in_full=True)
+        require_ideal(self.camera, in_full=True, besides=("vignetting",))
         return self.lens.waves_of(points)
 
     def waves_of_one(self, point: NDArray[np.float64]) -> PointLight:
         """Return the light of a scene point (3,) on the exit pupil, as exactly as the lens can represent it."""
-        require_ideal(self.camera, in_full=True)
+        require_ideal(self.camera, in_full=True, besides=("vignetting",))
         return self.lens.waves_of_one(point)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..camera.vignetting import Vignetting
 from ..errors import refuse_if
 from ..lenses.collimated import CollimatedLens
 from ..lenses.main_lens import PointLight
@@ -27,6 +28,7 @@ from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fast_length, fft, fft2, pack, resting_drjit, rows_and_columns
 from ..runtime.limits import check_memory
 from .pupil_weights import PupilWeights
+from .seen_pupil import SeenPupil
 
 _WINDOW_MARGIN = 1.2
 """Width of the window between pupil and MLA over the extent that it must contain."""
@@ -209,10 +211,17 @@ def pupil_field(
         entering = interpolated(incident, grids.wide_origin, pitch, (count, count)) / np.float32(incident.power**0.5)
         guards.check(guards.APERTURE, 1 - power(entering) * pitch**2)
         return SampledField(entering * turned, grids.wide_origin, pitch)
+
     # The edge is softened over one sample to make it round; the normalisation is that of the hard edge.
-    cover = types.Float(soft_edge(lens.inside(pupil) / step))
+    def soften(inside: Any) -> Any:
+        return types.Float(soft_edge(inside / step))
+
+    cover = soften(lens.inside(pupil))
     bright = types.Float(lens.amplitude(pupil, point))
     density = types.Float64(bright * bright * cover)
+    if (vignetting := system.camera.vignetting) is not None:
+        seen = SeenPupil(vignetting, system.lens.bind(position[None]), lens.pupil_radius)
+        cover = types.Float(seen.amplitude(pupil, point, soften))
     if weights is not None:
         passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
         density *= types.Float64(passed)
@@ -286,10 +295,11 @@ def telecentric_arrival(
     wavelength: float,
     grids: FieldGrids,
     weights: PupilWeights | None = None,
+    vignetting: Vignetting | None = None,
 ) -> tuple[SampledField, SampledField]:
     """Return the fields of a scene point (3,) on the stop and in the native image directly before the microlenses.
 
-    Both have the power 1, except for light that misses the detector's window.
+    Both have the power 1, except for light that misses the detector's window or that vignetting takes.
     """
     types, count = backend().types, grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
@@ -302,7 +312,7 @@ def telecentric_arrival(
         frequencies.append(dr.select(index < (count + 1) // 2, index, index - count))
     reach = lens.pupil_distance * step
     pupil = -frequencies[0] * dr.opaque(types.Float64, reach), -frequencies[1] * dr.opaque(types.Float64, reach)
-    field = _stop_field(lens, position, wavelength, pupil, reach, weights)
+    field = _stop_field(lens, position, wavelength, pupil, reach, weights, vignetting)
     # The first sample is at the corner of the grid.
     to_corner = [dr.opaque(types.Float64, start / (count * pitch)) for start in grids.wide_origin]
     spectrum = field * phasor(frequencies[0] * to_corner[0] + frequencies[1] * to_corner[1])
@@ -360,16 +370,24 @@ def _stop_field(
     pupil: tuple[Any, Any],
     sample: float,
     weights: PupilWeights | None,
+    vignetting: Vignetting | None = None,
 ) -> Any:
-    """Return the field at positions on the stop, with power 1 and an edge that is softened over one sample."""
+    """Return the field at positions on the stop, with power 1 before vignetting, its edge softened over one sample."""
     types = backend().types
     point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-    cover = types.Float(soft_edge(lens.inside(pupil) / sample))
+
+    def soften(inside: Any) -> Any:
+        return types.Float(soft_edge(inside / sample))
+
+    cover = soften(lens.inside(pupil))
     amplitude = types.Float(lens.amplitude(pupil, point))
     power = lens.power_through(position)
     if weights is not None:
         count = dr.width(pupil[0])
         passed, relative = weights.at(dr.zeros(types.UInt32, count), *pupil, lens.pupil_radius, sample)
         power = float(dr.sum(types.Float64(amplitude * amplitude * cover * passed))[0]) * sample**2
+    if vignetting is not None:
+        cover = types.Float(SeenPupil(vignetting, lens, lens.pupil_radius).amplitude(pupil, point, soften))
+    if weights is not None:
         cover *= relative
     return phasor(lens.path(pupil, point, wavelength)) * (amplitude * cover / math.sqrt(power))

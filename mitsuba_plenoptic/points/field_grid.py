@@ -7,10 +7,12 @@ an integer number of samples apart, so that a point spread can be moved from len
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,6 +59,10 @@ class Band:
     smooth: bool = False  # whether the softened edges have no kinks, which reduces aliasing
 
 
+_PARTS = 3
+"""Parts of a sample, along an axis, over which the light of lenses of unequal brightness is averaged."""
+
+
 @dataclass(frozen=True)
 class Grid:
     """The detector grid on which intensities are sampled, with data common to the patches on it."""
@@ -76,6 +82,28 @@ class Grid:
     def lens_samples(self) -> NDArray[np.int64]:
         """Number of samples along x and y (columns) between adjacent micro-images along each lattice vector (rows)."""
         return np.rint(repetition(self.camera)[0] * self.camera.image_growth / self.pitch).astype(np.int64)
+
+    @property
+    def is_separable(self) -> bool:
+        """Whether all factors on the array are functions of one coordinate."""
+        return (0, 1) not in self.microlenses.axes and self.camera.mla_transmissions is None
+
+    def brightness(self, x: Any, y: Any, steps: NDArray[np.float64]) -> Any:
+        """Return the mean amplitude behind lenses of unequal brightness, in samples some steps apart.
+
+        Positions and steps are in mm on the array, as Dr.Jit arrays and along x and y.
+        """
+        table, lattice, parts = self.camera.mla_transmissions, self.camera.lattice, (np.arange(_PARTS) + 0.5) / _PARTS
+        if table is None:
+            return 1.0
+        if lattice.displacement is not None:
+            # Once for all parts, as displacements are smooth.
+            x, y = lattice.displacement.regular(x, y)
+        amplitude: Any = 0.0
+        for right, up in itertools.product(*((parts - 0.5)[None] * steps[:, None]).tolist()):
+            cell = lattice.regular.cell(x + dr.opaque(type(x), right), y + dr.opaque(type(y), up))
+            amplitude += dr.sqrt(table.at(lattice, *cell))
+        return amplitude / _PARTS**2
 
     @classmethod
     def of(

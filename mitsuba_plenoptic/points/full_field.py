@@ -126,7 +126,7 @@ def _arrival(
     if isinstance(lens, (TelecentricLens, CollimatedLens)) and system.camera.lens_data.images_stop:
         return stop_image_arrival(lens, position, system.wavelength, grids, weights, incident)
     if isinstance(lens, TelecentricLens):
-        return telecentric_arrival(lens, position, system.wavelength, grids, weights)
+        return telecentric_arrival(lens, position, system.wavelength, grids, weights, system.camera.vignetting)
     pupil = pupil_field(system, position, grids, weights, incident)
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
 

@@ -47,8 +47,9 @@ class CaptureOperator(CoherentPoints):
 
     .. math:: I = A w, \qquad I_p = \sum_r w_r \, \mathrm{psf}_r(p)
 
-    where psf is the fraction of the power through the visible pupil that falls on the pixel p. All data that do not
-    depend on the weights are computed on first use, and cached.
+    where psf is the fraction of the power through the visible pupil that falls on the pixel p. `vignetting` and
+    `mla_transmissions` of the camera dim point spreads. All data that do not depend on the weights are computed on
+    first use, and cached.
 
     Parameters
     ----------
@@ -116,7 +117,12 @@ class CaptureOperator(CoherentPoints):
         camera = regular_array(camera)
         # An aperture that is not round is the power of every point's light over the pupil; sums of spreads are blurred.
         open_ = camera.replace(**NOT_ROUND, detector_blur=0.0)
-        require_ideal(open_, in_full=method == "full_field")
+        require_ideal(open_, in_full=method == "full_field", besides=("mla_transmissions", "vignetting"))
+        refuse_if(
+            camera.vignetting is not None and (camera.lens_data.traced_surfaces or camera.lens_data.images_stop),
+            f"vignetting = {camera.vignetting}: waves of points are followed behind thin main lenses and objectives "
+            "with the array in the image only; leave it out",
+        )
         uneven = pupil_weights is not None or camera.aperture != Round()
         if camera.lens_data.traced_surfaces and method == "full_field" and uneven:
             name = "pupil_weights" if pupil_weights is not None else f"pupil_apodisation = {camera.pupil_apodisation}"

@@ -25,6 +25,7 @@ from ..runtime.backend import array_module, drjit_array, is_zero
 from ..runtime.fft import fast_length, split
 from .field_grid import Grid, Placement
 from .pupil_weights import PupilWeights
+from .seen_pupil import SeenPupil
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ def chunks_of(grid: Grid, placement: Placement, patches: NDArray[np.int64], most
     """Return patches of one size in chunks of at most `most`, whose factors have at most `FIELD_BYTES`."""
     first = patches[0]
     across = float((placement.last[first] - placement.first[first]).max()) + 2
-    if (0, 1) in grid.microlenses.axes:
-        # On the array, as the microlenses' factor depends on both axes.
+    if not grid.is_separable:
+        # On the array, as a factor there depends on both axes.
         across = 1.5 * float(placement.samples[first])
     size = min(most, max(1, int(FIELD_BYTES / (8 * across**2))))
     return [patches[start : start + size] for start in range(0, len(patches), size)]
@@ -115,7 +116,7 @@ class PatchFactors:
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
         # Each axis has a factor: the curvature and the microlenses' factor of its coordinate. A factor of both is
         # separate.
-        self.axes = [(0,), (1,), *(axes for axes in grid.microlenses.axes if len(axes) == 2)]
+        self.axes = [(0,), (1,)] if grid.is_separable else [(0,), (1,), (0, 1)]
         self.chief = (placement.first + placement.last) // 2  # index of the central direction of each point, (n, 2)
         directions = int((placement.last - placement.first).max()) + 1
         self._low, count = self.chief.min(0), len(self._positions)
@@ -202,10 +203,18 @@ class PatchFactors:
         # The power is that of the hard edge; the width of the soft edge depends on the grid.
         width = math.sqrt(math.prod(steps)) * grid.band.edge
         sample = dr.detach(R) * self._constant(width)
-        soften = smooth_edge if grid.band.smooth else soft_edge
-        cover = soften(types.Float(light.inside(pupil) / sample))
+
+        def soften(inside: Any) -> Any:
+            return (smooth_edge if grid.band.smooth else soft_edge)(types.Float(inside / sample))
+
+        cover = soften(light.inside(pupil))
         bright = types.Float(light.amplitude(pupil, point) * R * R / b)
         power = types.Float64(bright * bright * cover)
+        if grid.camera.vignetting is not None:
+            # The light is dimmed: its power is that before.
+            seen = SeenPupil(grid.camera.vignetting, light, lens.pupil_radius)
+            scene_point = (*self._in_camera(elements, X, Y), point[2])
+            cover = types.Float(seen.amplitude(self._in_camera(elements, *pupil), scene_point, soften))
         if self._weights is not None:
             in_camera = self._in_camera(elements, *pupil)
             passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil_radius, sample)
@@ -243,8 +252,12 @@ class PatchFactors:
         """Return the coordinate on the MLA of samples of points."""
         grid = self._grid
         corner = grid.origin[axis] + self._placement.corner[:, axis] * grid.pitch[axis]
-        step = float(self.samples * grid.pitch[axis] / self.mla_samples)
-        return self._each(corner, patch) + self._types.Float64(sample) * self._constant(step)
+        return self._each(corner, patch) + self._types.Float64(sample) * self._constant(float(self._mla_steps[axis]))
+
+    @property
+    def _mla_steps(self) -> NDArray[np.float64]:
+        """Distances in mm between samples on the array along x and y."""
+        return self.samples * self._grid.pitch / self.mla_samples
 
     def _on_axis(self, elements: Elements, axis: int, scale: Any) -> Any:
         """Return the factor on the MLA along an axis, (n, samples): curvature, microlenses, and along y the scale.
@@ -272,11 +285,15 @@ class PatchFactors:
         return product * types.Float(self._each(scale, patch)) if axis else product
 
     def _on_plane(self, elements: Elements) -> Any:
-        """Return the microlenses' factor of both coordinates, (n, samples along y, samples along x)."""
-        types, size, (factor,) = self._types, self.mla_samples, elements.array(self._highest)
+        """Return the factor of both coordinates, (n, along y, along x): microlenses if not separable, brightness."""
+        types, size = self._types, self.mla_samples
         patch, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
         x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
-        return factor.at(x, y)
+        product = types.Complex2f(types.Float(self._grid.brightness(x, y, self._mla_steps)))
+        for factor in elements.array(self._highest):
+            if len(factor.axes) == 2:
+                product = factor.at(x, y) * product
+        return product
 
     def _transfer(self, elements: Elements) -> Any:
         """Return the transfer function from MLA to detector."""

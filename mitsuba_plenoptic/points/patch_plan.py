@@ -24,6 +24,7 @@ from .field_grid import Band, Grid, place
 from .patch_factors import Fields, chunks_of, fields_memory
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
+from .seen_pupil import passed_part
 from .tile import Copies, Gather, Scatter, aperture_power, reached
 
 _CHUNK = 64
@@ -70,8 +71,9 @@ class PatchPlan:
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
         self._grid = Grid.of(system, band or band_for(accuracy, len(points)), points)
         upright, lens, turned = self._grid.camera, self._grid.lens, self._grid.to_frame(points)
-        # Lenses at uneven distances share nothing.
+        # Lenses at uneven distances share nothing, nor do lenses of uneven light.
         shared &= bool(self._grid.lens_samples.any()) and not camera.mla_warp
+        shared &= camera.vignetting is None and camera.mla_transmissions is None
         step = wavefront_step(accuracy, upright, lens, turned) if shared else 0.0
         patterns = find_patterns(upright, lens, turned, pupil_weights, wavelength, step)
         placement = place(self._grid, patterns.positions)
@@ -88,6 +90,7 @@ class PatchPlan:
         used, self._first = np.unique(patterns.pattern[order], return_index=True)
         self._last = np.append(self._first[1:], len(order))
         self._positions, self._placement = patterns.positions[used], placement.take(used)
+        self._passed = passed_part(camera.vignetting, self._grid.lens, points)
         self._slant = None if patterns.slant is None else patterns.slant[used]
         self._chunks = self._sort()
 
@@ -145,16 +148,17 @@ class PatchPlan:
         """Factor on the total power that compensates for light diffracted beyond the patches.
 
         In sums of many points that light is a uniform background, exchanged between neighbouring patches. The factor is
-        computed for open pupils, since it differs little from pattern to pattern. It is 1 for few points or high
-        accuracy.
+        computed for open pupils and equal lenses, since it differs little from pattern to pattern. It is 1 for few
+        points or high accuracy.
         """
         if math.isinf(self._grid.band.beyond) or not self._grid.microlenses.fills or not len(self._positions):
             return 1.0
+        grid = replace(self._grid, camera=self._grid.camera.replace(mla_transmissions=None, vignetting=None))
         whole = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
         some, arrived = _some(len(self._positions)), 0.0
         with resting_drjit():
             for pattern in some:
-                fields = Fields(self._grid, self._placement.take(pattern), self._positions[pattern], None)
+                fields = Fields(grid, self._placement.take(pattern), self._positions[pattern], None)
                 arrived += float(Scatter(fields, np.ones(1), whole).prepare()().sums.sum(dtype=np.float64))
         return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
 
@@ -177,14 +181,14 @@ class PatchPlan:
     def loss(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64], arrived: float) -> float | None:
         """Return the fraction of the power through the microlenses' apertures that falls outside the patches.
 
-        If there are gaps between the apertures, the fraction is estimated from a few patterns.
+        If there are gaps between the apertures, or lenses differ, the fraction is estimated from a few patterns.
 
         `arrived` is the sum of all samples, without the `gain`. The result is None if there is nothing to sum or a
         weight is negative.
         """
         if not chunks or weights.min() < 0:
             return None
-        if not self._grid.microlenses.fills:
+        if not self._passes_all:
             patterns = np.concatenate(chunks)
             chunks = [patterns[some] for some in _some(len(patterns))]
             arrived = sum(float(self._sum_of(chunk, weights).sums.sum(dtype=np.float64)) for chunk in chunks)
@@ -206,14 +210,19 @@ class PatchPlan:
 
     def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
         """Return the sum of all samples if all power through the apertures fell on the patches."""
-        power = weights[self._order].sum(1)
+        power = weights[self._order].sum(1) * self._passed[self._order]
         if self._pupil_weights is not None:
             power = power * self._pupil_weights.lit()[self._order]
         per_pattern = np.add.reduceat(power, self._first)
-        if not self._grid.microlenses.fills:
+        if not self._passes_all:
             for chunk in chunks:
                 per_pattern[chunk] *= aperture_power(self._fields(chunk))
         return float(per_pattern[np.concatenate(chunks)].sum() / self._grid.pitch.prod())
+
+    @property
+    def _passes_all(self) -> bool:
+        """Whether the array passes all light."""
+        return self._grid.microlenses.fills and self._camera.mla_transmissions is None
 
     # -- adjoint ---------------------------------------------------------------------------------------
 

@@ -291,7 +291,7 @@ class Gather(FieldBatch):
 
 
 def aperture_power(fields: Fields) -> NDArray[np.float64]:
-    """Return the fraction (n,) of each point's power on the microlens array that falls on apertures.
+    """Return the fraction (n,) of each point's power on the microlens array that the apertures of lenses pass.
 
     The intensity before the array is band-limited, so that its integral over apertures of any shape is exact.
     """
@@ -309,7 +309,10 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
             intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
         x0, y0 = grid.origin + batch.corner[point] * grid.pitch
         x, y = types.Float64(x0 + column * pitch[0]), types.Float64(y0 + row * pitch[1])
-        passed = batch.libraries.from_drjit(grid.microlenses.open_fraction(cosine, x, y))
+        part = types.Float64(grid.brightness(x, y, pitch) ** 2)
+        if not grid.microlenses.fills:
+            part = grid.microlenses.open_fraction(cosine, x, y) * part
+        passed = batch.libraries.from_drjit(part)
         passed = intensity * passed.reshape(count, count)
         result[point] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
     return result

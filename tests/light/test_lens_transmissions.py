@@ -107,4 +107,4 @@ def test_files_and_refusals(tmp_path):
     with pytest.raises(InputError, match="no microlens array"):
         PlenopticCamera(mla_lattice="none", mla_transmissions=TABLE)
     with pytest.raises(InputError, match=r"mla_transmissions = LensTransmissions\(.*leave it out"):
-        CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
+        CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633).derivative([1.0], {"mla_distance": 1.0})

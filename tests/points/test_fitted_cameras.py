@@ -1,0 +1,107 @@
+"""Points through cameras as they are fitted to white pictures: vignetting, brightness of lenses, warp and blur."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, Objective, PlenopticCamera, Vignetting, render_capture
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.points.units import radiance_weight
+
+WAVELENGTH = 633.0
+
+UNEVEN = Vignetting(
+    radius=[0.8, 0.1, -0.05, 0, 0.05, 0.1], ellipse_x=[0.05, 0.1, 0], ellipse_y=[0.1], slope_x=[0.2, 0.1, -0.3],
+    slope_y=[-0.25], apodisation_2=[-0.3, 0, 0.2], apodisation_4=[0.1], scale=0.16,
+)  # fmt: skip
+"""Of a pupil that differs much from lens to lens."""
+
+TABLE = np.random.default_rng(3).uniform(0.2, 1.3, (6, 6))
+
+FITTED = PlenopticCamera(
+    detector_width=0.32, resolution=(80, 80), mla_rotation=3.0, mla_offset=(0.01, -0.02), vignetting=UNEVEN,
+    mla_warp=(0.05, -0.02, 0.03, 0, 0, 0, 0, 0.02, 0.04, -0.03, 0, 0, 0, 0), mla_transmissions=TABLE,
+    detector_blur=0.003,
+)  # fmt: skip
+"""Of 5 x 5 lenses with 16 x 16 pixels."""
+
+HEXAGONAL = FITTED.replace(mla_lattice="hexagonal", mla_pitch=0.07, mla_warp=())
+
+MICROSCOPE = FITTED.replace(
+    main_lens=Objective(20, 0.5), focal_length=None, mla_distance=None, aperture_radius=None, mla_pitch=0.064,
+    mla_focal_length=1.3, detector_distance=1.3, mla_warp=(),
+)  # fmt: skip
+
+
+def difference(image, reference):
+    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+
+
+@pytest.mark.parametrize(
+    ("camera", "point"),
+    [(FITTED, (0.1, -0.08, 232.0)), (HEXAGONAL, (-0.1, 0.05, 247.0)), (MICROSCOPE, (0.002, 0.001, 0.006))],
+    ids=["thin", "hexagonal", "microscope"],
+)
+def test_patches_agree_with_full_fields(camera, point):
+    patch, full = (
+        CaptureOperator(camera, [point], wavelength=WAVELENGTH, method=method).forward([1.0])
+        for method in ("patch", "full_field")
+    )
+    assert difference(patch, full) < 0.01
+    plain = camera.replace(vignetting=None, mla_transmissions=None)
+    assert difference(CaptureOperator(plain, [point], wavelength=WAVELENGTH).forward([1.0]), full) > 0.2
+
+
+def test_points_of_a_plane_are_the_white_of_a_scene():
+    """Rays, waves of scenes, and points have the same pupil, lenses and blur."""
+    # Waves of scenes diffract at the rim alone, points at the outline, too: it lies near the rim.
+    gentle = Vignetting(
+        radius=[0.9, 0.03, -0.02, 0, 0.02, 0.03], slope_x=[0.1, 0.05, -0.1], slope_y=[-0.1], apodisation_2=[-0.2, 0, 0.1],
+        scale=0.16,
+    )  # fmt: skip
+    crop = FITTED.replace(vignetting=gentle, crop_offset=(32, 32), crop_size=(16, 16))
+    # Closer than half a period of the finest fringes, lambda b / 2 a; the light of points beyond is not recorded.
+    step, reach = 0.0072, 0.032 + 0.1
+    along = np.arange(-reach, reach, step) + step / 2
+    x, y = (values.ravel() for values in np.meshgrid(along, along))
+    points = np.column_stack([-2 * x, -2 * y, np.full(x.size, 240.0)])
+    weight = radiance_weight(crop, OpticalSystem(crop, WAVELENGTH).lens, step**2)
+    image = CaptureOperator(crop, points, wavelength=WAVELENGTH).forward(np.full(len(points), weight))
+    scene = {"type": "scene", "sky": {"type": "constant"}, "camera": crop.to_sensor()}
+    waves = {"type": "plenoptic_wave", "wavelength": WAVELENGTH, "path": {"type": "direct"}}
+    white = render_capture(mi.load_dict(scene | {"integrator": waves}), spp=64).image
+    assert difference(image, white) < 0.05
+    assert image.sum() == pytest.approx(white.sum(), rel=0.015)
+
+
+def test_dimmed_light_is_a_part_of_the_light():
+    """An apodised pupil passes 1 + a / 2 of a point's light, an outline of 0.6 its square; the adjoint agrees."""
+    small = PlenopticCamera(detector_width=0.256, resolution=(64, 64))
+    points = np.array([[0.02, -0.03, 238.0], [-0.05, 0.01, 243.0]])
+    for given, part in (
+        (Vignetting(radius=1.0, apodisation_2=-0.5), 0.75),
+        (Vignetting(radius=0.6), 0.36),
+        (Vignetting(radius=1.0, slope_x=[0.4]), 1.0),
+    ):
+        plain, dimmed = (
+            CaptureOperator(small.replace(vignetting=table), points, wavelength=WAVELENGTH) for table in (None, given)
+        )
+        assert dimmed.forward([1, 2]).sum() == pytest.approx(part * plain.forward([1, 2]).sum(), rel=0.015)
+    operator = CaptureOperator(FITTED, points, wavelength=WAVELENGTH)
+    image, weights = np.random.default_rng(0).random(FITTED.shape), np.array([0.7, 1.9])
+    assert np.sum(operator.forward(weights) * image) == pytest.approx(operator.adjoint(image) @ weights, rel=1e-5)
+
+
+def test_what_does_not_know_them_says_so():
+    point = [(0.0, 0.0, 240.0)]
+    regular = FITTED.replace(mla_warp=())
+    operator = CaptureOperator(regular, point, wavelength=WAVELENGTH)
+    with pytest.raises(InputError, match=r"mla_transmissions = .*leave it out"):
+        operator.derivative([1.0], {"mla_distance": 1.0})
+    dim = regular.replace(mla_transmissions=None)
+    with pytest.raises(InputError, match=r"vignetting = .*leave it out"):
+        CaptureOperator(dim, point, wavelength=WAVELENGTH).gradient([1.0], np.ones(dim.shape))
+    with pytest.raises(InputError, match=r"vignetting = .*leave it out"):
+        CaptureOperator(dim, point, wavelength=WAVELENGTH, method="full_field").coherent_fields.at([1.0], "detector")
+    with pytest.raises(InputError, match=r"vignetting = .*thin main lenses and objectives"):
+        CaptureOperator(dim.replace(main_lens="double_gauss", focal_length=80), [(0, 0, 1e3)], wavelength=WAVELENGTH)
