@@ -56,8 +56,8 @@ def test_points_of_a_plane_are_the_white_of_a_scene():
     """Rays, waves of scenes, and points have the same pupil, lenses and blur."""
     # Waves of scenes diffract at the rim alone, points at the outline, too: it lies near the rim.
     gentle = Vignetting(
-        radius=[0.9, 0.03, -0.02, 0, 0.02, 0.03], slope_x=[0.1, 0.05, -0.1], slope_y=[-0.1], apodisation_2=[-0.2, 0, 0.1],
-        scale=0.16,
+        radius=[0.9, 0.03, -0.02, 0, 0.02, 0.03], slope_x=[0.1, 0.05, -0.1], slope_y=[-0.1],
+        apodisation_2=[-0.2, 0, 0.1], scale=0.16,
     )  # fmt: skip
     crop = FITTED.replace(vignetting=gentle, crop_offset=(32, 32), crop_size=(16, 16))
     # Closer than half a period of the finest fringes, lambda b / 2 a; the light of points beyond is not recorded.
