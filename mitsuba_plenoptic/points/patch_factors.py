@@ -10,7 +10,7 @@ import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import numpy as np
@@ -212,7 +212,7 @@ class PatchFactors:
         power = types.Float64(bright * bright * cover)
         if grid.camera.vignetting is not None:
             # The light is dimmed: its power is that before.
-            seen = SeenPupil(grid.camera.vignetting, light, lens.pupil_radius)
+            seen = SeenPupil(grid.camera.vignetting, cast(Light, light), lens.pupil_radius)
             scene_point = (*self._in_camera(elements, X, Y), point[2])
             cover = types.Float(seen.amplitude(self._in_camera(elements, *pupil), scene_point, soften))
         if self._weights is not None:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera.vignetting import Vignetting
-from ..lenses.fitted_lens import VaryingLight
 from ..lenses.main_lens import Light, MainLens, Pair
 
 _RADII, _ANGLES = 24, 48
@@ -30,7 +29,7 @@ class SeenPupil:
     """Vignetting of the light of points, given in the camera frame."""
 
     vignetting: Vignetting
-    light: Light | VaryingLight
+    light: Light
     pupil_radius: Any
 
     def amplitude(self, pupil: Pair, point: tuple[Any, Any, Any], soften: Callable[[Any], Any]) -> Any:
