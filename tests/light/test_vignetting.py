@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Vignetting, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera, Vignetting, render_capture
 from mitsuba_plenoptic.views import white_image
 
 VIGNETTING = Vignetting(
@@ -63,11 +63,6 @@ def test_waves_have_the_vignetting_of_rays():
     assert np.sqrt(((blocks[0] - blocks[1]) ** 2).mean()) < 0.02 * blocks[1].mean()
     plain = white_image(CAMERA.replace(vignetting=None)).reshape(16, 10, 24, 10).mean((1, 3))
     assert np.sqrt(((blocks[0] - plain) ** 2).mean()) > 0.1 * plain.mean()
-
-
-def test_points_refuse_it_by_name():
-    with pytest.raises(InputError, match=r"^vignetting"):
-        CaptureOperator(CAMERA, [[0, 0, 300]], wavelength=550)
 
 
 @pytest.mark.parametrize(
