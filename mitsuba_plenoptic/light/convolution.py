@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime.backend import backend
+from ..runtime.backend import Backend, backend, backend_of
 from ..runtime.batches import Box, Part, add, on_all_cores
 from ..runtime.fft import fast_length, resting_drjit, worker_count
 
@@ -45,15 +45,19 @@ class Convolution:
         rows, columns = (_even(count, most) for count in size or (self.box.rows, self.box.columns))
         self.tile = rows, columns
         self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
-        self._libraries = backend()
-        arrays, self._transforms = self._libraries.arrays, self._libraries.transforms
+        arrays, transforms = backend().arrays, backend().transforms
         self._spectra = arrays.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
 
         def transform(rank: int) -> None:
             kernel = arrays.asarray(np.pad(kernels[rank], self._margin - kernels[rank].shape[0] // 2))
-            self._spectra[rank] = self._transforms.rfft2(kernel, self._size)
+            self._spectra[rank] = transforms.rfft2(kernel, self._size)
 
         on_all_cores(transform, range(self.ranks))
+
+    @property
+    def _libraries(self) -> Backend:
+        """The libraries of the spectra's arrays; other processes import theirs."""
+        return backend_of(self._spectra)
 
     @property
     def memory(self) -> float:
@@ -76,7 +80,7 @@ class Convolution:
         box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
         wanted = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
-        arrays = self._libraries.arrays
+        libraries, arrays, transforms = self._libraries, self._libraries.arrays, self._libraries.transforms
         result = arrays.zeros((1, wanted.rows, wanted.columns), np.float32)
 
         def convolved(tile: tuple[slice, slice]) -> Part:
@@ -86,11 +90,11 @@ class Convolution:
             for image, spectrum in zip(images, self._spectra, strict=True):
                 samples = image[rows, columns]
                 # Microlenses of this kind may be elsewhere; to ask a device takes longer than to go on.
-                if self._libraries.is_cuda or samples.any():
-                    part = self._transforms.rfft2(samples, self._size)
+                if libraries.is_cuda or samples.any():
+                    part = transforms.rfft2(samples, self._size)
                     part *= spectrum
                     total += part
-            square = self._transforms.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
+            square = transforms.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
             return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
 
         with resting_drjit():
@@ -102,7 +106,7 @@ class Convolution:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
-        arrays = self._libraries.arrays
+        arrays, transforms = self._libraries.arrays, self._libraries.transforms
         samples = arrays.zeros((1, reached.rows, reached.columns), np.float32)
         add(Part(self._window, arrays.asarray(pixels)[None]), reached, samples)
 
@@ -110,12 +114,12 @@ class Convolution:
         def transformed(tile: tuple[slice, slice]) -> NDArray[np.complex64]:
             rows, columns = tile
             part = samples[0, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
-            return arrays.asarray(self._transforms.rfft2(part, self._size))
+            return arrays.asarray(transforms.rfft2(part, self._size))
 
         def correlated(spectrum: NDArray[np.complex64]) -> NDArray[np.float32]:
             image = arrays.empty((box.rows, box.columns), np.float32)
             for part, (rows, columns) in zip(parts, tiles, strict=True):
-                square = self._transforms.irfft2(part * spectrum.conj(), self._size, overwrite_x=True)
+                square = transforms.irfft2(part * spectrum.conj(), self._size, overwrite_x=True)
                 image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
             return image
 

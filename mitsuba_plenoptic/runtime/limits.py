@@ -72,9 +72,13 @@ def require_memory(needed: float, what: str, fits: Callable[[float], str | None]
 
 
 def check_memory(
-    needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, most: float = MEMORY_LIMIT
+    needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, most: float | None = None
 ) -> None:
-    """Refuse work that needs more than `most` bytes, or than `work_limit` allows where the active variant computes."""
+    """Refuse work that needs more than `most` bytes, or than `work_limit` allows where the active variant computes.
+
+    By default `most` is `MEMORY_LIMIT`.
+    """
+    most = MEMORY_LIMIT if most is None else most
     name = "memory" if free_device_memory(0.0) is None else "device memory"
     _require(needed, what, fits, min(most, work_limit(needed)), name)
 
