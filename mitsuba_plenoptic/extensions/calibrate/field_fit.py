@@ -26,7 +26,7 @@ _STEPS = dict.fromkeys(NUMBERS, 0.01) | {"stray": 0.001, "ellipse_x": 0.002, "el
 """Steps of differences that give derivatives."""
 
 _ZONES, ZONE_LENSES = 8, 24
-"""FieldZones of the field along a side, at most, and lenses of a zone that a fit uses."""
+"""Zones of the field along a side, at most, and lenses of a zone that a fit uses."""
 
 _REPEATS, _CONVERGED = 12, 1e-4
 """Steps of a fit at most, and the relative change of the residual that ends it."""
