@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime.backend import Backend, backend, backend_of
+from ..runtime.backend import backend, backend_of
 from ..runtime.batches import Box, Part, add, on_all_cores
 from ..runtime.fft import fast_length, resting_drjit, worker_count
 
@@ -55,11 +55,6 @@ class Convolution:
         on_all_cores(transform, range(self.ranks))
 
     @property
-    def _libraries(self) -> Backend:
-        """The libraries of the spectra's arrays; other processes import theirs."""
-        return backend_of(self._spectra)
-
-    @property
     def memory(self) -> float:
         """Bytes that a convolution takes in addition to its images."""
         # Each thread transforms a tile, and sums up the products with spectra.
@@ -80,7 +75,9 @@ class Convolution:
         box, m = box or self.box, self._margin
         pixels = pixels or self.reached(self.box)
         wanted = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
-        libraries, arrays, transforms = self._libraries, self._libraries.arrays, self._libraries.transforms
+        # Other processes import the libraries of the spectra's arrays themselves.
+        libraries = backend_of(self._spectra)
+        arrays, transforms = libraries.arrays, libraries.transforms
         result = arrays.zeros((1, wanted.rows, wanted.columns), np.float32)
 
         def convolved(tile: tuple[slice, slice]) -> Part:
@@ -106,7 +103,8 @@ class Convolution:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
         box, m = box or self.box, self._margin
         reached, tiles = _grown(box, m), list(self._tiles(box))
-        arrays, transforms = self._libraries.arrays, self._libraries.transforms
+        libraries = backend_of(self._spectra)
+        arrays, transforms = libraries.arrays, libraries.transforms
         samples = arrays.zeros((1, reached.rows, reached.columns), np.float32)
         add(Part(self._window, arrays.asarray(pixels)[None]), reached, samples)
 
