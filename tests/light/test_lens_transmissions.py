@@ -64,6 +64,7 @@ def test_rows_of_hexagonal_lattices_are_straight():
     assert table.at(camera.lattice, i + 7, j) == pytest.approx(np.ones(9))
 
 
+@pytest.mark.slow
 def test_points_by_full_fields():
     """A point in focus lights one lens, apart from diffraction."""
     small = PLAIN.replace(resolution=(32, 32), detector_width=0.128)

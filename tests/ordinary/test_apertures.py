@@ -209,7 +209,7 @@ def test_the_picture_in_micro_images_is_the_right_way_round():
 LAMP = (0.05, 0.02, 230.0)
 
 
-@pytest.mark.parametrize("method", ["full_field", "patch"])
+@pytest.mark.parametrize("method", [pytest.param("full_field", marks=pytest.mark.slow), "patch"])
 def test_waves_of_points_pass_the_picture(method):
     """As with its cells as the point's pupil weights, and where rays of a small lamp arrive."""
     camera = plenoptic(aperture_image=CODE).replace(detector_width=0.256, resolution=(64, 64))
@@ -316,7 +316,7 @@ def test_a_star_in_focus_is_the_transform_of_the_mask(name):
 
 
 WALLS = [
-    ("hexagon", 1.0, 0.01),
+    pytest.param("hexagon", 1.0, 0.01, marks=pytest.mark.slow),
     ("square", -3.0, 0.01),
     ("coded", 0.0, 0.01),
     ("coded", 1.0, 0.01),

@@ -48,10 +48,10 @@ PATHS = {
         (1, 4, 4, (), 0.012),
         (2, 1, 2, (), 0.012),
         (10, 1, 2, (), 0.012),
-        (1, 0, 4, COMA, 0.008),
+        pytest.param(1, 0, 4, COMA, 0.008, marks=pytest.mark.slow),
         # Somewhere in the pupil the defocus undoes the aberration.
         (1, 4, 4, COMA, 0.011),
-        (1, 0, 4, SPHERICAL, 0.008),
+        pytest.param(1, 0, 4, SPHERICAL, 0.008, marks=pytest.mark.slow),
         (1, -1, 4, ASTIGMATISM, 0.012),
     ],
 )
@@ -65,7 +65,10 @@ def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit
     assert found.sum() == pytest.approx(expected.sum(), rel=3e-3)
 
 
-@pytest.mark.parametrize(("airy", "size"), [(0.5, 20), (1.0, 24), (10.0, 8)])
+@pytest.mark.parametrize(
+    ("airy", "size"),
+    [pytest.param(0.5, 20, marks=pytest.mark.slow), (1.0, 24), pytest.param(10.0, 8, marks=pytest.mark.slow)],
+)
 def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
     """A lamp of one pixel, off the pixels' centres; the closed form is of Born and Wolf, section 8.5.2."""
     camera = camera_of(airy, size)
@@ -163,7 +166,7 @@ GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, 
 @pytest.mark.parametrize(
     ("variant", "changes"),
     [
-        ("llvm_ad_rgb", {}),
+        pytest.param("llvm_ad_rgb", {}, marks=pytest.mark.slow),
         ("llvm_ad_mono", {"crop_offset": (8, 4), "crop_size": (12, 8)}),
         ("llvm_ad_mono", {"lens_model": "parabolic", "distortion": (1e-3, 0, 0, 0, 0)}),
         ("llvm_ad_rgb", GAUSS),

@@ -81,7 +81,7 @@ def test_the_sensors_rays_are_of_single_precision(name):
     assert np.abs(landed - started).max() < SINGLE[name]
 
 
-@pytest.mark.parametrize("name", ["full_frame_50mm", "phone"])
+@pytest.mark.parametrize("name", ["full_frame_50mm", pytest.param("phone", marks=pytest.mark.slow)])
 def test_presets_capture_white_by_rays_and_waves(name):
     """In the middle of the film, by the traced pupil's area over that of the paraxial one; the noise is 1 %."""
     camera = PlenopticCamera.preset(name)

@@ -52,6 +52,7 @@ def test_patches_agree_with_full_fields(camera, point):
     assert difference(CaptureOperator(plain, [point], wavelength=WAVELENGTH).forward([1.0]), full) > 0.2
 
 
+@pytest.mark.slow
 def test_points_of_a_plane_are_the_white_of_a_scene():
     """Rays, waves of scenes, and points have the same pupil, lenses and blur."""
     # Waves of scenes diffract at the rim alone, points at the outline, too: it lies near the rim.

@@ -71,7 +71,9 @@ def correlation(image):
     return np.corrcoef(image[inner].ravel(), reference()[inner].ravel())[0, 1]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=[pytest.mark.slow] * (name in ("partial", "incoherent"))) for name in METHODS]
+)
 @pytest.mark.parametrize(
     "name",
     ["tilted", *(pytest.param(name, marks=pytest.mark.slow) for name in ("warped", "irregular", "fitted"))],

@@ -173,7 +173,7 @@ def test_rows_of_a_hexagonal_array_do_not_show_where_images_of_pixels_are_wide(d
     np.testing.assert_allclose(rows, rows.mean(), rtol=0.05)
 
 
-@pytest.mark.parametrize("distance", [300.0, 320.0])
+@pytest.mark.parametrize("distance", [pytest.param(300.0, marks=pytest.mark.slow), 320.0])
 def test_white_of_hexagonal_lenses_has_no_rows(distance):
     """A white wall refocused lens by lens is even, with rows of lenses at any height between the rows of pixels."""
     sheet = {"f_number": 2.8, "lenses": 24, "pixels_per_lens": 10, "pixel_size": 0.005}

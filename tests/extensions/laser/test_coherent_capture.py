@@ -18,6 +18,7 @@ def operator_of(points=POINTS, camera=CAMERA):
     return CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
 
 
+@pytest.mark.slow
 def test_modes_average_independent_patterns():
     operator, weights, seen = operator_of(), np.linspace(0, 1, 20), []
     two = laser.coherent_capture(

@@ -242,6 +242,7 @@ def test_a_bank_by_waves_has_the_light_and_the_disparity_of_rays():
     assert 0.85 < float(bank_disparity(waves)[0, 0] / bank_disparity(rays)[0, 0]) < 1
 
 
+@pytest.mark.slow
 def test_vignetted_halves_follow_the_traced_pupil():
     """The double Gauss on the axis, at the edge and in the corner, against rays from the scene's point."""
     for row in dual_pixels.centroids(names=("double Gauss, f/3",)):
