@@ -10,6 +10,7 @@ import scipy.optimize
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
+from ...lattice.lens_shifts import WARP_POWERS, Displacement
 from ...views import LensGrid
 
 _LARGEST_ERROR = 0.03
@@ -17,9 +18,6 @@ _LARGEST_ERROR = 0.03
 
 _QUADRATIC, _CUBIC = 60, 200
 """Lenses from which on a warp of the second and of the third degree is fitted."""
-
-WARP_TERMS = ((2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
-"""Powers of x and y of the coefficients of `mla_warp`, first for the displacement along x and then along y."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera) -> 
     middle, along, across = np.linalg.lstsq(matrix, wanted)[0]
     turn = math.atan2(along[1], along[0])
     degree = 3 if len(place) >= _CUBIC else 2 if len(place) >= _QUADRATIC else 1
-    terms = [(i, j) for i, j in WARP_TERMS if i + j <= degree]
+    terms = [(i, j) for i, j in WARP_POWERS if i + j <= degree]
     # Coefficients of a warp in pixels at the farthest lens, so that all numbers are of one size.
     reach = np.abs(wanted).max()
 
@@ -116,7 +114,7 @@ def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera) -> 
         f_scale=0.2,
     ).x
     pitch, row, angle, x0, y0 = found[:5]
-    warp = np.zeros((2, len(WARP_TERMS)))
+    warp = np.zeros((2, len(WARP_POWERS)))
     for number, (i, j) in enumerate(terms):
         warp[:, number] = found[5:].reshape(2, -1)[:, number] * scale / reach ** (i + j)
     aspect = camera.lattice.row_distance / camera.mla_pitches[1]
@@ -132,7 +130,6 @@ def places(fit: ArrayFit, index: np.ndarray, camera: PlenopticCamera) -> np.ndar
     lattice = fitted.lattice
     u, v = (index - fit.nearest).T * np.array([[lattice.pitches[0]], [lattice.row_distance]])
     x, y = (first + step for first, step in zip(lattice.centre(0.0, 0.0), lattice.from_frame(u, v), strict=True))
-    powers = np.stack([x**i * y**j for i, j in WARP_TERMS], axis=-1)
-    warped = np.stack([x, y], axis=-1) + powers @ fit.warp.reshape(2, -1).T
+    warped = np.stack([x, y], axis=-1) + np.stack(Displacement(tuple(fit.warp.tolist())).smooth(x, y), axis=-1)
     at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
     return np.asarray(warped * camera.image_growth / camera.pixel_size + at_axis)
