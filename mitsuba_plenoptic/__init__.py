@@ -11,8 +11,8 @@ whole process, and a scene belongs to the variant that it was loaded in. Once a 
 spawned, not forked.
 
 The same seed gives the same bits of captures, exposures and reconstructions on any number of threads and in any
-process, with two exceptions: reconstructions by single lenses (``interleave="auto"``) follow the number of the BLAS's
-threads in their last bits; and scenes that ``mi.load_file`` loads, unless with ``optimize=False`` as `load_scene` does,
+process, with three exceptions: with CUDA variants, last bits change from run to run; reconstructions by single lenses
+(``interleave="auto"``) follow the number of the BLAS's threads in their last bits; and scenes that ``mi.load_file`` loads, unless with ``optimize=False`` as `load_scene` does,
 have their lamps in another order each time, so that the noise of their light differs.
 """
 

@@ -17,7 +17,7 @@ import coverage
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "mitsuba_plenoptic"
 DATA = ROOT / "build/coverage/stand-in"
-TESTS = ("tests/runtime/test_cuda.py", "tests/runtime/test_device_memory.py")
+TESTS = tuple(f"tests/runtime/test_{name}.py" for name in ("cuda", "device_memory", "launches"))
 
 FAIL_UNDER = 85.0
 """Percent of the lines, below which something has gone untested; the goal is 95."""

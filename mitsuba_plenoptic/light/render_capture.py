@@ -79,7 +79,8 @@ def render_capture(
         the sensor's sampler. Ray captures draw them in passes of powers of two, each with a pattern of its own if the
         sampler has one.
     seed : int
-        Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process.
+        Seed of the random numbers; the same seed gives the same bits, with any thread count and in any process, except
+        on CUDA.
     progress : callable, optional
         Called with the finished and the total amount of work: samples per pixel or, for wave captures, parts of the
         detector.

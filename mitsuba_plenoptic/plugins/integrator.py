@@ -166,7 +166,7 @@ def make_class() -> type:
         (``parabolic``); microlenses are thin phases under both names. Objects of the scene do not diffract. Polarized
         variants compute as if unpolarized.
 
-        The same seed gives the same bits, with any thread count.
+        The same seed gives the same bits, with any thread count, except on CUDA.
 
         ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, with respect to textures,
         emitters and BSDFs, and in reverse also to media, but not to the positions of shapes. ``path`` is replaced by

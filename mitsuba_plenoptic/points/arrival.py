@@ -322,7 +322,8 @@ def telecentric_arrival(
     packed = as_field(pack(spectrum * types.Float(scale)), shape)
     guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
     mla = onto_window(packed, grids)
-    stop = backend().arrays.fft.fftshift(as_field(pack(field), shape))[::-1, ::-1]
+    # Zero frequency in the middle.
+    stop = backend().arrays.roll(as_field(pack(field), shape), (count // 2, count // 2), (0, 1))[::-1, ::-1]
     half = (count - 1) // 2
     return SampledField(stop, (-half * reach, -half * reach), reach), mla
 

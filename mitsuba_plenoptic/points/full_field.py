@@ -183,9 +183,13 @@ def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
     lam = in_millimetres(system.wavelength)
     with resting_drjit():
         spectrum = fft2(fine)
-        held = np.ix_(*(np.rint(np.fft.fftfreq(size) * size).astype(int) for size in (rows, columns)))
+        down, across = (
+            backend().arrays.asarray(np.rint(np.fft.fftfreq(size) * size).astype(int)) for size in (rows, columns)
+        )
         cosines = [np.fft.fftfreq(size, grids.pitch) * lam for size in (rows, columns)]
-        spectrum = spectrum[held] * backend().arrays.asarray(np.hypot(cosines[0][:, None], cosines[1]) <= grids.bend)
+        spectrum = spectrum[down[:, None], across] * backend().arrays.asarray(
+            np.hypot(cosines[0][:, None], cosines[1]) <= grids.bend
+        )
         return fft2(backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
 
 

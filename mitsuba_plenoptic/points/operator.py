@@ -170,7 +170,8 @@ class CaptureOperator(CoherentPoints):
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image: the sum of the point spreads of all points, each with a weight.
 
-        The bits of the result depend neither on the number of threads or workers, nor on whether the sum was resumed.
+        Except on CUDA, the bits of the result depend neither on the number of threads or workers, nor on whether the
+        sum was resumed.
 
         Parameters
         ----------

@@ -44,20 +44,23 @@ from numpy.typing import NDArray
 from ..runtime.backend import backend
 from ..runtime.fft import Field, as_field, fft, pack
 from .patch_factors import Fields, PatchFactors
+from .windows import part_of
 
 
 class _Sizes(NamedTuple):
-    """Numbers of samples in fields that are transformed together, and in a block of one field.
+    """Numbers of samples in fields that are transformed together, in a block of one field, and in chains of fields.
 
-    A block fits into a core's own cache; on CUDA blocks bring no gain.
+    A block fits into a core's own cache, and so do the fields of a chain if there is one point in it. On CUDA blocks
+    bring no gain, and a group limits the memory only: a kernel is started for all of its points.
     """
 
     group: int
     block: int
+    chain: int
 
 
-_PROCESSOR = _Sizes(group=2**17, block=2**16)
-_CUDA = _Sizes(group=2**25, block=2**31)
+_PROCESSOR = _Sizes(group=2**17, block=2**16, chain=1)
+_CUDA = _Sizes(group=2**23, block=2**31, chain=2**21)
 
 
 class PatchWorkspace:
@@ -108,25 +111,28 @@ class PatchBatch:
         """Number of points transformed at a time: small fields in groups, so that calls cost little."""
         return min(len(self.pupil), max(1, self.sizes.group // self.mla_samples**2))
 
-    def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[int, slice, Field]]:
+    def chained(self, finer: int) -> list[slice]:
+        """Return the points of each `FieldChain`, whose fields are `finer` on the detector by a factor."""
+        widest = max(finer * self.samples, self.mla_samples)
+        count, step = len(self.pupil), max(1, self.sizes.chain // widest**2)
+        return [slice(first, min(first + step, count)) for first in range(0, count, step)]
+
+    def to_detector(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield the fields of points start ... stop on the detector, at most `together` at a time.
 
-        Fields are computed in blocks that fit into a core's own cache. Yielded are a slice of points, by index in the
-        batch, part of their fields (samples along x, some samples along y), and the part's position along y; the memory
-        of a part and of `work` is reused.
+        Fields are computed in blocks that fit into a core's own cache. Yielded are a block's position along y, and part
+        of the fields (points, samples along x, some samples along y); the memory of a part and of `work` is reused.
         """
         n, count = self.samples, stop - start
         through = self._through_axes if self.is_separable else self._through_plane
         for block, columns in through(start, stop, work):
             spectrum = forward_along(columns, axis=2)[..., :n]
-            for part, point in zip(spectrum, range(start, stop), strict=True):
-                along_y, along_x = self.factors.directions_of(point)
-                part *= self._transfer[along_x.start + block.start : along_x.start + block.stop, along_y]
+            starts = self.factors.first_directions[start:stop] + np.array([block.start, 0])
+            for points in [slice(0, count)] if self.libraries.is_cuda else (slice(p, p + 1) for p in range(count)):
+                spectrum[points] *= part_of(self._transfer, starts[points], spectrum.shape[1:])
             work.field[:count, block] = inverse_along(spectrum, axis=2)
         for block in _blocks(n, n, self.sizes.block):
-            detector = inverse_along(work.field[:count, :, block], axis=1)
-            for part, point in zip(detector, range(start, stop), strict=True):
-                yield point, block, part
+            yield block, inverse_along(work.field[:count, :, block], axis=1)
 
     def _through_axes(self, start: int, stop: int, work: PatchWorkspace) -> Iterator[tuple[slice, Field]]:
         """Yield columns of the fields, spectra along x, behind microlenses that are a product of two axes."""
@@ -221,18 +227,18 @@ class Memory:
         return self.arrays.multiply(conjugate, field, out=conjugate)
 
     def widened(self, field: Field, length: int, axis: int) -> Field:
-        """Return a field with zeros appended along an axis."""
+        """Return a field with zeros appended along one of its last two axes, -1 or -2."""
         shape = list(field.shape)
         shape[axis] = length
         wide = self.take(tuple(shape))
-        rows, columns = field.shape
-        wide[:rows, :columns] = field
-        wide[(slice(rows, None), slice(None)) if axis == 0 else (slice(None), slice(columns, None))] = 0
+        count = field.shape[axis]
+        along: Any = [(..., part, *[slice(None)] * (-1 - axis)) for part in (slice(count), slice(count, None))]
+        wide[along[0]], wide[along[1]] = field, 0
         return wide
 
 
 _BLOCK = 2**16
-"""Number of detector samples that are multiplied and transformed together: they fit into the cache of a core."""
+"""Samples of one point on the detector that are multiplied and transformed together: they fit into a core's cache."""
 
 Parts = Sequence[Field | None]
 """A change or a cotangent for each factor of a field, or None."""
@@ -242,11 +248,12 @@ _Factor = tuple[tuple[int, ...], Field]
 
 
 class FieldChain:
-    """A field from the pupil to the detector, with its intermediate results.
+    """Fields of some points from the pupil to the detector, with their intermediate results.
 
-    `factors` are those of `PatchFactors` for one point, `axes` the axes of the array's factors. The `field` on the
-    detector has `finer` (1 or 2) times the samples of the patch along each axis. All data lie in `memory`, and are lost
-    when it restarts. `returning` is the conjugate of the transfer function, for vector-Jacobian products.
+    `factors` are those of `PatchFactors` for these points, `axes` the axes of the array's factors. The `field` on the
+    detector (points, rows, columns) has `finer` (1 or 2) times the samples of the patch along each axis. All data lie
+    in `memory`, and are lost when it restarts. `returning` is the conjugate of the transfer function, for
+    vector-Jacobian products.
     """
 
     def __init__(
@@ -259,12 +266,13 @@ class FieldChain:
     ) -> None:
         pupil, *lenses, self._transfer = factors
         self._finer, self._returning, self._memory, self._arrays = finer, returning, memory, memory.arrays
-        self._directions, self._samples = len(pupil), len(self._transfer)
+        self._directions, self._samples = pupil.shape[-1], self._transfer.shape[-1]
         # Fields have x along the last axis.
-        upright = [lens[:, None] if own == (1,) else lens for own, lens in zip(axes, lenses, strict=True)]
+        index: dict[tuple[int, ...], Any] = {(0,): (slice(None), None), (1,): (Ellipsis, None)}
+        upright = [lens[index.get(own, Ellipsis)] for own, lens in zip(axes, lenses, strict=True)]
         named: list[_Factor] = list(zip(axes, upright, strict=True))
-        self._stages = [((1, 0), named)] if len(named) > 2 else [((1,), named[:1]), ((0,), named[1:])]
-        self._size, self._spectrum = len(lenses[0]), pupil
+        self._stages = [((-1, -2), named)] if len(named) > 2 else [((-1,), named[:1]), ((-2,), named[1:])]
+        self._size, self._spectrum = lenses[0].shape[-1], pupil
         self._before: list[Field] = []
         for along, stage in self._stages:
             self._before.append(self._inverse(self._spectrum, self._size, along))
@@ -316,10 +324,10 @@ class FieldChain:
             field = _forward(field, self._directions, axes)
         return [field if varies[0] else None, *parts[::-1]]
 
-    def products(self, gradient: Any, changes: list[Field]) -> list[float]:
-        """Return the products of half the gradient, with respect to the intensity, with changes of the spectrum."""
+    def products(self, gradient: Any, changes: list[Field]) -> Any:
+        """Return the products of half the gradient, by the intensity of all points, with changes of the spectrum."""
         spectrum = self._before_space(self._from_detector(gradient))
-        return [float(self._arrays.vdot(spectrum, change).real) for change in changes]
+        return self._arrays.stack([self._arrays.vdot(spectrum, change).real for change in changes])
 
     def _moved(self, changes: Parts) -> Field | None:
         """Return the change of the spectrum for changes of all factors before free space."""
@@ -346,7 +354,7 @@ class FieldChain:
             product = self._memory.product(product, self._arrays.conj(factor))
         # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
         axes, _ = factors[which]
-        return product.sum(axes[0]) if len(axes) == 1 else product
+        return product.sum(axes[0] - 2) if len(axes) == 1 else product
 
     def _intensity_change(self, spectrum: Field) -> Any:
         """Return the change of the intensity for a change of the spectrum on the detector, whose memory is reused."""
@@ -361,16 +369,16 @@ class FieldChain:
     def _to_detector(self, spectrum: Field) -> Field:
         """Return the field on the detector from a spectrum, computed in place."""
         if self._finer == 1:
-            return inverse_along(inverse_along(spectrum, 0), 1)
-        return self._inverse(spectrum, self._finer * self._samples, (0, 1))
+            return inverse_along(inverse_along(spectrum, -2), -1)
+        return self._inverse(spectrum, self._finer * self._samples, (-2, -1))
 
     def _from_detector(self, gradient: Any) -> Field:
         """Return the adjoint of `_to_detector` applied to the field times a gradient."""
-        (size, _), n, arrays = self.field.shape, self._samples, self._arrays
-        columns, rows = self._memory.take((size, n)), max(1, _BLOCK // size)
+        (count, size, _), n, arrays = self.field.shape, self._samples, self._arrays
+        columns, rows = self._memory.take((count, size, n)), max(1, _BLOCK // size) if arrays is np else size
         for block in (slice(first, first + rows) for first in range(0, size, rows)):
-            columns[block] = _forward(self.field[block] * gradient[block], n, (1,))
-        return arrays.ascontiguousarray(_forward(columns, n, (0,)))
+            columns[:, block] = _forward(self.field[:, block] * gradient[:, block], n, (-1,))
+        return arrays.ascontiguousarray(_forward(columns, n, (-2,)))
 
     def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
         """Return the inverse transform of a field padded with zeros to given sizes along given axes."""
@@ -391,5 +399,5 @@ def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
     """Return the first samples of the unscaled transform along axes, computed in place on this thread alone."""
     for axis in axes[::-1]:
         field = forward_along(field, axis)
-        field = field[:count] if axis == 0 else field[:, :count]
+        field = field[..., :count, :] if axis == -2 else field[..., :count]
     return field

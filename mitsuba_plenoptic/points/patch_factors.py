@@ -21,11 +21,12 @@ from ..lenses.fitted_lens import VaryingLens, VaryingLight
 from ..lenses.main_lens import Light, MainLens
 from ..light.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime.backend import array_module, drjit_array, is_zero
-from ..runtime.fft import fast_length, split
+from ..runtime.backend import array_module, drjit_array, is_zero, on_cuda
+from ..runtime.fft import Field, fast_length, split
 from .field_grid import Grid, Placement
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
+from .windows import part_of
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,9 @@ class Fields:
 FIELD_BYTES = 2**26
 """Approximate bytes of the factors of the fields that are computed together."""
 
+DEVICE_BYTES = 2**29
+"""Approximate bytes of the fields of many points that a device computes together, see `patch`."""
+
 
 def chunks_of(grid: Grid, placement: Placement, patches: NDArray[np.int64], most: int) -> list[NDArray[np.int64]]:
     """Return patches of one size in chunks of at most `most`, whose factors have at most `FIELD_BYTES`."""
@@ -81,6 +85,9 @@ def chunks_of(grid: Grid, placement: Placement, patches: NDArray[np.int64], most
 
 def fields_memory(samples: float) -> float:
     """Return the approximate bytes of the fields that a thread computes, with so many samples across a patch."""
+    if on_cuda():
+        # Without blocks there are as many samples of all that is made of a field.
+        return 64 * samples**2 + 2 * FIELD_BYTES + DEVICE_BYTES
     return 10 * samples**2 + 2 * FIELD_BYTES
 
 
@@ -131,16 +138,20 @@ class PatchFactors:
         lens = functools.cache(lambda: grid.lens.opaque(self._constant))
         return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.space_behind[0])
 
-    def of_point(self, parts: Sequence[Any], point: int) -> list[Any]:
-        """Return one point's part of each factor, or of data of equal layout; None where a factor is None."""
+    def of_points(self, parts: Sequence[Any], points: slice) -> list[Any]:
+        """Return some points' part of each factor, or of data of equal layout; None where a factor is None."""
         *own, transfer = parts
-        mine = [None if part is None else part[point] for part in own]
-        return [*mine, None if transfer is None else transfer[self.directions_of(point)]]
+        mine = [None if part is None else part[points] for part in own]
+        return [*mine, None if transfer is None else self.directions_of(transfer, points)]
 
-    def directions_of(self, point: int) -> tuple[slice, slice]:
-        """Return the range of directions of the transfer function, along y and x, that one point's field contains."""
-        x, y = (self.chief[point] - self._low).tolist()
-        return slice(y, y + self.samples), slice(x, x + self.samples)
+    def directions_of(self, transfer: Field, points: slice) -> Field:
+        """Return the part of a transfer function, (points, along y, along x), that the fields of points contain."""
+        return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
+
+    @property
+    def first_directions(self) -> NDArray[np.int64]:
+        """First of the transfer function's directions, along x and y, that each point's field contains, (n, 2)."""
+        return np.asarray(self.chief - self._low)
 
     def values(self) -> Iterator[Any]:
         """Yield the factors as flat Dr.Jit arrays Complex2f."""

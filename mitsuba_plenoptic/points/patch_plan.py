@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..light.optical_system import OpticalSystem
 from ..optics import guards
-from ..runtime.backend import backend
+from ..runtime.backend import backend, backend_of, on_cuda
 from ..runtime.batches import BatchMap, Box, Cost, Job, Part, PartialSum
 from ..runtime.fft import resting_drjit
 from ..runtime.limits import check_memory
@@ -25,7 +25,7 @@ from .patch_factors import Fields, chunks_of, fields_memory
 from .pupil_weights import PupilWeights
 from .recorder import Recorder
 from .seen_pupil import passed_part
-from .tile import Copies, Gather, Scatter, aperture_power, reached
+from .tile import Copies, Gather, Scatter, aperture_power, arrived_power, reached
 
 _CHUNK = 64
 """Largest number of point spreads that are computed together and added into one tile."""
@@ -39,6 +39,9 @@ _PATCH_LIMIT = 2**26
 
 _TILE = 1024
 """Approximate number of samples across the region in which the corners of a chunk's patches lie."""
+
+_DEVICE_TILE = 4096
+"""The same on a device, where a larger tile costs less than the kernels of more chunks."""
 
 _FIRST, _TRIAL_SECONDS = 2, 0.1
 """Least number of point spreads that are timed for an estimate, and approximate seconds for each patch size."""
@@ -104,7 +107,9 @@ class PatchPlan:
         keys = corner[:, 0] // area, corner[:, 1] // area, samples, alone
         order = np.lexsort(keys)
         changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
-        most, chunks = min(_CHUNK, max(_FEW, len(samples) // _CHUNKS)), []
+        # A device takes all work from one thread.
+        most = _CHUNK if on_cuda() else min(_CHUNK, max(_FEW, len(samples) // _CHUNKS))
+        chunks = []
         for group in np.split(order, np.flatnonzero(changes) + 1):
             chunks += chunks_of(self._grid, self._placement, group, most)
         return chunks
@@ -154,13 +159,19 @@ class PatchPlan:
         if math.isinf(self._grid.band.beyond) or not self._grid.microlenses.fills or not len(self._positions):
             return 1.0
         grid = replace(self._grid, camera=self._grid.camera.replace(mla_transmissions=None, vignetting=None))
-        whole = [Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))]
-        some, arrived = _some(len(self._positions)), 0.0
-        with resting_drjit():
-            for pattern in some:
-                fields = Fields(grid, self._placement.take(pattern), self._positions[pattern], None)
-                arrived += float(Scatter(fields, np.ones(1), whole).prepare()().sums.sum(dtype=np.float64))
+        some = _some(np.arange(len(self._positions)))
+        arrived = sum(
+            float(arrived_power(Fields(grid, self._placement.take(chunk), self._positions[chunk], None)).sum())
+            for chunk in self._alike(some)
+        )
         return len(some) / (arrived * float(self._grid.pitch.prod())) if arrived else 1.0
+
+    def _alike(self, patterns: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """Return patterns in chunks of one patch size."""
+        samples, groups = self._placement.samples[patterns], []
+        for size in np.unique(samples):
+            groups += chunks_of(self._grid, self._placement, patterns[samples == size], _CHUNK)
+        return groups
 
     def _fields(self, which: NDArray[np.int64]) -> Fields:
         """Return the data of the fields of a selection of patterns."""
@@ -189,9 +200,9 @@ class PatchPlan:
         if not chunks or weights.min() < 0:
             return None
         if not self._passes_all:
-            patterns = np.concatenate(chunks)
-            chunks = [patterns[some] for some in _some(len(patterns))]
-            arrived = sum(float(self._sum_of(chunk, weights).sums.sum(dtype=np.float64)) for chunk in chunks)
+            chunks = self._alike(_some(np.concatenate(chunks)))
+            power = np.add.reduceat(weights[self._order].sum(1), self._first)
+            arrived = sum(float(power[chunk] @ arrived_power(self._fields(chunk))) for chunk in chunks)
         sent = self._sent(chunks, weights)
         return 1 - arrived / sent if sent else None
 
@@ -253,15 +264,16 @@ class PatchPlan:
                 result[self._order[self._first[pattern] : self._last[pattern]]] = gain * product[copy.reshape(-1)]
         return result
 
-    def _tile(self, samples: Any, box: Box) -> NDArray[np.float32]:
-        """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros."""
-        own, tile = self._recorder.box, np.zeros((len(samples), box.rows, box.columns), np.float32)
+    def _tile(self, samples: NDArray[np.float32], box: Box) -> NDArray[np.float32]:
+        """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros, where they lie."""
+        own = self._recorder.box
+        tile: NDArray[np.float32] = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
         top, left = box.top - own.top, box.left - own.left
         rows = slice(max(top, 0), min(top + box.rows, own.rows))
         columns = slice(max(left, 0), min(left + box.columns, own.columns))
         if rows.start < rows.stop and columns.start < columns.stop:
             inner = slice(rows.start - top, rows.stop - top), slice(columns.start - left, columns.stop - left)
-            tile[(slice(None), *inner)] = backend().to_host(samples[:, rows, columns])
+            tile[(slice(None), *inner)] = samples[:, rows, columns]
         return tile
 
     # -- cost ------------------------------------------------------------------------------------------
@@ -317,12 +329,14 @@ class PatchPlan:
 
 def _areas(samples: Any) -> Any:
     """Return the width in samples, for each patch size, of the region whose patches are added in one tile."""
+    if on_cuda():
+        return np.maximum(_DEVICE_TILE, samples // 3)
     return np.clip(_TILE, samples // 3, 4 * samples)
 
 
-def _some(count: int) -> list[NDArray[np.int64]]:
-    """Return a few of `count` patterns at regular intervals, each as an array with one index."""
-    return list(np.unique(np.linspace(0, count - 1, _JUDGED).round().astype(np.int64))[:, None])
+def _some(patterns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a few of some patterns, at regular intervals."""
+    return np.unique(patterns[np.linspace(0, len(patterns) - 1, _JUDGED).round().astype(np.int64)])
 
 
 class PatchSum:

@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import drjit as dr
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
-from ..runtime.backend import array_module, backend
+from ..runtime.backend import array_module, backend, backend_of, drjit_array
 from ..runtime.batches import Box, Part
-from ..runtime.fft import fft2, resting_drjit
+from ..runtime.fft import fft2, resting_drjit, split
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
+from .windows import Windows, add_on_device, products_on_device
 
 _FEWEST_COPIES = 3
 """Mean number of copies of a pattern above which cells are faster."""
@@ -82,12 +84,12 @@ class CellSum:
         self._arrays = backend().arrays
         self._sums = self._arrays.zeros((channels * int(self._shape.prod()), int(cells.width.prod())), np.float32)
         planes = max(patterns, _TOGETHER // int((cells.count * cells.width).prod()))
-        self._planes = self._arrays.zeros((planes, *(cells.count * cells.width).tolist()), np.float32)
+        self.planes = self._arrays.zeros((planes, *(cells.count * cells.width).tolist()), np.float32)
         self._held: dict[int, int] = {}
         self._entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
 
-    def plane(self, pattern: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> Any:
-        """Return the buffer for a pattern's intensity, along x and y, with some samples to spare.
+    def hold(self, pattern: int, positions: NDArray[np.int64], weights: NDArray[np.float32]) -> tuple[int, int, int]:
+        """Return the buffer for a pattern's intensity, by its index in `planes`, and its first samples along x and y.
 
         `positions` are the first samples of each copy along x and y. When another part of the pattern is written, its
         index identifies it.
@@ -104,12 +106,12 @@ class CellSum:
             values = np.broadcast_to(weights[copy, channel][:, None], rows.shape)
             self._entries.append((rows.ravel(), columns.ravel(), values.ravel()))
         x, y = (positions[0] % self._cells.width).tolist()
-        return self._planes[self._held[pattern], x:, y:]
+        return self._held[pattern], x, y
 
     @property
     def free(self) -> int:
         """Number of patterns that can be buffered before the next `add`."""
-        return len(self._planes) - len(self._held)
+        return len(self.planes) - len(self._held)
 
     def add(self) -> None:
         """Add the patterns in the buffer to the sum."""
@@ -122,8 +124,8 @@ class CellSum:
         libraries = backend()
         if libraries.is_cuda:
             matrix = libraries.sparse.csr_matrix(matrix)
-        self._sums += matrix @ self._cells.cut(self._planes[:held])
-        self._planes[:held] = 0
+        self._sums += matrix @ self._cells.cut(self.planes[:held])
+        self.planes[:held] = 0
         self._held, self._entries = {}, []
 
     def total(self) -> Any:
@@ -169,21 +171,43 @@ class CopySum:
         self._cells = None if cells is None else cells.sum(size, channels, together)
         self._sums: Any = None if self._cells else self._arrays.zeros((channels, *size.tolist()), np.float32)
 
-    def add(self, pattern: int, part: tuple[slice, slice], intensity: Any, work: Any = None) -> None:
-        """Add the copies of a part of a pattern; `work` is a buffer of the size of the part."""
+    def add(self, first: int, part: tuple[slice, slice], intensity: Any, work: Any = None) -> None:
+        """Add the copies of a part of patterns, from index `first` on; `work` is a buffer of the size of the parts."""
         if self._cells is not None:
-            if pattern // self._together != self._last and self._cells.free < self._together:
-                self._cells.add()
-            self._last = pattern // self._together
-            self._cells.plane(pattern, self._places[pattern], self._weights[pattern])[part] = intensity
-            return
-        for position, weights in zip(self._places[pattern].tolist(), self._weights[pattern], strict=True):
-            window = tuple(
-                slice(first + own.start, first + own.stop) for first, own in zip(position, part, strict=True)
+            self._hold(self._cells, range(first, first + len(intensity)), part, intensity)
+        elif backend_of(intensity).is_cuda:
+            some = slice(first, first + len(intensity))
+            copies, weights = Windows.of(self._places[some]), np.concatenate(self._weights[some])
+            moved = replace(copies, start=copies.start + [each.start for each in part])
+            self._sums = add_on_device(self._sums, intensity, moved, weights)
+        else:
+            for pattern, own in enumerate(intensity):
+                places = zip(self._places[first + pattern].tolist(), self._weights[first + pattern], strict=True)
+                for position, weights in places:
+                    window = tuple(
+                        slice(low + own.start, low + own.stop) for low, own in zip(position, part, strict=True)
+                    )
+                    for channel in np.flatnonzero(weights).tolist():
+                        target, weight = self._sums[(channel, *window)], weights[channel]
+                        buffer = None if work is None else work[pattern]
+                        target += own if weight == 1 else np.multiply(own, weight, out=buffer)
+
+    def _hold(self, cells: CellSum, patterns: range, part: tuple[slice, slice], intensity: Any) -> None:
+        """Write a part of patterns into the buffer of cells, all at once on a device."""
+        if patterns[0] // self._together != self._last and cells.free < self._together:
+            cells.add()
+        self._last = patterns[0] // self._together
+        held = np.array([cells.hold(pattern, self._places[pattern], self._weights[pattern]) for pattern in patterns])
+        if backend_of(intensity).is_cuda:
+            along_x, along_y = (
+                self._arrays.asarray(start[:, None] + np.arange(each.start, each.stop))
+                for start, each in zip(held[:, 1:].T, part, strict=True)
             )
-            for channel in np.flatnonzero(weights).tolist():
-                target, weight = self._sums[(channel, *window)], weights[channel]
-                target += intensity if weight == 1 else self._arrays.multiply(intensity, weight, out=work)
+            planes = self._arrays.asarray(held[:, 0])
+            cells.planes[planes[:, None, None], along_x[:, :, None], along_y[:, None]] = intensity
+        else:
+            for (plane, x, y), own in zip(held.tolist(), intensity, strict=True):
+                cells.planes[plane, x:, y:][part] = own
 
     def total(self) -> Any:
         """Return the sum, (channels, ...)."""
@@ -199,7 +223,7 @@ class PatchTile:
         low = np.array([self.box.left, self.box.top])
         self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
         self._arrays = backend().arrays
-        self._block = min(batch.sizes.block, batch.samples**2)
+        self._block = min(batch.sizes.block, batch.together * batch.samples**2)
         self._scratch = self._arrays.empty((2, self._block), np.float32)
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
@@ -207,38 +231,67 @@ class PatchTile:
         """Return the sum of the weighted intensities of all copies."""
         size, together = np.array([self.box.columns, self.box.rows]), self._batch.together
         sums = CopySum(self._copies, self._places, self._batch.samples, size, together)
-        for point, along_x, along_y, intensity, weighted in self._intensities():
-            sums.add(point, (along_x, along_y), intensity, weighted)
+        for first, part, intensity, weighted in self._intensities():
+            sums.add(first, part, intensity, weighted)
         return Part(self.box, sums.total().transpose(0, 2, 1))
 
     def products(self, samples: NDArray[np.float32]) -> list[NDArray[np.float64]]:
         """Return the products, (copies, channels), of each copy's intensity with the samples of the tile, summed."""
         turned = self._arrays.ascontiguousarray(self._arrays.asarray(samples).transpose(0, 2, 1))
+        if self._batch.libraries.is_cuda:
+            return self._products_on_device(turned)
         products = [np.zeros((len(positions), len(turned))) for positions in self._places]
-        for point, along_x, along_y, intensity, _ in self._intensities():
-            for copy, (x, y) in enumerate(self._places[point].tolist()):
-                part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
-                # Only rows are summed in single precision, which limits rounding errors.
-                rows = self._arrays.einsum("cij,ij->ci", part, intensity).sum(1, dtype=np.float64)
-                products[point][copy] += self._batch.libraries.to_host(rows)
+        for first, (along_x, along_y), intensities, _ in self._intensities():
+            for point, intensity in enumerate(intensities, first):
+                for copy, (x, y) in enumerate(self._places[point].tolist()):
+                    part = turned[:, x + along_x.start : x + along_x.stop, y + along_y.start : y + along_y.stop]
+                    # Only rows are summed in single precision, which limits rounding errors.
+                    products[point][copy] += np.einsum("cij,ij->ci", part, intensity).sum(1, dtype=np.float64)
         return products
 
-    def _intensities(self) -> Iterator[tuple[int, slice, slice, Any, Any]]:
-        """Yield the intensities of all points in parts, (along x, along y), each with a buffer of equal size."""
+    def _products_on_device(self, turned: NDArray[np.float32]) -> list[NDArray[np.float64]]:
+        """Return the products with the tile's samples (channels, along x, along y), which leave the device at once."""
+        found = []
+        for first, _, intensity, _ in self._intensities():
+            windows = Windows.of(self._places[first : first + len(intensity)])
+            found.append(products_on_device(turned, intensity, windows))
+        every = self._batch.libraries.to_host(self._arrays.concatenate(found))
+        return np.split(every, np.cumsum([len(positions) for positions in self._places])[:-1])
+
+    def powers(self) -> NDArray[np.float64]:
+        """Return the sum of the samples of each point's intensity, (points,)."""
+        sums = self._arrays.zeros(len(self._copies), np.float64)
+        for first, _, intensity, _ in self._intensities():
+            sums[first : first + len(intensity)] += intensity.sum(2).sum(1, dtype=np.float64)
+        return self._batch.libraries.to_host(sums)
+
+    def _intensities(self) -> Iterator[tuple[int, tuple[slice, slice], Any, Any]]:
+        """Yield the intensities of all points in parts, (points, along x, along y), each with a buffer of equal size.
+
+        Before them come the first point, and the part's position along both axes.
+        """
         batch, arrays = self._batch, self._arrays
         work = PatchWorkspace(batch)
         for first in range(0, len(self._copies), batch.together):
             stop = min(len(self._copies), first + batch.together)
-            for point, along_y, field in batch.to_detector(first, stop, work):
-                rows = max(1, self._block // field.shape[1])
-                for start, end in itertools.pairwise([*range(0, len(field), rows), len(field)]):
-                    part = field[start:end]
+            for along_y, fields in batch.to_detector(first, stop, work):
+                count, length, width = fields.shape
+                rows = max(1, min(length, self._block // width))
+                for points, along_x in itertools.product(
+                    _runs(count, max(1, self._block // (rows * width))), _runs(length, rows)
+                ):
+                    part = fields[points, along_x]
                     intensity, weighted = self._scratch[:, : part.size].reshape(2, *part.shape)
-                    squares = self._squares[: 2 * part.size].reshape(len(part), -1)
+                    squares = self._squares[: 2 * part.size].reshape(*part.shape[:2], -1)
                     arrays.copyto(squares.view(np.complex64), part)
                     arrays.multiply(squares, squares, out=squares)
-                    arrays.add(squares[:, ::2], squares[:, 1::2], out=intensity)
-                    yield point, slice(start, end), along_y, intensity, weighted
+                    arrays.add(squares[..., ::2], squares[..., 1::2], out=intensity)
+                    yield first + points.start, (along_x, along_y), intensity, weighted
+
+
+def _runs(length: int, step: int) -> Iterator[slice]:
+    """Yield slices of at most `step` that cut a length."""
+    return (slice(start, min(start + step, length)) for start in range(0, length, step))
 
 
 def reached(corner: NDArray[np.int64], samples: int, copies: Sequence[Copies], finer: int = 1) -> Box:
@@ -290,6 +343,14 @@ class Gather(FieldBatch):
         return lambda: PatchTile(batch, self.copies).products(self.tile)
 
 
+def arrived_power(fields: Fields) -> NDArray[np.float64]:
+    """Return the sum (n,) of the samples of the intensity of each point, of unit power."""
+    whole = Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))
+    count = len(fields.positions)
+    with resting_drjit():
+        return PatchTile(PatchBatch(fields, np.ones(count)), [whole] * count).powers()
+
+
 def aperture_power(fields: Fields) -> NDArray[np.float64]:
     """Return the fraction (n,) of each point's power on the microlens array that the apertures of lenses pass.
 
@@ -297,22 +358,29 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
     """
     batch, grid = PatchBatch(fields, np.ones(len(fields.positions))), fields.grid
     arrays, types = batch.libraries.arrays, array_module()
-    count, directions = batch.mla_samples, batch.pupil.shape[1]
-    pitch = batch.samples * grid.pitch / count
+    size, directions = batch.mla_samples, batch.pupil.shape[1]
+    pitch = batch.samples * grid.pitch / size
     cosine = in_millimetres(grid.wavelength) / (2 * float(pitch.min()))
-    row, column = np.indices((count, count)).reshape(2, -1)
     result = np.empty(len(batch.pupil))
-    for point, pupil in enumerate(batch.pupil):
-        field = arrays.zeros((count, count), np.complex64)
-        field[:directions, :directions] = pupil
+    for points in _runs(len(result), batch.together):
+        pupil = batch.pupil[points]
+        field = arrays.zeros((len(pupil), size, size), np.complex64)
+        field[:, :directions, :directions] = pupil
         with resting_drjit():
             intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
-        x0, y0 = grid.origin + batch.corner[point] * grid.pitch
-        x, y = types.Float64(x0 + column * pitch[0]), types.Float64(y0 + row * pitch[1])
+        patch, row, column = split(types, dr.arange(types.UInt32, len(pupil) * size**2), size, size)
+        x, y = (
+            dr.gather(types.Float64, drjit_array(types.Float64, start), patch)
+            + types.Float64(index) * dr.opaque(types.Float64, float(step))
+            for start, index, step in zip(
+                (grid.origin + batch.corner[points] * grid.pitch).T, (column, row), pitch, strict=True
+            )
+        )
         part = types.Float64(grid.brightness(x, y, pitch) ** 2)
         if not grid.microlenses.fills:
             part = grid.microlenses.open_fraction(cosine, x, y) * part
-        passed = batch.libraries.from_drjit(part)
-        passed = intensity * passed.reshape(count, count)
-        result[point] = float(passed.sum(dtype=np.float64) / intensity.sum(dtype=np.float64))
+        part = part + dr.zeros(types.Float64, dr.width(patch))
+        passed = intensity * batch.libraries.from_drjit(part).reshape(intensity.shape)
+        fraction = passed.sum((1, 2), dtype=np.float64) / intensity.sum((1, 2), dtype=np.float64)
+        result[points] = batch.libraries.to_host(fraction)
     return result

@@ -3,7 +3,7 @@
 Results do not depend on where a batch is computed: in threads of this process, or by the workers of a Dask cluster, to
 which only arrays are sent. The parts of a sum are added in the order of their batches, so its bits depend on the inputs
 alone, and a sum that was stopped and continued has the bits of an uninterrupted one. Different processors may round
-differently.
+differently, and the threads of a CUDA device add in an order of their own.
 """
 
 from __future__ import annotations
@@ -110,7 +110,10 @@ class Threads:
         self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), _MOST_THREADS)
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
-        """Yield the results of batches, computed a few ahead of the next one due."""
+        """Yield the results of batches, computed a few ahead of the next one due; on CUDA, by the calling thread."""
+        if backend().is_cuda:
+            yield from (batch.prepare()() for batch in batches)
+            return
         pending: deque[Future[Any]] = deque()
         with resting_drjit(), ThreadPoolExecutor(self.threads) as pool:
             for batch in batches:
@@ -240,7 +243,7 @@ class Job:
     ) -> NDArray[np.float32]:
         """Return the sum of the images of several sums, computed one after another.
 
-        The bits of the result depend neither on the workers nor on whether the job was resumed.
+        The bits of the result depend neither on the workers nor, except on CUDA, on whether the job was resumed.
 
         Parameters
         ----------

@@ -28,7 +28,8 @@ def test_sums_are_those_of_copies_one_by_one(step, held):
             total.add()
         # A pattern is written in parts.
         for part in (slice(0, 11), slice(11, samples)):
-            total.plane(number, place, weight)[part, :samples] = pattern[part]
+            plane, x, y = total.hold(number, place, weight)
+            total.planes[plane, x:, y:][part, :samples] = pattern[part]
     np.testing.assert_allclose(total.total(), expected, atol=2e-6)
 
 

@@ -17,7 +17,12 @@ def random_parts(axes, seed):
 
 
 def chain_of(parts, axes, finer):
-    return FieldChain(parts, axes, finer, Memory(), parts[-1].conj())
+    return FieldChain([part[None] for part in parts], axes, finer, Memory(), parts[-1].conj()[None])
+
+
+def stacked_conj(parts):
+    """Return the conjugates of the transfer functions of several points."""
+    return np.stack([own[-1].conj() for own in parts])
 
 
 @chains
@@ -29,6 +34,26 @@ def test_a_field_is_the_plain_transform_of_its_factors(axes):
     spectrum = np.fft.fft2(on_array * plane[0] if plane else on_array)[:SAMPLES, :SAMPLES]
     expected = np.fft.ifft2(spectrum * transfer, norm="forward")
     assert np.linalg.norm(chain_of(parts, axes, 1).field - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+@chains
+@pytest.mark.parametrize("finer", [1, 2])
+def test_several_points_pass_a_chain_like_each_alone(axes, finer):
+    """Their fields, changes and cotangents; the products with changes are summed."""
+    parts, changes = ([random_parts(axes, seed + point) for point in range(3)] for seed in (20, 30))
+    chain = FieldChain([np.stack(own) for own in zip(*parts, strict=True)], axes, finer, Memory(), stacked_conj(parts))
+    together = [np.stack(own) for own in zip(*changes, strict=True)]
+    gradient = np.random.default_rng(9).normal(size=chain.field.shape).astype(np.float32)
+    moved, change = chain.spectrum_jvp([*together[:-1], None]), chain.jvp(together)
+    (product,), cotangents = chain.products(gradient, [moved]), chain.vjp(gradient, [True] * len(together))
+    alone, total = [chain_of(own, axes, finer) for own in parts], 0.0
+    for point, (one, own) in enumerate(zip(alone, changes, strict=True)):
+        np.testing.assert_allclose(change[point], one.jvp(own)[0], rtol=1e-4, atol=1e-5 * np.abs(change).max())
+        total += one.products(gradient[point : point + 1], [one.spectrum_jvp([*own[:-1], None])])[0]
+        found = one.vjp(gradient[point : point + 1], [True] * len(own))
+        for ours, theirs in zip(cotangents, found, strict=True):
+            np.testing.assert_allclose(ours[point], theirs[0], rtol=1e-4, atol=1e-5 * np.abs(ours).max())
+    assert product == pytest.approx(total, rel=1e-4)
 
 
 @chains

@@ -3,7 +3,7 @@
 It follows CuPy where it differs from NumPy: it has CuPy's functions and methods alone, by the names of CuPy 14.2 in
 ``cupy_names.txt``; nothing is converted implicitly; what would be a scalar stays on the device; a transform takes no
 `workers`, gives a fresh array for a view, and leaves nothing of use in what it may overwrite. Every way to the host is
-counted, that of a single number, as in ``float(x)`` and ``if x:``, too.
+counted, that of a single number, as in ``float(x)`` and ``if x:``, too; and so is every call that starts a kernel.
 """
 
 import functools
@@ -31,6 +31,7 @@ NAMES = recorded_names()
 _ATTRIBUTES = ("shape", "size", "ndim", "dtype", "flags", "itemsize", "nbytes", "strides")
 _VIEWS = ("T", "real", "imag")
 _TO_HOST = ("get", "item", "tolist", "tobytes")
+_WITHOUT_KERNEL = ("reshape", "transpose", "view", "swapaxes", "squeeze", "empty", "broadcast_to", "moveaxis", "split")
 
 
 def forget():
@@ -47,8 +48,8 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
     """An array that only the stand-in's functions and its own operators can read."""
 
     __hash__ = None
-    # The numbers that have left the device one by one, of all arrays.
-    scalars = 0
+    # The numbers that have left the device one by one, and the kernels started, of all arrays.
+    scalars = launches = 0
 
     def __init__(self, host, base=None):
         self._host, self.base = host, base
@@ -56,6 +57,7 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
     def __array_ufunc__(self, function, method, *inputs, **options):
         if function.__name__ not in NAMES["functions"]:
             raise TypeError(f"CuPy has no universal function {function.__name__}")
+        DeviceArray.launches += 1
         result = getattr(function, method)(*_unwrap(inputs), **_unwrap_options(options))
         return options["out"][0] if "out" in options else _wrap(result)
 
@@ -77,9 +79,12 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
         return (DeviceArray(part, self) for part in self._host)
 
     def __getitem__(self, index):
+        indices = index if isinstance(index, tuple) else (index,)
+        DeviceArray.launches += any(isinstance(each, DeviceArray | list) for each in indices)
         return _wrap(self._host[_unwrap(index)], self)
 
     def __setitem__(self, index, value):
+        DeviceArray.launches += 1
         self._host[_unwrap(index)] = _unwrap(value)
 
     def _scalar(self, kind):
@@ -108,6 +113,7 @@ class DeviceArray(np.lib.mixins.NDArrayOperatorsMixin):
             return DeviceArray(getattr(self._host, name), self)
         if name not in NAMES["methods"] or name in _TO_HOST:
             raise AttributeError(f"{name}: no method of CuPy's arrays that stays on the device")
+        DeviceArray.launches += name not in _WITHOUT_KERNEL
         return lambda *args, **kwargs: _wrap(getattr(self._host, name)(*_unwrap(args), **_unwrap_options(kwargs)), self)
 
 
@@ -129,6 +135,7 @@ def _unwrap(value):
 
 def _function(function):
     def call(*args, out=None, **kwargs):
+        DeviceArray.launches += getattr(function, "__name__", "") not in _WITHOUT_KERNEL
         given = {} if out is None else {"out": _unwrap(out)}
         result = function(*_unwrap(args), **_unwrap_options(kwargs), **given)
         return _wrap(result) if out is None else out
@@ -144,6 +151,7 @@ def _transform(function):
     def call(x, *args, overwrite_x=False, **options):
         if "workers" in options:
             raise TypeError("a transform on the device takes no workers")
+        DeviceArray.launches += 1
         host = _unwrap(x)
         result = np.ascontiguousarray(function(host.copy(), *args, **options))
         if overwrite_x and np.iscomplexobj(host):
@@ -175,6 +183,7 @@ class _Matrix:
         self._matrix = matrix
 
     def __matmul__(self, other):
+        DeviceArray.launches += 1
         return DeviceArray(np.asfortranarray(self._matrix @ _unwrap(other)))
 
 
@@ -185,7 +194,7 @@ class StandIn:
         self.to_host = []
         # The device's memory, in bytes, and what a library keeps of it.
         self.free, self.kept, self.total = 16 * 2**30, 0, 16 * 2**30
-        self._before = DeviceArray.scalars
+        self._before = DeviceArray.scalars, DeviceArray.launches
         arrays = _Named(
             np,
             NAMES["functions"],
@@ -210,7 +219,12 @@ class StandIn:
     @property
     def scalars(self):
         """Numbers that have left the device one by one."""
-        return DeviceArray.scalars - self._before
+        return DeviceArray.scalars - self._before[0]
+
+    @property
+    def launches(self):
+        """Kernels started by the array library."""
+        return DeviceArray.launches - self._before[1]
 
     def _release(self):
         self.free, self.kept = self.free + self.kept, 0

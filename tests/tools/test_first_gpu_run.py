@@ -3,10 +3,13 @@
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import drjit as dr
 import pytest
+
+from tools import first_gpu_run
 
 SCRIPT = Path(__file__).parents[2] / "tools/first_gpu_run.py"
 
@@ -28,6 +31,22 @@ def test_without_a_device_the_table_says_not_run(tmp_path):
     assert {"doctor", "tests marked gpu", "scene: still_life, wave", "agreement: signed rays"} <= set(rows)
     assert all(f"| {name} | not run |" in said for name in rows)
     assert (tmp_path / "table.md").read_text().strip() == said.strip()
+
+
+@pytest.mark.slow
+def test_a_check_that_takes_too_long_is_ended_with_all_it_has_started():
+    start = time.perf_counter()
+    row = first_gpu_run.in_own_process("tests marked gpu", first_gpu_run.DRY, 4.0, dry=True)
+    assert not row["passed"] and row["note"] == "stopped after 4 s" and time.perf_counter() - start < 10
+
+
+@pytest.mark.slow
+def test_a_dry_run_tries_captures_commands_and_wheels(tmp_path):
+    said, rows = run(tmp_path, "--dry-run", "--only", "scene: letters, ray", "--wheels", tmp_path)
+    assert "a dry run" in said and not rows["wheels"]["passed"] and "cupy-cuda12x" in rows["wheels"]["note"]
+    assert {"means", "over_noise", "cold", "warm", "peak"} <= set(rows["scene: letters, ray"])
+    _, rows = run(tmp_path, "--dry-run", "--only", "bench")
+    assert "no CUDA device" in rows["bench: speed.gpu"]["note"]
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from scipy.sparse import csr_array
 from ...camera import PlenopticCamera
 from ...lattice import turn
 from ...points.field_grid import Grid
+from ...runtime.backend import backend_of
 from ...runtime.batches import Box
 
 
@@ -140,10 +141,10 @@ class BinCells:
 
     def split(self, samples: NDArray[np.float32], box: Box, cells: CellSet) -> NDArray[np.float32]:
         """Return the samples of a box divided into cells; samples beyond the box are zero."""
-        width, height = self.size
-        result = np.zeros((len(cells), height, width), np.float32)
+        arrays, (width, height) = backend_of(samples).arrays, self.size
+        result: NDArray[np.float32] = arrays.zeros((len(cells), height, width), np.float32)
         for number, part, inside, position in self._strips(box, cells):
-            strip = np.zeros((height, part * width), np.float32)
+            strip = arrays.zeros((height, part * width), np.float32)
             strip[inside] = samples[position]
             result[number : number + part] = strip.reshape(height, part, width).transpose(1, 0, 2)
         return result
@@ -151,7 +152,7 @@ class BinCells:
     def join(self, values: NDArray[np.float32], cells: CellSet, box: Box) -> NDArray[np.float32]:
         """Return the samples of cells, put together on a box; the adjoint of `split`."""
         width, height = self.size
-        result = np.zeros((box.rows, box.columns), np.float32)
+        result: NDArray[np.float32] = backend_of(values).arrays.zeros((box.rows, box.columns), np.float32)
         for number, part, inside, position in self._strips(box, cells):
             strip = values[number : number + part].transpose(1, 0, 2).reshape(height, part * width)
             result[position] = strip[inside]

@@ -29,7 +29,7 @@ from ...points.full_field import FullFieldPlan
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
 from ...runtime.batches import Job
-from ...runtime.fft import fast_length, fft, irfft, resting_drjit, rfft
+from ...runtime.fft import Field, fast_length, fft, irfft, resting_drjit, rfft
 from .kernels import StoredResponse, require_response_memory
 from .response import Response
 from .variation import TotalVariation
@@ -80,7 +80,7 @@ class FourierResponse(StoredResponse):
         self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
         one = np.ones(1, np.float32)
         batches = [plan.batch(plane, one) for plane in range(len(distances))]
-        self._spectra: list[NDArray[np.complex64]] = []
+        self._spectra: list[Field] = []
         spreads = _SPREAD_TIME * len(batches) * math.prod(fine.resolution)
         self.prepared = spreads / (spreads + steps * len(batches) * oversample**2 * math.prod(self._size))
         total = math.ceil(_PROGRESS * len(batches) / self.prepared)
@@ -148,7 +148,7 @@ class FourierResponse(StoredResponse):
         spectrum[: len(samples)] = rfft(wide, axis=1)
         return fft(spectrum, axis=0)
 
-    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> NDArray[np.complex64]:
+    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> Field:
         """Return the spectra of a plane's kernels, from the middle bin's spread on the fine camera's pixels."""
         o, camera = self._oversample, self._camera
         per_bin = round(camera.pixel_size / fine.pixel_size / o)
@@ -168,10 +168,10 @@ class FourierResponse(StoredResponse):
             )
             for axis in (1, 0)
         ]
-        spectra = np.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        spectra: Field = backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
         for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
             kernel = _over_pixels(_over_pixels(parts, o, down.start, 0), o, across.start, 1)
-            spectrum[...] = backend().to_host(self._spectrum(self._wrapped(kernel, low)))
+            spectrum[...] = self._spectrum(self._wrapped(kernel, low))
         return spectra
 
     def _wrapped(self, kernel: NDArray[np.float32], low: Sequence[int]) -> NDArray[np.float32]:

@@ -65,7 +65,7 @@ class StoredResponse:
             self._folder.cleanup()
 
     def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
-        """Return arrays of one type as views of a file in the folder; unchanged without a folder.
+        """Return arrays of one type as views of a file in the folder; without a folder unchanged, where they lie.
 
         The system keeps the file's data in memory as long as there is room.
         """
@@ -75,7 +75,7 @@ class StoredResponse:
         try:
             with path.open("wb") as file:
                 for array in arrays:
-                    file.write(array.data)
+                    file.write(backend_of(array).to_host(array).data)
         except OSError as error:
             raise InputError(
                 f"{path.parent}: the response needs room there: {error.strerror}; TMPDIR names another folder"
@@ -89,15 +89,15 @@ def require_response_memory(memory: Callable[[int], float], oversample: int, dis
     """Refuse a response that does not fit into memory before anything is allocated; `memory` gives its bytes."""
     planes = f"{len(distances)} planes" if len(distances) > 1 else f"the plane at {distances[0]:g}"
     what = f"oversample = {oversample}: deconvolution of {planes}"
-    require_memory_for(memory, oversample, what, "oversample = {}".format)
+    require_memory_for(memory, oversample, what, "oversample = {}".format, computed=True)
 
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
     """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
-    found = []
+    arrays, found = backend().arrays, []
     for number, parts in enumerate(spreads):
         for part in parts:
-            box, sums = merged(part.box, backend_of(part.sums).to_host(part.sums)[0], together)
+            box, sums = merged(part.box, arrays.asarray(part.sums)[0], together)
             reached = cells.holding(box)
             values = cells.split(sums, box, reached)
             found.append((number, reached.index - cell, values))
@@ -105,12 +105,11 @@ def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list
     high = np.max([index.max(0) for _, index, _ in found], axis=0)
     size = high - low + 1
     count = len({number for number, _, _ in found})
-    dense = np.zeros((size[1], size[0], count, *found[0][2].shape[1:]), np.float32)
+    dense = arrays.zeros((int(size.prod()), count, *found[0][2].shape[1:]), np.float32)
     for number, index, values in found:
-        position = index - low
-        dense[position[:, 1], position[:, 0], number] += values
+        dense[arrays.asarray((index - low) @ [1, size[0]]), number] += values
     steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
-    return sparse_kernel(steps, dense.reshape(-1, *dense.shape[2:]))
+    return sparse_kernel(steps, dense)
 
 
 def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, NDArray[np.float32]]:
@@ -121,14 +120,15 @@ def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, 
     columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
     before = box.top - top * together, box.left - left * together
     shape = (rows - top, together, columns - left, together)
-    whole = np.zeros((shape[0] * together, shape[2] * together), np.float32)
+    whole = backend_of(samples).arrays.zeros((shape[0] * together, shape[2] * together), np.float32)
     whole[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
     return Box(left, top, columns - left, rows - top), whole.reshape(shape).mean((1, 3), dtype=np.float32)
 
 
 def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kernel:
     """Return the kernel of a response (steps, bins, rows, columns), without nearly dark blocks."""
-    np.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
+    libraries = backend_of(dense)
+    libraries.arrays.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
     edges = [
         np.linspace(0, length, max(1, round(length / _BLOCK)) + 1).round().astype(int) for length in dense.shape[2:]
     ]
@@ -136,7 +136,8 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
         (slice(*rows), slice(*columns))
         for rows, columns in itertools.product(*(itertools.pairwise(edge.tolist()) for edge in edges))
     ]
-    power = np.stack([dense[:, :, rows, columns].sum(axis=(1, 2, 3), dtype=np.float64) for rows, columns in parts])
+    sums = [dense[:, :, rows, columns].sum(axis=(1, 2, 3), dtype=np.float64) for rows, columns in parts]
+    power = libraries.to_host(libraries.arrays.stack(sums))
     order = np.sort(power, axis=None)
     upto = np.cumsum(order)
     dark = int(np.searchsorted(upto, LEAST * upto[-1]))
@@ -145,11 +146,12 @@ def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kerne
     blocks, used = [], power >= least
     retained = np.flatnonzero(used.any(axis=0))
     number = np.cumsum(used.any(axis=0)) - 1
-    for (rows, columns), lit in zip(parts, used, strict=True):
-        which = np.flatnonzero(lit)
+    for (rows, columns), some in zip(parts, used, strict=True):
+        which = np.flatnonzero(some)
         if len(which):
-            matrix = dense[which][:, :, rows, columns].reshape(len(which) * dense.shape[1], -1) * scale
-            blocks.append(SampleBlock(rows, columns, number[which], np.ascontiguousarray(matrix)))
+            lit = dense[libraries.arrays.asarray(which)][:, :, rows, columns]
+            matrix = lit.reshape(len(which) * dense.shape[1], -1) * scale
+            blocks.append(SampleBlock(rows, columns, number[which], matrix))
     return Kernel(steps[retained], blocks)
 
 

@@ -367,14 +367,13 @@ class Response(StoredResponse):
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
         for plane, radiance in zip(self.planes, values, strict=True):
             plane.add_forward(radiance, samples)
-        sums = self.cells.join(libraries.to_host(samples), self._sampled, self._recorder.box)
-        return self._recorder.record(libraries.arrays.asarray(sums[None]))[..., 0]
+        sums = self.cells.join(samples, self._sampled, self._recorder.box)
+        return self._recorder.record(sums[None])[..., 0]
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
-        libraries = backend()
-        sums = libraries.to_host(self._recorder.spread(image[..., None])[0])
-        samples = libraries.arrays.asarray(self.cells.split(sums, self._recorder.box, self._sampled))
+        sums = self._recorder.spread(image[..., None])[0]
+        samples = self.cells.split(sums, self._recorder.box, self._sampled)
         return [plane.adjoint(samples) for plane in self.planes]
 
 

@@ -25,8 +25,8 @@ from ..field_grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness, detector_brightness
 
-_BLOCK = 2**14
-"""Number of samples for which powers are computed together."""
+_BLOCK, _DEVICE_BLOCK = 2**14, 2**22
+"""Number of samples for which powers are computed together, in a core's cache and on a device."""
 
 
 def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
@@ -48,15 +48,19 @@ class _VaryingPath(dr.CustomOp):
         self.set_grad_out(Wavefront(some, self._radius).path(*self._points) + dr.zeros(kind, dr.width(self._points[0])))
 
     def backward(self) -> None:
-        gradient, x, y = (backend().to_host(backend().from_drjit(part)) for part in (self.grad_out(), *self._points))
+        libraries = backend()
+        gradient, x, y = map(libraries.from_drjit, (self.grad_out(), *self._points))
         # The sums over the samples of each polynomial times the gradient of the path, from the sums of powers.
         polynomials = [zernike(j) for j in range(1, self._count + 1)]
         size = max(len(polynomial) for polynomial in polynomials)
-        moments = np.zeros((size, size))
-        for first in range(0, len(gradient), _BLOCK):
-            block = slice(first, first + _BLOCK)
-            across, up = (np.vander(values[block] / self._radius, size, increasing=True).T for values in (x, y))
+        moments, step = libraries.arrays.zeros((size, size)), _DEVICE_BLOCK if libraries.is_cuda else _BLOCK
+        for first in range(0, len(gradient), step):
+            block = slice(first, first + step)
+            across, up = (
+                libraries.arrays.vander(values[block] / self._radius, size, increasing=True).T for values in (x, y)
+            )
             moments += (across * gradient[block]) @ up.T
+        moments = libraries.to_host(moments)
         unit = in_millimetres(WAVEFRONT_UNIT)
         found = np.array([unit * float((moments[: len(some), : len(some)] * some).sum()) for some in polynomials])
         self.set_grad_in("coefficients", drjit_array(type(self.grad_in("coefficients")), found))

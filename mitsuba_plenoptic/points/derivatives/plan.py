@@ -163,7 +163,8 @@ class DerivativePlan(PatchPlan):
         for pattern, shifts, factors in self._lit_copies(chunk, weights):
             used.append(pattern)
             positions = shifts * self._per_sample
-            copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, bool(moving[pattern])))
+            moves = np.full(len(shifts), moving[pattern])
+            copies.append(SpreadCopies(shifts, factors.astype(np.float32), positions, moves))
         return self._fields(np.array(used, np.int64)), copies
 
     def check_memory(self, batch_map: BatchMap, channels: int = 1) -> float:

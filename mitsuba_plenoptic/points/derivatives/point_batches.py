@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
-from ...runtime.backend import array_module, drjit_array
+from ...runtime.backend import array_module, backend, backend_of, drjit_array
 from ...runtime.batches import Box, Part
-from ...runtime.fft import as_field, as_words, pack, unpack
+from ...runtime.fft import Field, as_field, as_words, pack, unpack
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, FieldBatch, reached
+from ..windows import Windows, add_on_device, gathered_on_device
 from .by_parameter import VaryingParameters
 
 MOVED_LENSES = ("mla_pitch", "mla_distance", "mla_rotation")
@@ -53,9 +54,6 @@ def copy_slopes(camera: PlenopticCamera, wavelength: float, name: str) -> NDArra
     return np.array([[none, growth / wavelength * one]])
 
 
-Window = tuple[slice, slice]
-"""Rows and columns of a box of the grid."""
-
 _BLOCK = 2**18
 """Number of samples that are gathered together: they fit into the cache of one core."""
 
@@ -65,7 +63,12 @@ class SpreadCopies(Copies):
     """Positions and weights of the copies of a point spread, and the changes of the copies."""
 
     places: NDArray[np.float64]  # shifts on the microlens array in millimetres, (copies, 2)
-    moving: bool  # whether the motion of the lattice against the points is included
+    moving: NDArray[np.bool_]  # whether the motion of the lattice against the point is included, (copies,)
+
+    @classmethod
+    def joined(cls, each: Sequence[SpreadCopies]) -> SpreadCopies:
+        """Return the copies of several point spreads, one after another."""
+        return cls(*(np.concatenate([getattr(own, field.name) for own in each]) for field in fields(cls)))
 
     def summed(self, sums: int) -> SpreadCopies:
         """Return the copies with weights repeated for 1 or 3 sums; of 3, the last two have weights times positions."""
@@ -73,32 +76,36 @@ class SpreadCopies(Copies):
         weights = np.hstack([self.weights * factor[:, None].astype(np.float32) for factor in factors])
         return replace(self, weights=weights)
 
-    def windows(self, corner: NDArray[np.int64], samples: int, box: Box, finer: int) -> list[Window]:
-        """Return the window of each copy of a patch in a box of the grid, which is finer than the patches."""
-        start = finer * (corner + self.shifts) - np.array([box.left, box.top])
-        size = finer * samples
-        return [(slice(y, y + size), slice(x, x + size)) for x, y in start.tolist()]
+
+def _windows(work: JvpBatch | VjpBatch, batch: PatchBatch, box: Box, points: slice) -> Windows:
+    """Return the windows of some points' copies in a box of the grid, which is finer than the patches."""
+    low = np.array([box.left, box.top])
+    corners = zip(batch.corner[points], work.copies[points], strict=True)
+    return Windows.of([(work.finer * (corner + copies.shifts) - low)[:, ::-1] for corner, copies in corners])
 
 
-def gathered(tile: Any, windows: list[Window], copies: SpreadCopies, moments: bool, arrays: Any) -> list[Any]:
-    """Return the weighted sum of the windows of the copies in a tile.
+def gathered(
+    tile: NDArray[np.float32], windows: Windows, weights: NDArray[np.float32], moments: NDArray[np.float64], size: int
+) -> list[NDArray[np.float32]]:
+    """Return the weighted sums (patches, size, size) of each patch's windows in a tile, one for each row of `moments`.
 
-    The tile (channels, rows, columns) covers the box of the windows. With `moments` two more sums follow, with weights
-    multiplied by the copies' x and by their y.
+    The tile (channels, rows, columns) covers the box of the windows. Their weights are (windows, channels), times those
+    of a row of `moments`, (sums, windows).
     """
-    along = [np.ones(len(windows)), *copies.places.T] if moments else [np.ones(len(windows))]
-    which, channels = np.nonzero(copies.weights)
-    factors = arrays.asarray((np.array(along)[:, which] * copies.weights[which, channels]).astype(np.float32))
-    rows, columns = (part.stop - part.start for part in windows[0])
-    result = arrays.empty((len(along), rows, columns), np.float32)
-    block = max(1, _BLOCK // max(1, len(which) * columns))
-    for first in range(0, rows, block):
-        last = min(rows, first + block)
-        held = arrays.empty((len(which), last - first, columns), np.float32)
-        for part, copy, channel in zip(held, which.tolist(), channels.tolist(), strict=True):
-            window_rows, window_columns = windows[copy]
-            part[...] = tile[channel, window_rows.start + first : window_rows.start + last, window_columns]
-        result[:, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(along), last - first, columns)
+    libraries = backend_of(tile)
+    if libraries.is_cuda:
+        return gathered_on_device(tile, windows, weights, moments, (size, size))
+    which, channels = np.nonzero(weights)
+    factors = (moments[:, which] * weights[which, channels]).astype(np.float32)
+    places = [windows.start[window].tolist() for window in which]
+    result = np.empty((len(moments), 1, size, size), np.float32)
+    block = max(1, _BLOCK // max(1, len(which) * size))
+    for first in range(0, size, block):
+        last = min(size, first + block)
+        held = np.empty((len(which), last - first, size), np.float32)
+        for part, (top, left), channel in zip(held, places, channels.tolist(), strict=True):
+            part[...] = tile[channel, top + first : top + last, left : left + size]
+        result[:, 0, first:last] = (factors @ held.reshape(len(which), -1)).reshape(len(moments), last - first, size)
     return list(result)
 
 
@@ -118,7 +125,7 @@ def _factors(fields: Fields, parameters: VaryingParameters) -> PatchFactors:
 
 def _moved_lattice(fields: Fields, parameters: VaryingParameters | None, copies: Sequence[SpreadCopies]) -> list[Parts]:
     """Return the changes of a batch's factors as the lattice moves along its x axis, and along its y axis."""
-    if parameters is None or not any(own.moving for own in copies):
+    if parameters is None or not any(own.moving.any() for own in copies):
         return []
     moves = []
     for vector in ((1.0, 0.0), (0.0, 1.0)):
@@ -138,7 +145,12 @@ def _changed(fields: Fields, parameters: VaryingParameters) -> Parts:
         for value, shape in zip(values, made.shapes, strict=True)
     ]
     # A parameter of several components, of which some are fixed, leaves factors as they are.
-    return [change if change is not None and change.any() else None for change in changes]
+    given = [change for change in changes if change is not None]
+    if not given:
+        return changes
+    libraries = backend()
+    moved = iter(libraries.to_host(libraries.arrays.stack([change.any() for change in given])).tolist())
+    return [change if change is not None and next(moved) else None for change in changes]
 
 
 @dataclass(frozen=True)
@@ -164,36 +176,45 @@ def _jvp(work: JvpBatch, batch: PatchBatch, changes: list[Parts], lattice: list[
     arrays, finer, channels = batch.libraries.arrays, work.finer, work.copies[0].weights.shape[1]
     box = reached(batch.corner, batch.samples, work.copies, finer)
     parts = len(changes) + (3 if work.placed else 1)
-    sums = arrays.zeros((parts, channels, box.rows, box.columns), np.float32)
-    of_point, memory = batch.factors.of_point, Memory(arrays)
-    for point, copies in enumerate(work.copies):
+    sums = list(arrays.zeros((parts, channels, box.rows, box.columns), np.float32))
+    of_points, memory = batch.factors.of_points, Memory(arrays)
+    for points in batch.chained(finer):
         memory.restart()
-        chain = FieldChain(of_point(batch.parts, point), batch.factors.axes, finer, memory)
-        windows = copies.windows(batch.corner[point], batch.samples, box, finer)
-        one, moved = np.ones(len(windows)), []
-        if copies.moving:
-            moved = [chain.spectrum_jvp(of_point(move, point)) for move in lattice]
-        for part, direction, slopes in zip(sums, changes, work.slopes, strict=False):
-            terms = [(chain.jvp(of_point(direction, point)), one)]
+        chain = FieldChain(of_points(batch.parts, points), batch.factors.axes, finer, memory)
+        windows, copies = _windows(work, batch, box, points), SpreadCopies.joined(work.copies[points])
+        one, moved = np.ones(len(copies.weights)), []
+        if copies.moving.any():
+            moved = [chain.spectrum_jvp(of_points(move, points)) for move in lattice]
+        places = copies.places * copies.moving[:, None]
+        for part, direction, slopes in zip(range(parts), changes, work.slopes, strict=False):
+            terms = [(chain.jvp(of_points(direction, points)), one)]
             for axis in (0, 1) if moved and slopes.any() else ():
-                both = sum(arrays.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
-                terms.append((chain.jvp_of_spectrum(both), copies.places[:, axis]))
+                both: Any = sum(np.float32(slope) * move for slope, move in zip(slopes[:, axis], moved, strict=True))
+                terms.append((chain.jvp_of_spectrum(both), places[:, axis]))
             lit = [(slope, given) for slope, given in terms if slope is not None]
-            _add(part, lit, copies, windows, arrays)
+            sums[part] = _added(sums[part], lit, copies, windows)
         intensity = chain.intensity
-        for part, given in zip(sums[len(changes) :], (one, *copies.places.T), strict=False):
-            _add(part, [(intensity, given)], copies, windows, arrays)
-    return Part(box, sums.reshape(-1, box.rows, box.columns))
+        for part, given in zip(range(len(changes), parts), (one, *copies.places.T), strict=False):
+            sums[part] = _added(sums[part], [(intensity, given)], copies, windows)
+    return Part(box, arrays.concatenate(sums))
 
 
-def _add(
-    sums: Any, terms: list[tuple[Any, NDArray[np.float64]]], copies: SpreadCopies, windows: list[Window], arrays: Any
-) -> None:
-    """Add terms, multiplied by each copy's factors and weights, to the window of each copy."""
-    for copy, window in enumerate(windows if terms else []):
-        total = sum(value if given[copy] == 1 else arrays.float32(given[copy]) * value for value, given in terms)
+def _added(sums: Any, terms: list[tuple[Any, NDArray[np.float64]]], copies: SpreadCopies, windows: Windows) -> Any:
+    """Return sums with terms, multiplied by each copy's factors and weights, added to the window of each copy."""
+    if not terms:
+        return sums
+    if backend_of(sums).is_cuda:
+        for value, given in terms:
+            sums = add_on_device(sums, value, windows, (given[:, None] * copies.weights).astype(np.float32))
+        return sums
+    size = terms[0][0].shape[-1]
+    for copy, (patch, (top, left)) in enumerate(zip(windows.patch.tolist(), windows.start.tolist(), strict=True)):
+        total = sum(
+            value[patch] if given[copy] == 1 else np.float32(given[copy]) * value[patch] for value, given in terms
+        )
         for channel in np.flatnonzero(copies.weights[copy]).tolist():
-            sums[(channel, *window)] += copies.weights[copy, channel] * total
+            sums[channel, top : top + size, left : left + size] += copies.weights[copy, channel] * total
+    return sums
 
 
 @dataclass(frozen=True)
@@ -247,30 +268,48 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     ]
     *per_point, total = cotangents
     returning = arrays.conj(batch.parts[-1])
-    spreads = None
+    spreads, finer_samples = None, finer * batch.samples
     if work.summed:
         own, low = [copies.summed(work.summed) for copies in work.copies], np.array([box.left, box.top])
         places = [
             (finer * (corner + each.shifts) - low)[:, ::-1] for corner, each in zip(batch.corner, own, strict=True)
         ]
-        spreads = CopySum(own, places, finer * batch.samples, np.array([box.rows, box.columns]), 1)
-    products, memory = np.zeros((2, 2)), Memory(arrays)
-    for point, copies in enumerate(work.copies):
+        size, together = np.array([box.rows, box.columns]), batch.chained(finer)[0].stop
+        spreads = CopySum(own, places, finer_samples, size, together)
+    products, memory = arrays.zeros((2, 2)), Memory(arrays)
+    for points in batch.chained(finer):
         memory.restart()
-        directions = made.directions_of(point)
-        chain = FieldChain(made.of_point(batch.parts, point), made.axes, finer, memory, returning[directions])
-        windows = copies.windows(batch.corner[point], batch.samples, box, finer)
-        gradient, *moments = gathered(tile, windows, copies, bool(lattice) and copies.moving, arrays)
-        moved = [chain.spectrum_jvp(made.of_point(move, point)) for move in lattice if moments]
+        conjugate = made.directions_of(returning, points)
+        chain = FieldChain(made.of_points(batch.parts, points), made.axes, finer, memory, conjugate)
+        windows, copies = _windows(work, batch, box, points), SpreadCopies.joined(work.copies[points])
+        along = [np.ones(len(copies.places))]
+        if lattice and copies.moving.any():
+            along += list((copies.places * copies.moving[:, None]).T)
+        gradient, *moments = gathered(tile, windows, copies.weights, np.array(along), finer_samples)
+        moved = [chain.spectrum_jvp(made.of_points(move, points)) for move in lattice if moments]
         for axis, moment in enumerate(moments):
             with memory.lent():
                 products[:, axis] += chain.products(moment, moved)
         if spreads is not None:
-            spreads.add(point, (slice(0, finer * batch.samples),) * 2, chain.intensity)
+            spreads.add(points.start, (slice(0, finer_samples),) * 2, chain.intensity)
         *found, transfer = chain.vjp(gradient, work.varies)
         for target, part in zip(per_point, found, strict=True):
             if target is not None:
-                target[point] = part
-        if total is not None:
-            total[directions] += transfer
+                target[points] = part
+        if total is not None and transfer is not None:
+            total = _added_directions(total, transfer, made.first_directions[points, ::-1])
+    cotangents = [*per_point, total]
+    products = batch.libraries.to_host(products)
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
+
+
+def _added_directions(total: Field, parts: Field, starts: NDArray[np.int64]) -> Field:
+    """Return cotangents of a transfer function with those of points (n, rows, columns) added to their windows."""
+    if backend_of(total).is_cuda:
+        windows = Windows(np.arange(len(parts)), starts * np.array([1, 2]))
+        # Real and imaginary parts as neighbouring columns.
+        real, values = (array.view(np.float32) for array in (total, parts))
+        return add_on_device(real[None], values, windows, np.ones((len(parts), 1), np.float32))[0].view(np.complex64)
+    for part, (top, left) in zip(parts, starts.tolist(), strict=True):
+        total[top : top + part.shape[0], left : left + part.shape[1]] += part
+    return total
