@@ -12,8 +12,9 @@ spawned, not forked.
 
 The same seed gives the same bits of captures, exposures and reconstructions on any number of threads and in any
 process, with three exceptions: with CUDA variants, last bits change from run to run; reconstructions by single lenses
-(``interleave="auto"``) follow the number of the BLAS's threads in their last bits; and scenes that ``mi.load_file`` loads, unless with ``optimize=False`` as `load_scene` does,
-have their lamps in another order each time, so that the noise of their light differs.
+(``interleave="auto"``) follow the number of the BLAS's threads in their last bits; and scenes that ``mi.load_file``
+loads, unless with ``optimize=False`` as `load_scene` does, have their lamps in another order each time, so that the
+noise of their light differs.
 """
 
 # ruff: noqa: E402

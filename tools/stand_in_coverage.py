@@ -19,8 +19,8 @@ PACKAGE = ROOT / "mitsuba_plenoptic"
 DATA = ROOT / "build/coverage/stand-in"
 TESTS = tuple(f"tests/runtime/test_{name}.py" for name in ("cuda", "device_memory", "launches"))
 
-FAIL_UNDER = 85.0
-"""Percent of the lines, below which something has gone untested; the goal is 95."""
+FAIL_UNDER = 95.0
+"""Percent of the lines, below which something has gone untested; some lines are the processor's alone."""
 
 _USES = re.compile(r"\bbackend\(\)|\bbackend_of\(|\.is_cuda\b|\.to_host\(|\.from_drjit\(")
 
@@ -54,7 +54,7 @@ def main() -> None:
     measured.get_data().set_query_contexts(["^$", "^device$"])
     include = [str(path) for path in modules()]
     total = measured.report(include=include, contexts=["^$", "^device$"], show_missing=True, skip_covered=False)
-    print(f"Array code run with the stand-in: {total:.1f} %, at least {FAIL_UNDER:g} %; the goal is 95 %")
+    print(f"Array code run with the stand-in: {total:.1f} %, at least {FAIL_UNDER:g} %")
     sys.exit(total < FAIL_UNDER)
 
 

@@ -6,6 +6,7 @@ longer to start a kernel for each window than to compute it: there, one kernel s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,7 +134,7 @@ def _each(types: Any, numbers: NDArray[np.int64], entry: Any) -> Any:
     return dr.gather(types.UInt32, drjit_array(types.UInt32, numbers.astype(np.uint32)), entry)
 
 
-def _loop(types: Any, first: Any, last: Any, totals: list[Any], step: Any) -> list[Any]:
+def _loop(types: Any, first: Any, last: Any, totals: list[Any], step: Callable[[Any], list[Any]]) -> list[Any]:
     """Return totals with the results of a step added for each index from `first` up to `last`, which is excluded."""
 
     def body(k: Any, last: Any, *totals: Any) -> tuple[Any, ...]:
