@@ -223,7 +223,9 @@ class PatchTile:
         low = np.array([self.box.left, self.box.top])
         self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
         self._arrays = backend().arrays
-        self._block = min(batch.sizes.block, batch.together * batch.samples**2)
+        # The intensities of several points would not fit into a core's cache together.
+        together = batch.together if batch.libraries.is_cuda else 1
+        self._block = min(batch.sizes.block, together * batch.samples**2)
         self._scratch = self._arrays.empty((2, self._block), np.float32)
         self._squares = self._arrays.empty(2 * self._block, np.float32)
 
