@@ -119,15 +119,31 @@ class LensFunctions:
 
     def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance of the polynomials' coefficients for light with random edges, less the mean."""
-        values = self.values(u, v)
-        values -= values.mean(0)
+        return _differing(self.values(u, v), u, v, self.scale)
 
-        def of_some(rows: slice) -> NDArray[np.float64]:
-            apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
-            return np.asarray(values[rows].T @ (apart @ values))
 
-        parts = on_all_cores(of_some, [slice(row, row + _ROWS) for row in range(0, len(u), _ROWS)])
-        return np.asarray(-sum(parts) / (self.scale * len(u) ** 2))
+def edge_covariance(
+    values: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], scale: float
+) -> NDArray[np.float64]:
+    """Return the covariance of the integrals of functions over light with random edges; see `LensFunctions.light`.
+
+    `values` (points, functions) are those at points u and v, which have the density of the integrals.
+    """
+    return _covariance(_differing(values, u, v, scale))
+
+
+def _differing(
+    values: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], scale: float
+) -> NDArray[np.float64]:
+    """Return the covariance of functions' integrals over light with random edges, less the mean."""
+    values = values - values.mean(0)
+
+    def of_some(rows: slice) -> NDArray[np.float64]:
+        apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
+        return np.asarray(values[rows].T @ (apart @ values))
+
+    parts = on_all_cores(of_some, [slice(row, row + _ROWS) for row in range(0, len(u), _ROWS)])
+    return np.asarray(-sum(parts) / (scale * len(u) ** 2))
 
 
 def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:
