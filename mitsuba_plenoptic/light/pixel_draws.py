@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
-from .masked_pupil import CLOSED
+from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
 from .random_numbers import chances_of, even_steps
 from .signed_draws import ORDER, Aims, DetectorGrid, Drawn, Pixels, tent
@@ -119,7 +119,7 @@ class PixelDraws(DetectorGrid):
     @cached_property
     def _closed(self) -> tuple[Any, int] | None:
         """The distribution of rays through closed parts over cells of the square, and the cells across it."""
-        if self._plan.masked is None or (closed := self._plan.masked.closed) is None:
+        if self._plan.fitted is None or (closed := self._plan.fitted.closed) is None:
             return None
         return mi.DiscreteDistribution2D(closed.astype(np.float32)), len(closed)
 

@@ -27,7 +27,6 @@ sums of products of the transforms of t times powers.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import itertools
 import math
@@ -44,18 +43,16 @@ from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
-from .lens_functions import LensFunctions, edge_covariance
-from .masked_pupil import MaskedPupil, PupilFunctions
+from .fitted_pupil import FittedPupil, PupilFunctions
+from .lens_functions import LensFunctions, even_polynomials
 from .oblique import Oblique
 from .optical_system import OpticalSystem
 from .pupil_samples import PupilSamples, along, spread_points
 
-_DEGREES, _MASKED = (6, 10), (5, 7)
-"""Degrees of the polynomials over the pupil: of usual plans, and of finer ones and those with aberrated kernels, where
-the defocus of some part of the pupil undoes the aberration, so that polynomials have to follow this defocus."""
-
-_STEEPEST = 1e5
-"""Largest condition number of the polynomials' coefficients, which rays evaluate in single precision."""
+_DEGREES, _OF_PARTS = (6, 10), (5, 7)
+"""Degrees of the polynomials over the pupil, and over each part of coded ones: of usual plans, and of finer ones and
+those with aberrated kernels, where the defocus of some part of the pupil undoes the aberration, so that polynomials
+have to follow this defocus."""
 
 _REACH, _COARSE_REACH = 24.0, 12.0
 """Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
@@ -162,24 +159,37 @@ class PupilDiffraction:
         waves = self._in_kernels * (WAVEFRONT_UNIT / self.wavelength)
         return PupilSamples(self.camera.aperture, tuple(waves.tolist()) if waves.any() else ())
 
+    @property
+    def _is_aberrated(self) -> bool:
+        """Whether kernels contain large aberrations."""
+        return bool(np.linalg.norm(self._in_kernels) > _SMALL)
+
+    @property
+    def _is_coded(self) -> bool:
+        """Whether the pupil may have closed parts between open ones that matter: in coarse pixels they do not."""
+        return self.camera.aperture_image is not None and not self.is_coarse
+
+    @property
+    def _degree(self) -> int:
+        """Degree of the polynomials if all of them can be used."""
+        few, many = _OF_PARTS if self._is_coded else _DEGREES
+        return many if self.fine or self._is_aberrated else few
+
     @cached_property
-    def masked(self) -> MaskedPupil | None:
-        """Functions and kernels of pupils that may have closed parts between open ones."""
-        return None if self.camera.aperture_image is None or self._is_wide else _masked(self._pupil, _MASKED[self.fine])
+    def fitted(self) -> FittedPupil | None:
+        """Functions and fitted kernels of coded or aberrated pupils."""
+        return _fitted(self._pupil, self._degree) if self._is_coded or self._is_aberrated else None
 
     @cached_property
     @single_threaded_blas()
+    def _polynomials(self) -> LensFunctions:
+        """Polynomials of a pupil point over the pupil's radius, fewer where little of the pupil is open."""
+        return even_polynomials([spread_points(self._pupil.power)], 0 if self._is_wide else self._degree)[0]
+
+    @property
     def functions(self) -> LensFunctions | PupilFunctions:
-        """Functions of a ray's pupil point: polynomials, fewer where little of the pupil is open, or `masked` ones."""
-        if self.masked:
-            return self.masked.functions
-        fine = self.fine or bool(np.linalg.norm(self._in_kernels) > _SMALL)
-        for degree in range(0 if self._is_wide else _DEGREES[fine], 0, -1):
-            with contextlib.suppress(np.linalg.LinAlgError):
-                found = LensFunctions.polynomials(*spread_points(self._pupil.power), degree, 1.0)
-                if np.linalg.cond(found.triangle) < _STEEPEST:
-                    return found
-        return LensFunctions.polynomials(*spread_points(self._pupil.power), 0, 1.0)
+        """Functions of a ray's `arguments`."""
+        return self.fitted.functions if self.fitted else self._polynomials
 
     @property
     def degree(self) -> int:
@@ -194,15 +204,17 @@ class PupilDiffraction:
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
-        if self.masked:
-            return self.masked.covariance
-        u, v = (each[::_EVERY] for each in spread_points(self._pupil.power))
-        return edge_covariance(self.functions.values(u, v), u, v, 1.0)
+        if self.fitted:
+            return self.fitted.covariance
+        return self._polynomials.light(*(each[::_EVERY] for each in spread_points(self._pupil.power)))
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
-        """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius."""
+        """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
+
+        Behind coded apertures the shares of the pupil's parts follow, by which polynomials are multiplied.
+        """
         x, y = (place / self.camera.pupil_radius for place in pupil)
-        return [x, y] if self.masked is None else self.masked.arguments(x, y)
+        return [x, y] if self.fitted is None else self.fitted.arguments(x, y)
 
     def spots(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the point spread function in focus (1, n, n), at detector positions in mm along both axes."""
@@ -257,9 +269,9 @@ class PupilDiffraction:
     @property
     def _moments(self) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
         """Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels)."""
-        if self.masked:
+        if self.fitted:
             return [(0, 0)], np.ones((1, 1))
-        return self.functions.exponents, self.functions.combined
+        return self._polynomials.exponents, self._polynomials.combined
 
     def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
@@ -273,8 +285,8 @@ class PupilDiffraction:
             products.append(both)
         spacing = 2 / self._pupil.count
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
-        if self.masked:
-            kernels = np.concatenate([kernels, self.masked.kernels(places) * step**2])
+        if self.fitted:
+            kernels = np.concatenate([kernels, self.fitted.kernels(places) * step**2])
         # They fall to zero, as edges of windows would show around lamps, and keep the energy.
         across = np.hypot(*np.meshgrid(*[np.arange(-count, count + 1.0) / count] * 2))
         kernels *= np.cos(np.pi / 2 * np.clip((across - _TAPER) / (1 - _TAPER), 0, 1)) ** 2
@@ -284,6 +296,6 @@ class PupilDiffraction:
 
 
 @functools.lru_cache(maxsize=8)
-def _masked(samples: PupilSamples, degree: int) -> MaskedPupil:
+def _fitted(samples: PupilSamples, degree: int) -> FittedPupil:
     """Return the functions and kernels of a pupil, cached for further wavelengths and captures."""
-    return MaskedPupil(samples, degree)
+    return FittedPupil(samples, degree)

@@ -47,9 +47,9 @@ class PupilSamples:
     @property
     def whole(self) -> float:
         """Power that passes, the integral over the square."""
-        return float(self._fine.mean()) * 4
+        return float(self.power.mean()) * 4
 
-    @cached_property
+    @property
     def _fine(self) -> NDArray[np.float64]:
         """Power that passes at points of a grid that divides the samples."""
         x = along(_SAMPLES * _FINER)

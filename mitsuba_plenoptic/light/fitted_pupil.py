@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ..runtime.backend import drjit_array
 from ..runtime.batches import on_all_cores
 from ..runtime.limits import single_threaded_blas
-from .lens_functions import LensFunctions, edge_covariance
+from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
 
 CLOSED = 0.25
@@ -55,8 +55,9 @@ _TAPER = 0.75
 _BLURS, _WIDEST = 20, 32.0
 """Count of blurs to which kernels are fitted, on each side of the focus, and the largest one in units."""
 
-_TILT, _TILTS, _TILTED = 0.5, 3, 0.3
-"""Step of the small v in cycles to the pupil's radius, the most steps, and the part of all weight that they have."""
+_TILT, _PER_DEGREE, _TILTED = 0.5, 0.25, 0.3
+"""Step of the small v in cycles to the pupil's radius, their limit over the polynomials' degree plus one, as higher
+degrees can follow faster changes, and the part of all weight that they have."""
 
 _NOISE = 2e-4
 """Weight of the noise."""
@@ -90,7 +91,7 @@ class PupilFunctions:
 
 
 @dataclass(frozen=True)
-class MaskedPupil:
+class FittedPupil:
     """Functions and kernels of one pupil of any shape."""
 
     samples: PupilSamples
@@ -130,21 +131,21 @@ class MaskedPupil:
         """
         places, aperture = self._boxed(x, y), self.samples.aperture
         if self.closed is None:
-            return places
+            return list(places)
         column, row = (dr.clip(mi.Int(dr.floor((place + 1) * (_SAMPLES / 2))), 0, _SAMPLES - 1) for place in (x, y))
         held = dr.gather(mi.Float, drjit_array(mi.Float, self.closed.ravel()), mi.UInt32(row * _SAMPLES + column))
         parts = aperture.power(x, y) / (math.pi * aperture.share), held
         drawn = (1 - CLOSED) * parts[0] + CLOSED * parts[1]
         return [*places, *(dr.select(drawn > 0, part / drawn, 0) for part in parts)]
 
-    def _boxed(self, x: Any, y: Any) -> list[Any]:
+    def _boxed(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return coordinates in the box around the open parts, from -1 to 1."""
-        held = [np.flatnonzero(self.densities[0].any(axis)) for axis in (0, 1)]
-        edges = [(2 * each[0] / _SAMPLES - 1, 2 * (each[-1] + 1) / _SAMPLES - 1) for each in held]
-        return [
-            (place - float(low + high) / 2) / (float(high - low) / 2)
-            for place, (low, high) in zip((x, y), edges, strict=True)
-        ]
+        boxed = []
+        for axis, place in enumerate((x, y)):
+            lit = np.flatnonzero(self.densities[0].any(axis))
+            low, high = 2 * int(lit[0]) / _SAMPLES - 1, 2 * int(lit[-1] + 1) / _SAMPLES - 1
+            boxed.append((place - (low + high) / 2) / ((high - low) / 2))
+        return boxed[0], boxed[1]
 
     @cached_property
     def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -159,8 +160,7 @@ class MaskedPupil:
     @single_threaded_blas()
     def functions(self) -> PupilFunctions:
         """The functions; the first has an integral of 1 over all rays, and the others of 0."""
-        points = [self._boxed(*spread_points(part)) for part in self.densities]
-        sets = [LensFunctions.polynomials(x, y, self.degree, 1.0) for x, y in points]
+        sets = even_polynomials([self._boxed(*spread_points(part)) for part in self.densities], self.degree)
         combined, count = scipy.linalg.block_diag(*(each.triangle for each in sets)), len(sets[0].exponents)
         # Rays through closed parts bring nothing of uniform light.
         combined[0, count::count] -= 1
@@ -169,9 +169,11 @@ class MaskedPupil:
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the functions' integrals over light with random edges."""
-        x, y = (place[::_EVERY] for place in spread_points(self._drawn[0]))
+        whole, shares = self._drawn
+        x, y = (place[::_EVERY] for place in spread_points(whole))
         column, row = (np.asarray((place + 1) * (_SAMPLES / 2), int) for place in (x, y))
-        return edge_covariance(self.functions.values(*self._boxed(x, y), self._drawn[1][:, row, column]), x, y, 1.0)
+        values = self.functions.values(*self._boxed(x, y), shares[:, row, column])
+        return edge_covariance(values, x, y, 1.0)
 
     # -- kernels -------------------------------------------------------------------------------------
 
@@ -188,12 +190,12 @@ class MaskedPupil:
     def _spectra(self) -> NDArray[np.complex128]:
         """Spectra (functions, rows, columns) at `_frequencies` of the kernels after the first, by least squares."""
         (drawn, shares), x = self._drawn, along(_SAMPLES)
-        places = [place.ravel() for place in self._boxed(x + 0 * x[:, None], x[:, None] + 0 * x)]
-        values = self.functions.values(*places, shares.reshape(len(shares), -1))
+        u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
+        values = self.functions.values(u, v, shares.reshape(len(shares), -1))
         brought = values * (drawn.ravel() * _AREA)[:, None]
         noise = _NOISE * (values.T @ brought)[1:, 1:]
         images = np.ascontiguousarray(np.swapaxes(brought.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
-        lights, frequencies = _lights(), _frequencies()
+        lights, frequencies = _lights(_PER_DEGREE * (self.degree + 1)), _frequencies()
         weight = np.sqrt([light.weight for light in lights])
 
         def seen(light: _Light) -> tuple[NDArray[np.complex64], ...]:
@@ -242,10 +244,10 @@ class _Light(NamedTuple):
     weight: float = 0.0
 
 
-def _lights() -> list[_Light]:
-    """Return the light of each pair of opposite blurs and of opposite v."""
-    steps = _TILT * np.arange(-_TILTS, _TILTS + 1)
-    tilts = [(x, y) for x in steps for y in steps if (y, x) > (0, 0) and math.hypot(x, y) <= _TILT * _TILTS]
+def _lights(steepest: float) -> list[_Light]:
+    """Return the light of each pair of opposite blurs, and of opposite v up to the steepest."""
+    steps = _TILT * np.arange(-math.floor(steepest / _TILT), math.floor(steepest / _TILT) + 1)
+    tilts = [(x, y) for x in steps for y in steps if (y, x) > (0, 0) and math.hypot(x, y) <= steepest]
     blurs = _WIDEST * (np.arange(1, _BLURS + 1) / _BLURS) ** 2
     return [
         *(_Light(float(blur), 0.0, 0.0, (1 - _TILTED) / _BLURS) for blur in blurs),
