@@ -105,8 +105,11 @@ class FittedPupil:
         power, amplitude = (means(part, _SAMPLES) for part in (self.samples.power, abs(self.samples.transmission)))
         size, x = (2 * _SAMPLES,) * 2, along(_SAMPLES)
         pairs = scipy.fft.irfft2(scipy.fft.rfft2(amplitude, size) ** 2, size)[::2, ::2]
-        # Rays with the root of the mean square of the light that they bring have the least noise.
-        middles = np.where(np.hypot(x, x[:, None]) <= 1, np.sqrt(np.maximum(pairs - 1e-9 * pairs.max(), 0)), 0)
+        # Rays with the root of the mean square of the light that they bring have the least noise. Samples that the
+        # circle cuts are left out.
+        farthest = abs(x) + 1 / _SAMPLES
+        within = np.hypot(farthest, farthest[:, None]) <= 1
+        middles = np.where(within, np.sqrt(np.maximum(pairs - 1e-9 * pairs.max(), 0)), 0)
         closed = middles * (1 - power / power.max())
         some = closed.sum() > _LEAST_CLOSED * middles.sum()
         return [part / (part.sum() * _AREA) for part in ([power, closed] if some else [power])]

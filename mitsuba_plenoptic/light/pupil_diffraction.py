@@ -13,13 +13,12 @@ whose points P have the density of the power, followed by one convolution for ea
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, a_n(P), \qquad \varphi_n(x) = \int a_n(P)\, K_p(P, x)\, d^2P .
 
-The first kernel is the point spread function in focus, which is therefore exact. Between open parts of a coded aperture
-:math:`K_p` has light of both signs, whose sum is 0, although t is 0 there: no ray passes, but the kernels contain this
-light, since both sides of the approximation have the same integrals with all the polynomials. Light from other
-distances varies with P; where it does so faster than the polynomials, defocus has already averaged out what diffraction
-would change. Rays follow aberrations of first and second order, whose differences t then lacks; higher orders, and all
-small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without
-third differences.
+The first kernel is the point spread function in focus, which is therefore exact. Light from other distances varies with
+P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. This
+does not hold between open parts of a coded aperture, where :math:`K_p` has light although t is 0, nor with large
+aberrations: `fitted_pupil` serves these. Rays follow aberrations of first and second order, whose differences t then
+lacks; higher orders, and all small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all
+of them to the rays, without third differences.
 
 As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
 sums of products of the transforms of t times powers.
@@ -47,7 +46,7 @@ from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials
 from .oblique import Oblique
 from .optical_system import OpticalSystem
-from .pupil_samples import PupilSamples, along, spread_points
+from .pupil_samples import SAMPLES, PupilSamples, along, spread_points
 
 _DEGREES, _OF_PARTS = (6, 10), (5, 7)
 """Degrees of the polynomials over the pupil, and over each part of coded ones: of usual plans, and of finer ones and
@@ -262,7 +261,7 @@ class PupilDiffraction:
     @single_threaded_blas()
     def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
-        x, transmission = along(self._pupil.count), self._pupil.transmission
+        x, transmission = along(SAMPLES), self._pupil.transmission
         waves = np.exp(-2j * np.pi * np.outer(places, x))
         return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
 
@@ -283,7 +282,7 @@ class PupilDiffraction:
                 weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
                 both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
             products.append(both)
-        spacing = 2 / self._pupil.count
+        spacing = 2 / SAMPLES
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
         if self.fitted:
             kernels = np.concatenate([kernels, self.fitted.kernels(places) * step**2])

@@ -15,7 +15,7 @@ from ..errors import WAVEFRONT_UNIT
 from ..lenses.thin import Wavefront
 from ..optics.waves import in_millimetres
 
-_SAMPLES, _FINER = 256, 8
+SAMPLES, _FINER = 256, 8
 """Samples of the transmission across the pupil, and points across a sample of which it is the mean."""
 
 
@@ -27,22 +27,17 @@ class PupilSamples:
     # Coefficients of Noll's polynomials, in waves of the light.
     waves: tuple[float, ...] = ()
 
-    @property
-    def count(self) -> int:
-        """Number of samples across the pupil."""
-        return _SAMPLES
-
     @cached_property
     def transmission(self) -> NDArray[np.complex128]:
         """Mean transmission of the samples, rows of rising y, with the aberrations as its phase."""
-        x = along(_SAMPLES)
+        x = along(SAMPLES)
         path = Wavefront(self.waves, 1.0).path(x + 0 * x[:, None], x[:, None] + 0 * x) if any(self.waves) else 0.0
-        return means(np.sqrt(self._fine), _SAMPLES) * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
+        return means(np.sqrt(self._fine), SAMPLES) * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
 
     @cached_property
     def power(self) -> NDArray[np.float64]:
         """Mean power that passes the samples."""
-        return means(self._fine, _SAMPLES)
+        return means(self._fine, SAMPLES)
 
     @property
     def whole(self) -> float:
@@ -52,7 +47,7 @@ class PupilSamples:
     @property
     def _fine(self) -> NDArray[np.float64]:
         """Power that passes at points of a grid that divides the samples."""
-        x = along(_SAMPLES * _FINER)
+        x = along(SAMPLES * _FINER)
         return np.asarray(self.aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
 
 

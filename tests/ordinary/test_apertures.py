@@ -351,11 +351,11 @@ def test_walls_are_sums_over_the_mask(name, blur, limit):
 def test_light_of_two_holes_interferes_out_of_focus():
     """Rays through the closed middle bring the fringes, without which the wall differs by more than a fifth."""
     parameters, mask = PUPILS["two holes"]
-    camera = camera_of(1.0, 12, **parameters)
+    camera = camera_of(1.0, 16, **parameters)
     scene, picture = wall(camera, 4, 4.0, WIDE)
     expected = diffracted(camera, picture, 4, 4.0, mask=mask)
-    assert difference(by_waves(scene, 512), expected) < 0.01
-    assert difference(render_capture(scene, spp=512).image, expected) > 0.2
+    assert difference(by_waves(scene, 256), expected) < 0.015
+    assert difference(render_capture(scene, spp=256).image, expected) > 0.2
 
 
 @pytest.mark.slow
@@ -370,4 +370,5 @@ def test_a_white_scene_by_waves_reads_the_open_part(name):
     camera, _ = diffracting(name, 12)
     part = open_part(name)
     found = by_waves(scene_of(camera.to_sensor(), **WHITE), 16)
-    assert found.mean() == pytest.approx(part, rel=0.002) and found.std() < 0.002
+    # Of far pixels, from which single cells bring light, one in four is traced.
+    assert found.mean() == pytest.approx(part, rel=0.003) and found.std() < 0.002

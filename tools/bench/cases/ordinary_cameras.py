@@ -85,13 +85,13 @@ def accuracy(
     },
     (at_most("waves", 0.01),),
     page="docs/theory/ordinary.md",
-    quick={"apertures": ("two holes",), "blurs": (4.0,), "spp": 512, "film": 12},
+    quick={"apertures": ("two holes",), "blurs": (4.0,), "spp": 256, "film": 16},
 )  # fmt: skip
 def apertures(
     *,
     apertures: tuple[str, ...] = tuple(APERTURES),
     blurs: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),
-    spp: int = 1024,
+    spp: int = 512,
     film: int = 32,
 ) -> Iterator[Row]:
     """Compare captures with pixels of an Airy radius, through the open pupil, of walls whose texels are four wide."""
@@ -106,7 +106,7 @@ def apertures(
         def taken(seed: int, scene: mi.Scene = scene) -> np.ndarray:
             return render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=WAVELENGTH).image
 
-        image, noise = mean_of_seeds(taken, 2)
+        image, noise = mean_of_seeds(taken, 4)
         yield {
             "aperture": name, "blur": blur, "noise": noise, "light": float(image.mean() / expected.mean()),
             "waves": without_noise(relative(image, expected), noise),

@@ -67,8 +67,8 @@ def point_spread(
 ) -> np.ndarray:
     """Return the light of a point at detector positions in mm, as |sum over the pupil|^2, in parts of a round pupil's.
 
-    `path` is a function of the pupil's coordinates over its radius: the aberrations in waves. What is not at the
-    positions is spread evenly over them.
+    `path` is a function of the pupil's coordinates over its radius: the aberrations in waves. Light beyond the positions
+    is added in proportion, as walls end there, and evenly behind other masks, whose walls go on.
     """
     _, image = blurred(camera, blur)
     pupil = (np.arange(_PUPIL) + 0.5) / _PUPIL * 2 - 1
@@ -81,7 +81,9 @@ def point_spread(
     phases = np.exp(-2j * np.pi * np.outer(place, pupil))
     spread = np.abs(phases @ (np.sqrt(power) * np.exp(2j * np.pi * waves)) @ phases.T) ** 2
     spread *= (2 / _PUPIL) ** 2 * (place[1] - place[0]) ** 2 / np.count_nonzero(opening(x, y))
-    return spread + (power.sum() / opening(x, y).sum() - spread.sum()) / spread.size
+    if mask is opening:
+        return np.asarray(spread / spread.sum())
+    return np.asarray(spread + (power.sum() / opening(x, y).sum() - spread.sum()) / spread.size)
 
 
 def diffracted(
