@@ -67,7 +67,7 @@ def point_spread(
 ) -> np.ndarray:
     """Return the light of a point at detector positions in mm, as |sum over the pupil|^2, in parts of a round pupil's.
 
-    `path` is a function of the pupil's coordinates over its radius: the aberrations in waves. Light beyond the positions
+    `path` is a function of the pupil's coordinates over its radius: the aberrations in waves. Light beyond the places
     is added in proportion, as walls end there, and evenly behind other masks, whose walls go on.
     """
     _, image = blurred(camera, blur)
