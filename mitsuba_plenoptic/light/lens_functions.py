@@ -13,6 +13,7 @@ the functions, for which :math:`\int d_n a_k\, dm = \delta_{nk}`.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +26,9 @@ from ..runtime.batches import on_all_cores
 _TIED = 1e-3
 """Relative difference of the errors that two functions remove below which both or neither are used, as they differ by
 the symmetry of a lens."""
+
+_STEEPEST = 1e5
+"""Largest condition number of the polynomials' coefficients, which rays evaluate in single precision."""
 
 _ROWS = 128
 """Points of a lens whose distances from all others are computed at a time, so that these fit into a cache."""
@@ -119,15 +123,46 @@ class LensFunctions:
 
     def _expected(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance of the polynomials' coefficients for light with random edges, less the mean."""
-        values = self.values(u, v)
-        values -= values.mean(0)
+        return _differing(self.values(u, v), u, v, self.scale)
 
-        def of_some(rows: slice) -> NDArray[np.float64]:
-            apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
-            return np.asarray(values[rows].T @ (apart @ values))
 
-        parts = on_all_cores(of_some, [slice(row, row + _ROWS) for row in range(0, len(u), _ROWS)])
-        return np.asarray(-sum(parts) / (self.scale * len(u) ** 2))
+def even_polynomials(
+    parts: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], degree: int
+) -> list[LensFunctions]:
+    """Return polynomials that are orthonormal over each of some sets of points, all of the largest degree possible.
+
+    The degree is at most `degree`, and less where points lie so that single precision does not suffice for it.
+    """
+    for own in range(degree, 0, -1):
+        with contextlib.suppress(np.linalg.LinAlgError):
+            found = [LensFunctions.polynomials(u, v, own, 1.0) for u, v in parts]
+            if max(np.linalg.cond(each.triangle) for each in found) < _STEEPEST:
+                return found
+    return [LensFunctions.polynomials(u, v, 0, 1.0) for u, v in parts]
+
+
+def edge_covariance(
+    values: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], scale: float
+) -> NDArray[np.float64]:
+    """Return the covariance of the integrals of functions over light with random edges; see `LensFunctions.light`.
+
+    `values` (points, functions) are those at points u and v, which have the density of the integrals.
+    """
+    return _covariance(_differing(values, u, v, scale))
+
+
+def _differing(
+    values: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], scale: float
+) -> NDArray[np.float64]:
+    """Return the covariance of functions' integrals over light with random edges, less the mean."""
+    values = values - values.mean(0)
+
+    def of_some(rows: slice) -> NDArray[np.float64]:
+        apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
+        return np.asarray(values[rows].T @ (apart @ values))
+
+    parts = on_all_cores(of_some, [slice(row, row + _ROWS) for row in range(0, len(u), _ROWS)])
+    return np.asarray(-sum(parts) / (scale * len(u) ** 2))
 
 
 def _covariance(expected: NDArray[np.float64]) -> NDArray[np.float64]:

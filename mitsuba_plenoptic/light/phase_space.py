@@ -550,14 +550,16 @@ class Polynomials:
         """Return the arguments of the polynomials, for `read`."""
         return list(self.plan.arguments(point, pupil))
 
-    def read(self, u: Any, v: Any) -> list[Any]:
-        """Return the values of the polynomials at `places`."""
+    def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
+        """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
         plan, functions = self.plan, self.plan.functions
         powers = [[mi.Float(1)], [mi.Float(1)]]
         for _ in range(plan.degree):
             for each, place in zip(powers, (u, v), strict=True):
                 each.append(each[-1] * place)
         monomials = [powers[0][i] * powers[1][j] for i, j in functions.exponents]
+        if shares:
+            monomials = [share * monomial for share in shares for monomial in monomials]
         return [
             sum((m * float(c) for m, c in zip(monomials, column, strict=True) if c), mi.Float(0))
             for column in functions.combined.T

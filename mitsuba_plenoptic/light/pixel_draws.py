@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
+from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
 from .random_numbers import chances_of, even_steps
 from .signed_draws import ORDER, Aims, DetectorGrid, Drawn, Pixels, tent
@@ -33,7 +34,7 @@ class PixelDraws(DetectorGrid):
         self.walk = PupilWalk(camera, self._plan.system.lens)
         self.by_points = False
         self.enlargements = [1.0]
-        self._in_pupil = camera.aperture.draws()
+        self._open = camera.aperture.draws()
         self.order = 0 if self._plan.is_coarse else 2 * ORDER - 1
 
     @property
@@ -90,7 +91,7 @@ class PixelDraws(DetectorGrid):
             # Sums of two numbers with the density of a B-spline of order 2.
             aside = tuple((tent(a) + tent(b)) * self._step for a, b in zip(random[2:4], random[4:], strict=True))
         start = tuple(p + step for p, step in zip(aims.middle, aside, strict=True))
-        x, y = self._in_pupil(mi.Point2f(*random[:2]))
+        x, y = self._in_pupil(*random[:2])
         pupil = x * self.walk.lens.reach, y * self.walk.lens.reach
         inner = self.walk.inner(pupil, start)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
@@ -101,6 +102,26 @@ class PixelDraws(DetectorGrid):
         return Drawn(
             pupil, inner, start, start, start, 0.0, aims.kind, dr.ones(mi.Float, dr.width(own)), chance, is_open
         )
+
+    def _in_pupil(self, first: Any, second: Any) -> Pair:
+        """Return random points of the pupil over its radius: a part of them may be in closed parts."""
+        if self._closed is None:
+            x, y = self._open(mi.Point2f(first, second))
+            return x, y
+        is_closed = first < CLOSED
+        sample = mi.Point2f(dr.select(is_closed, first / CLOSED, (first - CLOSED) / (1 - CLOSED)), second)
+        density, count = self._closed
+        cell, _, within = density.sample(sample)
+        places = [(mi.Float(index) + part) * (2 / count) - 1 for index, part in zip(cell, within, strict=True)]
+        x, y = (dr.select(is_closed, place, other) for place, other in zip(places, self._open(sample), strict=True))
+        return x, y
+
+    @cached_property
+    def _closed(self) -> tuple[Any, int] | None:
+        """The distribution of rays through closed parts over cells of the square, and the cells across it."""
+        if self._plan.fitted is None or (closed := self._plan.fitted.closed) is None:
+            return None
+        return mi.DiscreteDistribution2D(closed.astype(np.float32)), len(closed)
 
     def _displacement(self, random: Sequence[Any]) -> Pair:
         """Return random displacements in mm with the density of the point spread function."""

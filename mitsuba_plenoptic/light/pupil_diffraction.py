@@ -13,13 +13,12 @@ whose points P have the density of the power, followed by one convolution for ea
 
 .. math:: I = \sum_n \varphi_n * \sum_{rays} L\, a_n(P), \qquad \varphi_n(x) = \int a_n(P)\, K_p(P, x)\, d^2P .
 
-The first kernel is the point spread function in focus, which is therefore exact. Between open parts of a coded aperture
-:math:`K_p` has light of both signs, whose sum is 0, although t is 0 there: no ray passes, but the kernels contain this
-light, since both sides of the approximation have the same integrals with all the polynomials. Light from other
-distances varies with P; where it does so faster than the polynomials, defocus has already averaged out what diffraction
-would change. Rays follow aberrations of first and second order, whose differences t then lacks; higher orders, and all
-small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all of them to the rays, without
-third differences.
+The first kernel is the point spread function in focus, which is therefore exact. Light from other distances varies with
+P; where it does so faster than the polynomials, defocus has already averaged out what diffraction would change. This
+does not hold between open parts of a coded aperture, where :math:`K_p` has light although t is 0, nor with large
+aberrations: `fitted_pupil` serves these. Rays follow aberrations of first and second order, whose differences t then
+lacks; higher orders, and all small aberrations, are in t. Coarse pixels, and lenses with large aberrations, leave all
+of them to the rays, without third differences.
 
 As P is the middle of two points of the pupil, :math:`P^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}`, the kernels are
 sums of products of the transforms of t times powers.
@@ -27,7 +26,7 @@ sums of products of the transforms of t times powers.
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -39,24 +38,20 @@ import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import refuse_if
+from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..lenses.main_lens import Pair
-from ..lenses.thin import Wavefront
 from ..optics.waves import in_millimetres
 from ..runtime.limits import single_threaded_blas
-from .lens_functions import LensFunctions
+from .fitted_pupil import FittedPupil, PupilFunctions
+from .lens_functions import LensFunctions, even_polynomials
 from .oblique import Oblique
 from .optical_system import OpticalSystem
+from .pupil_samples import SAMPLES, PupilSamples, along, spread_points
 
-_DEGREES = 6, 10
-"""Degrees of the polynomials over the pupil: of usual plans, and of finer ones and those with aberrated kernels, where
-the defocus of some part of the pupil undoes the aberration, so that polynomials have to follow this defocus."""
-
-_SAMPLES, _FINER = 256, 8
-"""Samples of the transmission across the pupil, and points across a sample of which it is the mean."""
-
-_STEEPEST = 1e5
-"""Largest condition number of the polynomials' coefficients, which rays evaluate in single precision."""
+_DEGREES, _OF_PARTS = (6, 10), (5, 7)
+"""Degrees of the polynomials over the pupil, and over each part of coded ones: of usual plans, and of finer ones and
+those with aberrated kernels, where the defocus of some part of the pupil undoes the aberration, so that polynomials
+have to follow this defocus."""
 
 _REACH, _COARSE_REACH = 24.0, 12.0
 """Half the width of the kernels in lambda b / R: 0.4 % of the Airy pattern is beyond, and is spread over the kernel.
@@ -158,43 +153,42 @@ class PupilDiffraction:
         return _COARSE_CELLS if self.is_coarse else self._cells
 
     @cached_property
-    def _pupil(self) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
-        """Coordinates along the pupil over its radius, and its transmission, on a square around it."""
-        along = _along(_SAMPLES)
-        y, x = np.meshgrid(along, along, indexing="ij")
-        waves = 0.0
-        if self._in_kernels.any():
-            path = Wavefront(self._in_kernels, 1.0).path(x, y)
-            waves = path / in_millimetres(self.wavelength)
-        return along, _means(np.sqrt(self._fine_power)) * np.exp(2j * np.pi * waves)
+    def _pupil(self) -> PupilSamples:
+        """Transmission of the pupil."""
+        waves = self._in_kernels * (WAVEFRONT_UNIT / self.wavelength)
+        return PupilSamples(self.camera.aperture, tuple(waves.tolist()) if waves.any() else ())
+
+    @property
+    def _is_aberrated(self) -> bool:
+        """Whether kernels contain large aberrations."""
+        return bool(np.linalg.norm(self._in_kernels) > _SMALL)
+
+    @property
+    def _is_coded(self) -> bool:
+        """Whether the pupil may have closed parts between open ones that matter: in coarse pixels they do not."""
+        return self.camera.aperture_image is not None and not self.is_coarse
+
+    @property
+    def _degree(self) -> int:
+        """Degree of the polynomials if all of them can be used."""
+        few, many = _OF_PARTS if self._is_coded else _DEGREES
+        return many if self.fine or self._is_aberrated else few
 
     @cached_property
-    def _fine_power(self) -> NDArray[np.float64]:
-        """Power that passes the pupil at points of a grid that divides the samples."""
-        along = _along(_SAMPLES * _FINER)
-        return np.asarray(self.camera.aperture.power(along + 0 * along[:, None], along[:, None] + 0 * along))
+    def fitted(self) -> FittedPupil | None:
+        """Functions and fitted kernels of coded or aberrated pupils."""
+        return _fitted(self._pupil, self._degree) if self._is_coded or self._is_aberrated else None
 
     @cached_property
     @single_threaded_blas()
-    def functions(self) -> LensFunctions:
-        """Polynomials of a ray's pupil point over the pupil's radius, fewer where little of the pupil is open."""
-        fine = self.fine or bool(np.linalg.norm(self._in_kernels) > _SMALL)
-        for degree in range(0 if self._is_wide else _DEGREES[fine], 0, -1):
-            with contextlib.suppress(np.linalg.LinAlgError):
-                found = LensFunctions.polynomials(*self._inside, degree, 1.0)
-                if np.linalg.cond(found.triangle) < _STEEPEST:
-                    return found
-        return LensFunctions.polynomials(*self._inside, 0, 1.0)
+    def _polynomials(self) -> LensFunctions:
+        """Polynomials of a pupil point over the pupil's radius, fewer where little of the pupil is open."""
+        return even_polynomials([spread_points(self._pupil.power)], 0 if self._is_wide else self._degree)[0]
 
     @property
-    def _inside(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Coordinates over the pupil's radius of points that have the density of the power."""
-        power = _means(self._fine_power)
-        # As many as there are samples of the power, some of them several times.
-        upto = np.cumsum(power) / power.max()
-        place = np.searchsorted(upto, np.arange(math.floor(upto[-1])) + 0.5)
-        row, column = np.divmod(place, _SAMPLES)
-        return _along(_SAMPLES)[column], _along(_SAMPLES)[row]
+    def functions(self) -> LensFunctions | PupilFunctions:
+        """Functions of a ray's `arguments`."""
+        return self.fitted.functions if self.fitted else self._polynomials
 
     @property
     def degree(self) -> int:
@@ -209,16 +203,21 @@ class PupilDiffraction:
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
-        u, v = (each[::_EVERY] for each in self._inside)
-        return self.functions.light(u, v)
+        if self.fitted:
+            return self.fitted.covariance
+        return self._polynomials.light(*(each[::_EVERY] for each in spread_points(self._pupil.power)))
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
-        """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius."""
-        return [place / self.camera.pupil_radius for place in pupil]
+        """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
 
-    def spots(self, along: NDArray[np.float64]) -> NDArray[np.float64]:
+        Behind coded apertures the shares of the pupil's parts follow, by which polynomials are multiplied.
+        """
+        x, y = (place / self.camera.pupil_radius for place in pupil)
+        return [x, y] if self.fitted is None else self.fitted.arguments(x, y)
+
+    def spots(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the point spread function in focus (1, n, n), at detector positions in mm along both axes."""
-        field = self._fields(along / self.unit)[0, 0]
+        field = self._fields(places / self.unit)[0, 0]
         return (np.abs(field) ** 2)[None] / np.abs(field).max() ** 2
 
     @cached_property
@@ -262,25 +261,31 @@ class PupilDiffraction:
     @single_threaded_blas()
     def _fields(self, places: NDArray[np.float64]) -> dict[tuple[int, int], NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
-        along, transmission = self._pupil
-        waves = np.exp(-2j * np.pi * np.outer(places, along))
-        return {
-            (a, b): waves @ (transmission * along**a * along[:, None] ** b) @ waves.T
-            for a, b in self.functions.exponents
-        }
+        x, transmission = along(SAMPLES), self._pupil.transmission
+        waves = np.exp(-2j * np.pi * np.outer(places, x))
+        return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in self._moments[0]}
+
+    @property
+    def _moments(self) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
+        """Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels)."""
+        if self.fitted:
+            return [(0, 0)], np.ones((1, 1))
+        return self._polynomials.exponents, self._polynomials.combined
 
     def _sampled(self, step: float, count: int) -> NDArray[np.float64]:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""
-        fields, products = self._fields(step * np.arange(-count, count + 1.0)), []
-        for i, j in self.functions.exponents:
+        places = step * np.arange(-count, count + 1.0)
+        fields, products, (exponents, combined) = self._fields(places), [], self._moments
+        for i, j in exponents:
             both = np.zeros((2 * count + 1,) * 2)
             for a, b in itertools.product(range(i + 1), range(j + 1)):
                 weight = math.comb(i, a) * math.comb(j, b) / 2 ** (i + j)
                 both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
             products.append(both)
-        spacing = 2 / _SAMPLES
-        power = self._fine_power.mean() * 4
-        kernels = np.einsum("mn,myx->nyx", self.functions.combined, products) * (spacing**4 * step**2 / power)
+        spacing = 2 / SAMPLES
+        kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
+        if self.fitted:
+            kernels = np.concatenate([kernels, self.fitted.kernels(places) * step**2])
         # They fall to zero, as edges of windows would show around lamps, and keep the energy.
         across = np.hypot(*np.meshgrid(*[np.arange(-count, count + 1.0) / count] * 2))
         kernels *= np.cos(np.pi / 2 * np.clip((across - _TAPER) / (1 - _TAPER), 0, 1)) ** 2
@@ -289,11 +294,7 @@ class PupilDiffraction:
         return kernels + missing[:, None, None] * (tail / tail.sum())
 
 
-def _along(count: int) -> NDArray[np.float64]:
-    """Return the middles of `count` samples across the pupil, over its radius."""
-    return np.linspace(1 / count - 1, 1 - 1 / count, count)
-
-
-def _means(fine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the means over the samples of the pupil of values on the grid that divides them."""
-    return np.asarray(fine.reshape(_SAMPLES, _FINER, _SAMPLES, _FINER).mean((1, 3)))
+@functools.lru_cache(maxsize=8)
+def _fitted(samples: PupilSamples, degree: int) -> FittedPupil:
+    """Return the functions and kernels of a pupil, cached for further wavelengths and captures."""
+    return FittedPupil(samples, degree)

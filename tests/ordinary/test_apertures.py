@@ -12,7 +12,10 @@ from scipy.signal import fftconvolve
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Aperture, InputError, PlenopticCamera, render_capture, views
 from mitsuba_plenoptic.report.design_sheet import design_sheet
+from tools.bench.cases import ordinary_cameras
+from tools.bench.scenes.apertures import APERTURES as PUPILS
 from tools.bench.scenes.light_paths import facing, radiating, scene_of
+from tools.bench.scenes.ordinary import WIDE, camera_of, diffracted, wall
 
 THIN = {"focal_length": 50.0, "focus_distance": 300.0, "aperture_radius": 8.0, "detector_width": 12.0}
 FILM = {"resolution": (24, 16)}
@@ -307,7 +310,8 @@ def test_a_star_in_focus_is_the_transform_of_the_mask(name):
     at = (np.arange(count) + 0.5 - count / 2) / fine
     picture = np.outer(np.abs(at) < 1, np.abs(at - 0.5) < 1) * 1.0
     expected = expected_of(name, camera, unit, picture, fine, 0.0)
-    assert difference(found, expected) < 0.01
+    # Rays through closed cells have noise of their own.
+    assert difference(found, expected) < (0.015 if name == "coded" else 0.01)
     place = camera.pixel_coordinates(0)
     radius = np.hypot(place - 0.5 * camera.pixel_size, place[:, None]) / camera.pixel_size
     for circle in (1.5, 3, 5):
@@ -319,9 +323,9 @@ WALLS = [
     pytest.param("hexagon", 1.0, 0.01, marks=pytest.mark.slow),
     ("square", -3.0, 0.01),
     ("coded", 0.0, 0.01),
-    ("coded", 1.0, 0.01),
-    # Where blur and diffraction of single cells are alike, the polynomials are too smooth; rays differ by 5 %.
-    ("coded", -6.0, 0.03),
+    pytest.param("coded", 1.0, 0.01, marks=pytest.mark.slow),
+    # Blur and diffraction of single cells are alike.
+    ("coded", -6.0, 0.01),
 ]
 
 
@@ -344,9 +348,27 @@ def test_walls_are_sums_over_the_mask(name, blur, limit):
     assert difference(render_capture(scene, spp=1024).image, expected) > 1.5 * limit
 
 
+def test_light_of_two_holes_interferes_out_of_focus():
+    """Rays through the closed middle bring the fringes, without which the wall differs by more than a fifth."""
+    parameters, mask = PUPILS["two holes"]
+    camera = camera_of(1.0, 16, **parameters)
+    scene, picture = wall(camera, 4, 4.0, WIDE)
+    expected = diffracted(camera, picture, 4, 4.0, mask=mask)
+    assert difference(by_waves(scene, 256), expected) < 0.015
+    assert difference(render_capture(scene, spp=256).image, expected) > 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PUPILS)
+def test_walls_through_apertures_of_any_shape(name):
+    rows = list(ordinary_cameras.apertures(apertures=(name,), blurs=(0.0, 1.0, 4.0, 8.0), film=24))
+    assert [row for row in rows if row["waves"] >= 0.01 or row["rays"] < 2 * row["waves"]] == []
+
+
 @pytest.mark.parametrize("name", ["hexagon", "coded"])
 def test_a_white_scene_by_waves_reads_the_open_part(name):
     camera, _ = diffracting(name, 12)
     part = open_part(name)
     found = by_waves(scene_of(camera.to_sensor(), **WHITE), 16)
-    assert found.mean() == pytest.approx(part, rel=0.002) and found.std() < 0.002
+    # Of far pixels, from which single cells bring light, one in four is traced.
+    assert found.mean() == pytest.approx(part, rel=0.003) and found.std() < 0.002

@@ -14,8 +14,9 @@ from mitsuba_plenoptic import PlenopticCamera, load_scene, render_capture, with_
 
 from .. import Row, at_most, case
 from ..measures import mean_of_seeds, relative, without_noise
+from ..scenes.apertures import APERTURES
 from ..scenes.light_paths import facing, radiating, scene_of
-from ..scenes.ordinary import WAVELENGTH, blurred, camera_of, diffracted, wall
+from ..scenes.ordinary import WAVELENGTH, WIDE, blurred, camera_of, diffracted, wall
 from ..timing import in_process, once, peak_memory
 
 _WAVES_OF_PATH = 633 / WAVELENGTH
@@ -72,6 +73,44 @@ def accuracy(
             "waves": without_noise(relative(image, expected), noise), "light": float(image.mean() / expected.mean()),
             "rays": relative(render_capture(scene, model="ray", spp=spp).image, expected),
             "limit": 0.01 if path is None else 0.02,
+        }  # fmt: skip
+
+
+@case(
+    "ordinary.apertures",
+    "Wave captures of a textured wall through apertures by an ordinary camera against a sum over the pupil",
+    {
+        "aperture": "{aperture}", "blur (lambda b / R)": "{blur:g}", "waves": "{waves:.2%}", "light": "{light:.4f}",
+        "rays": "{rays:.2%}", "noise": "{noise:.2%}",
+    },
+    (at_most("waves", 0.01),),
+    page="docs/theory/ordinary.md",
+    quick={"apertures": ("two holes",), "blurs": (4.0,), "spp": 256, "film": 16},
+)  # fmt: skip
+def apertures(
+    *,
+    apertures: tuple[str, ...] = tuple(APERTURES),
+    blurs: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),
+    spp: int = 512,
+    film: int = 32,
+) -> Iterator[Row]:
+    """Compare captures with pixels of an Airy radius, through the open pupil, of walls whose texels are four wide."""
+    mi.set_variant("llvm_ad_mono")
+    for name, blur in itertools.product(apertures, blurs):
+        parameters, mask = APERTURES[name]
+        camera = camera_of(1.0, film, **parameters)
+        # Light of single cells goes far.
+        scene, picture = wall(camera, 4, blur, WIDE)
+        expected = diffracted(camera, picture, 4, blur, mask=mask)
+
+        def taken(seed: int, scene: mi.Scene = scene) -> np.ndarray:
+            return render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=WAVELENGTH).image
+
+        image, noise = mean_of_seeds(taken, 4)
+        yield {
+            "aperture": name, "blur": blur, "noise": noise, "light": float(image.mean() / expected.mean()),
+            "waves": without_noise(relative(image, expected), noise),
+            "rays": relative(render_capture(scene, model="ray", spp=spp).image, expected),
         }  # fmt: skip
 
 

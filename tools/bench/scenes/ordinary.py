@@ -14,17 +14,18 @@ from scipy.signal import fftconvolve
 
 from mitsuba_plenoptic import PlenopticCamera
 
+from .apertures import Mask
 from .light_paths import facing, scene_of
 
 WAVELENGTH = 550.0
 AIRY_RADIUS = 0.60983
 """Radius of the Airy disc in lambda b / R."""
 
-_REACH = 24.0
-"""Distance in lambda b / R beyond the detector to which walls extend."""
+_REACH, WIDE = 24.0, 40.0
+"""Distances in lambda b / R beyond the detector to which walls extend, and to which points spread."""
 
-_PUPIL = 600
-"""Samples across the pupil."""
+_PUPIL = 693
+"""Samples across the pupil, which cells of apertures divide."""
 
 
 def camera_of(airy: float, size: int = 48, **parameters: Any) -> PlenopticCamera:
@@ -56,10 +57,18 @@ def seen(camera: PlenopticCamera, picture: np.ndarray, side: float, blur: float,
     return scene_of(camera.to_sensor(), "direct", square=square, **others)
 
 
-def point_spread(camera: PlenopticCamera, along: np.ndarray, blur: float, path: Any = None) -> np.ndarray:
-    """Return the point spread function at detector positions in mm, as |sum over the pupil|^2, unscaled.
+def opening(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the power that passes a round pupil at coordinates over its radius."""
+    return (np.hypot(x, y) <= 1) * 1.0
 
-    `path` is a function of the pupil's coordinates over its radius: the aberrations in waves.
+
+def point_spread(
+    camera: PlenopticCamera, along: np.ndarray, blur: float, path: Any = None, mask: Mask = opening
+) -> np.ndarray:
+    """Return the light of a point at detector positions in mm, as |sum over the pupil|^2, in parts of a round pupil's.
+
+    `path` is a function of the pupil's coordinates over its radius: the aberrations in waves. Light beyond the places
+    is added in proportion, as walls end there, and evenly behind other masks, whose walls go on.
     """
     _, image = blurred(camera, blur)
     pupil = (np.arange(_PUPIL) + 0.5) / _PUPIL * 2 - 1
@@ -68,35 +77,41 @@ def point_spread(camera: PlenopticCamera, along: np.ndarray, blur: float, path: 
     waves = square / (2 * WAVELENGTH * 1e-6) * (1 / camera.mla_distance - 1 / image)
     if path is not None:
         waves = waves + path(x, y)
-    field = np.where(np.hypot(x, y) <= 1, np.exp(2j * np.pi * waves), 0)
-    phases = np.exp(-2j * np.pi * np.outer(along / unit_of(camera), pupil))
-    return np.abs(phases @ field @ phases.T) ** 2
+    power, place = mask(x, y), along / unit_of(camera)
+    phases = np.exp(-2j * np.pi * np.outer(place, pupil))
+    spread = np.abs(phases @ (np.sqrt(power) * np.exp(2j * np.pi * waves)) @ phases.T) ** 2
+    spread *= (2 / _PUPIL) ** 2 * (place[1] - place[0]) ** 2 / np.count_nonzero(opening(x, y))
+    if mask is opening:
+        return np.asarray(spread / spread.sum())
+    return np.asarray(spread + (power.sum() / opening(x, y).sum() - spread.sum()) / spread.size)
 
 
-def diffracted(camera: PlenopticCamera, picture: np.ndarray, texel: int, blur: float, path: Any = None) -> np.ndarray:
+def diffracted(
+    camera: PlenopticCamera, picture: np.ndarray, texel: int, blur: float, path: Any = None, mask: Mask = opening
+) -> np.ndarray:
     """Return the capture of a picture whose texels are whole pixels wide, by a convolution on a finer grid.
 
-    `picture` is seen as a capture shows it, and is centred on the detector.
+    `picture` is seen as a capture shows it, and is centred on the detector. See `point_spread`.
     """
     fine = max(4, math.ceil(8 * camera.pixel_size / unit_of(camera)))
     step = camera.pixel_size / fine
-    reach = int((40 + abs(blur)) * unit_of(camera) / step)
-    spread = point_spread(camera, np.arange(-reach, reach + 1) * step, blur, path)
+    reach = int((WIDE + abs(blur)) * unit_of(camera) / step)
+    spread = point_spread(camera, np.arange(-reach, reach + 1) * step, blur, path, mask)
     image = np.kron(picture, np.ones((texel * fine,) * 2))
-    whole = fftconvolve(image, spread / spread.sum(), mode="same")
+    whole = fftconvolve(image, spread, mode="same")
     size, first = camera.resolution[0], (len(image) - camera.resolution[0] * fine) // 2
     part = whole[first : first + size * fine, first : first + size * fine]
     return part.reshape(size, fine, size, fine).mean((1, 3))
 
 
-def texture_of(camera: PlenopticCamera, texel: int, blur: float) -> np.ndarray:
+def texture_of(camera: PlenopticCamera, texel: int, blur: float, reach: float = _REACH) -> np.ndarray:
     """Return a random picture whose texels are some pixels wide, and that reaches beyond the detector."""
-    side = camera.detector_width + 2 * (_REACH + abs(blur)) * unit_of(camera)
+    side = camera.detector_width + 2 * (reach + abs(blur)) * unit_of(camera)
     count = 2 * math.ceil(side / (2 * texel * camera.pixel_size))
     return np.random.default_rng(3).random((count, count))
 
 
-def wall(camera: PlenopticCamera, texel: int, blur: float) -> tuple[mi.Scene, np.ndarray]:
+def wall(camera: PlenopticCamera, texel: int, blur: float, reach: float = _REACH) -> tuple[mi.Scene, np.ndarray]:
     """Return a scene with a textured wall, and its picture for `diffracted`."""
-    picture = texture_of(camera, texel, blur)
+    picture = texture_of(camera, texel, blur, reach)
     return seen(camera, picture, len(picture) * texel * camera.pixel_size, blur), picture

@@ -1,0 +1,264 @@
+r"""Functions over the open and the closed parts of a coded aperture, and their kernels, fitted to planes of any blur.
+
+Light of two open points of a pupil interferes as a ray through their middle P (`pupil_diffraction`), which may be
+closed. Some rays therefore pass closed parts. Functions :math:`f_n` are polynomials times the density of the open
+parts, the first of which is this density itself, and polynomials times a density over the closed parts. For an image
+frequency :math:`\eta`, kernels have to represent
+
+.. math:: w_\eta(P) = t(P + \eta/2)\, t^*(P - \eta/2) \approx \sum_n f_n(P)\, \hat\varphi_n(\eta)
+
+for light that varies over the pupil like :math:`e^{2 \pi i v \cdot P}`. A plane with a blur of :math:`\beta` units has
+:math:`v = \beta \eta`, and occluders add small v of all directions. The cells of an aperture make :math:`w_\eta` rough,
+so that few functions cannot be near it everywhere. Its integrals along lines are few enough numbers, however, and the
+integrals of the functions, across which the cells lie differently, are independent. Least squares over a list of blurs
+and of small v find :math:`\hat\varphi_n`, with the noise of rays as a penalty (ridge regression: Hoerl and Kennard,
+Technometrics 12, 55 (1970)). The first kernel is the point spread function in focus, which is therefore exact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ..runtime.backend import drjit_array
+from ..runtime.batches import on_all_cores
+from ..runtime.limits import single_threaded_blas
+from .lens_functions import edge_covariance, even_polynomials
+from .pupil_samples import PupilSamples, along, means, spread_points
+
+CLOSED = 0.25
+"""Part of the rays that pass closed parts of pupils that have some between open ones."""
+
+_LEAST_CLOSED = 0.02
+"""Part of the middles of open points that must be closed for such rays."""
+
+_SAMPLES = 128
+"""Samples across the pupil."""
+
+_AREA = (2 / _SAMPLES) ** 2
+"""Area of a sample."""
+
+_PER_UNIT = 32
+"""Image frequencies to one of R / lambda b along each axis: kernels have a period of as many units of lambda b / R."""
+
+_TAPER = 0.75
+"""Part of half this period from where kernels fall to zero."""
+
+_BLURS, _WIDEST = 20, 32.0
+"""Count of blurs to which kernels are fitted, on each side of the focus, and the largest one in units."""
+
+_TILT, _PER_DEGREE, _TILTED = 0.5, 0.25, 0.3
+"""Step of the small v in cycles to the pupil's radius, their limit over the polynomials' degree plus one, as higher
+degrees can follow faster changes, and the part of all weight that they have."""
+
+_NOISE = 2e-4
+"""Weight of the noise."""
+
+_EVERY = 9
+"""One of so many points of the pupil serves for the covariance."""
+
+
+@dataclass(frozen=True)
+class PupilFunctions:
+    """Polynomials of a ray's pupil point, times the open and the closed share of the rays there."""
+
+    # Powers of x and y of the monomials of each share.
+    exponents: list[tuple[int, int]]
+    # Coefficients (monomials of all shares, functions).
+    combined: NDArray[np.float64]
+
+    scale = 1.0
+
+    @property
+    def count(self) -> int:
+        """Number of functions."""
+        return self.combined.shape[1]
+
+    def values(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], shares: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the values (points, functions) at points, whose shares are an array (shares, points)."""
+        monomials = np.stack([x**i * y**j for i, j in self.exponents], -1)
+        return np.asarray(np.concatenate([share[:, None] * monomials for share in shares], 1) @ self.combined)
+
+
+@dataclass(frozen=True)
+class FittedPupil:
+    """Functions and kernels of one pupil of any shape."""
+
+    samples: PupilSamples
+    degree: int
+
+    # -- rays ----------------------------------------------------------------------------------------
+
+    @cached_property
+    def densities(self) -> list[NDArray[np.float64]]:
+        """Densities (n, n) of open and, if rays have to pass some, of closed parts; their integrals are 1."""
+        power, amplitude = (means(part, _SAMPLES) for part in (self.samples.power, abs(self.samples.transmission)))
+        size, x = (2 * _SAMPLES,) * 2, along(_SAMPLES)
+        pairs = scipy.fft.irfft2(scipy.fft.rfft2(amplitude, size) ** 2, size)[::2, ::2]
+        # Rays with the root of the mean square of the light that they bring have the least noise. Samples that the
+        # circle cuts are left out.
+        farthest = abs(x) + 1 / _SAMPLES
+        within = np.hypot(farthest, farthest[:, None]) <= 1
+        middles = np.where(within, np.sqrt(np.maximum(pairs - 1e-9 * pairs.max(), 0)), 0)
+        closed = middles * (1 - power / power.max())
+        some = closed.sum() > _LEAST_CLOSED * middles.sum()
+        return [part / (part.sum() * _AREA) for part in ([power, closed] if some else [power])]
+
+    @cached_property
+    def closed(self) -> NDArray[np.float64] | None:
+        """Density (n, n) of rays through closed parts, or None without such rays.
+
+        As large a part of them is beyond the circle as of the rays through open cells, some of which the circle cuts.
+        """
+        if len(self.densities) == 1:
+            return None
+        within = self.samples.whole / (math.pi * self.samples.aperture.share)
+        drawn = within * self.densities[1]
+        drawn[0, 0] = max(1 - within, 0) / _AREA
+        return drawn
+
+    def arguments(self, x: Any, y: Any) -> list[Any]:
+        """Return, for pupil points over the radius, Dr.Jit arrays of which rays' functions are made.
+
+        They are the coordinates in the box around the open parts, and the shares of open and of closed parts.
+        """
+        places, aperture = self._boxed(x, y), self.samples.aperture
+        if self.closed is None:
+            return list(places)
+        column, row = (dr.clip(mi.Int(dr.floor((place + 1) * (_SAMPLES / 2))), 0, _SAMPLES - 1) for place in (x, y))
+        held = dr.gather(mi.Float, drjit_array(mi.Float, self.closed.ravel()), mi.UInt32(row * _SAMPLES + column))
+        parts = aperture.power(x, y) / (math.pi * aperture.share), held
+        drawn = (1 - CLOSED) * parts[0] + CLOSED * parts[1]
+        return [*places, *(dr.select(drawn > 0, part / drawn, 0) for part in parts)]
+
+    def _boxed(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return coordinates in the box around the open parts, from -1 to 1."""
+        boxed = []
+        for axis, place in enumerate((x, y)):
+            lit = np.flatnonzero(self.densities[0].any(axis))
+            low, high = 2 * int(lit[0]) / _SAMPLES - 1, 2 * int(lit[-1] + 1) / _SAMPLES - 1
+            boxed.append((place - (low + high) / 2) / ((high - low) / 2))
+        return boxed[0], boxed[1]
+
+    @cached_property
+    def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Density (n, n) of all rays, and the shares (shares, n, n) that the parts have: their density over it."""
+        parts = np.stack(self.densities)
+        whole = parts[0] if self.closed is None else (1 - CLOSED) * parts[0] + CLOSED * parts[1]
+        return whole, parts / np.where(whole > 0, whole, 1)
+
+    # -- functions -----------------------------------------------------------------------------------
+
+    @cached_property
+    @single_threaded_blas()
+    def functions(self) -> PupilFunctions:
+        """The functions; the first has an integral of 1 over all rays, and the others of 0."""
+        sets = even_polynomials([self._boxed(*spread_points(part)) for part in self.densities], self.degree)
+        combined, count = scipy.linalg.block_diag(*(each.triangle for each in sets)), len(sets[0].exponents)
+        # Rays through closed parts bring nothing of uniform light.
+        combined[0, count::count] -= 1
+        return PupilFunctions(sets[0].exponents, combined)
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64]:
+        """Covariance of the functions' integrals over light with random edges."""
+        whole, shares = self._drawn
+        x, y = (place[::_EVERY] for place in spread_points(whole))
+        column, row = (np.asarray((place + 1) * (_SAMPLES / 2), int) for place in (x, y))
+        values = self.functions.values(*self._boxed(x, y), shares[:, row, column])
+        return edge_covariance(values, x, y, 1.0)
+
+    # -- kernels -------------------------------------------------------------------------------------
+
+    def kernels(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the kernels (functions, n, n) after the first, at places in lambda b / R along both axes."""
+        y, x = _frequencies()
+        along_y, along_x = (np.exp(-2j * np.pi * np.outer(places, each)) for each in (y, x))
+        # The other half plane of frequencies has the conjugate spectrum.
+        whole = ((along_y * np.where(y > 0, 2, 1)) @ self._spectra @ along_x.T).real / _PER_UNIT**2
+        fall = (np.hypot(places, places[:, None]) / (_PER_UNIT / 2) - _TAPER) / (1 - _TAPER)
+        return np.asarray(whole * np.cos(np.pi / 2 * np.clip(fall, 0, 1)) ** 2)
+
+    @cached_property
+    def _spectra(self) -> NDArray[np.complex128]:
+        """Spectra (functions, rows, columns) at `_frequencies` of the kernels after the first, by least squares."""
+        (drawn, shares), x = self._drawn, along(_SAMPLES)
+        u, v = self._boxed((x + 0 * x[:, None]).ravel(), (x[:, None] + 0 * x).ravel())
+        values = self.functions.values(u, v, shares.reshape(len(shares), -1))
+        brought = values * (drawn.ravel() * _AREA)[:, None]
+        noise = _NOISE * (values.T @ brought)[1:, 1:]
+        images = np.ascontiguousarray(np.swapaxes(brought.reshape(_SAMPLES, _SAMPLES, -1), 1, 2), np.complex64)
+        lights, frequencies = _lights(_PER_DEGREE * (self.degree + 1)), _frequencies()
+        weight = np.sqrt([light.weight for light in lights])
+
+        def seen(light: _Light) -> tuple[NDArray[np.complex64], ...]:
+            """Return the integrals of the functions, and of w for the light and for its conjugate."""
+            waves = [
+                np.exp(2j * np.pi * np.outer(light.blur * each + tilt, x)).astype(np.complex64)
+                for each, tilt in zip(frequencies, (light.y, light.x), strict=True)
+            ]
+            rows = (waves[0] @ images.reshape(_SAMPLES, -1)).reshape(-1, _SAMPLES) @ waves[1].T
+            opposite = _Light(-light.blur, -light.x, -light.y)
+            return rows.reshape(len(waves[0]), -1, len(waves[1])), self._light_of(light), self._light_of(opposite)
+
+        integrals, spread = on_all_cores(seen, lights), self._light_of(_Light(0.0, 0.0, 0.0))
+
+        def fitted(row: int) -> NDArray[np.complex128]:
+            """Return the spectra (functions, columns) of a row of frequencies."""
+            functions, ahead, behind = (np.stack([part[row] for part in each]) for each in zip(*integrals, strict=True))
+            ahead, behind = ahead - functions[:, 0] * spread[row], behind - functions[:, 0].conj() * spread[row]
+            others = np.moveaxis(functions[:, 1:], 2, 0).transpose(0, 2, 1) * weight
+            # Functions are real, so that their integrals with the conjugate light are conjugate.
+            model = np.concatenate([others.real, others.imag], 2)
+            wanted = np.concatenate([weight * (ahead + behind).T, -1j * weight * (ahead - behind).T], 1) / 2
+            found = np.linalg.solve(model @ model.transpose(0, 2, 1) + noise, model @ wanted[..., None])
+            return np.asarray(found[..., 0].T)
+
+        return np.stack(on_all_cores(fitted, range(len(frequencies[0]))), 1)
+
+    def _light_of(self, light: _Light) -> NDArray[np.complex64]:
+        """Return the integrals of w with light that varies over the pupil, at `_frequencies`."""
+        x, size = along(_SAMPLES), (2 * _SAMPLES,) * 2
+        bent = means(self.samples.transmission, _SAMPLES) * np.exp(1j * np.pi * light.blur * (x**2 + x[:, None] ** 2))
+        tilted = np.exp(1j * np.pi * (light.x * x + light.y * x[:, None]))
+        first, second = (scipy.fft.fft2(part, size) for part in (bent * tilted, bent * tilted.conj()))
+        steps = [np.round(each * _SAMPLES / 2).astype(int) for each in _frequencies()]
+        whole = scipy.fft.ifft2(first * second.conj())[np.ix_(*steps)]
+        return np.asarray(whole / means(self.samples.power, _SAMPLES).sum(), np.complex64)
+
+
+class _Light(NamedTuple):
+    """Light that varies over the pupil, and to which kernels are fitted."""
+
+    # Blur in lambda b / R, and v without it.
+    blur: float
+    x: float
+    y: float
+    weight: float = 0.0
+
+
+def _lights(steepest: float) -> list[_Light]:
+    """Return the light of each pair of opposite blurs, and of opposite v up to the steepest."""
+    steps = _TILT * np.arange(-math.floor(steepest / _TILT), math.floor(steepest / _TILT) + 1)
+    tilts = [(x, y) for x in steps for y in steps if (y, x) > (0, 0) and math.hypot(x, y) <= steepest]
+    blurs = _WIDEST * (np.arange(1, _BLURS + 1) / _BLURS) ** 2
+    return [
+        *(_Light(float(blur), 0.0, 0.0, (1 - _TILTED) / _BLURS) for blur in blurs),
+        *(_Light(0.0, float(x), float(y), _TILTED / len(tilts)) for x, y in tilts),
+    ]
+
+
+def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the frequencies of images along y, of half of the plane, and along x, in R / lambda b and below 2."""
+    most = 2 * _PER_UNIT - 1
+    return np.arange(most + 1) / _PER_UNIT, np.arange(-most, most + 1) / _PER_UNIT

@@ -1,0 +1,71 @@
+"""Samples of a pupil's transmission on the square around it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera.aperture import Opening
+from ..errors import WAVEFRONT_UNIT
+from ..lenses.thin import Wavefront
+from ..optics.waves import in_millimetres
+
+SAMPLES, _FINER = 256, 8
+"""Samples of the transmission across the pupil, and points across a sample of which it is the mean."""
+
+
+@dataclass(frozen=True)
+class PupilSamples:
+    """Transmission of a pupil, sampled over a square whose coordinates are divided by the pupil's radius."""
+
+    aperture: Opening
+    # Coefficients of Noll's polynomials, in waves of the light.
+    waves: tuple[float, ...] = ()
+
+    @cached_property
+    def transmission(self) -> NDArray[np.complex128]:
+        """Mean transmission of the samples, rows of rising y, with the aberrations as its phase."""
+        x = along(SAMPLES)
+        path = Wavefront(self.waves, 1.0).path(x + 0 * x[:, None], x[:, None] + 0 * x) if any(self.waves) else 0.0
+        return means(np.sqrt(self._fine), SAMPLES) * np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
+
+    @cached_property
+    def power(self) -> NDArray[np.float64]:
+        """Mean power that passes the samples."""
+        return means(self._fine, SAMPLES)
+
+    @property
+    def whole(self) -> float:
+        """Power that passes, the integral over the square."""
+        return float(self.power.mean()) * 4
+
+    @property
+    def _fine(self) -> NDArray[np.float64]:
+        """Power that passes at points of a grid that divides the samples."""
+        x = along(SAMPLES * _FINER)
+        return np.asarray(self.aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
+
+
+def along(count: int) -> NDArray[np.float64]:
+    """Return the middles of `count` samples across the pupil, over its radius."""
+    return np.linspace(1 / count - 1, 1 - 1 / count, count)
+
+
+def means(values: NDArray[Any], count: int) -> NDArray[Any]:
+    """Return the means over `count` x `count` samples of values on a grid that divides these."""
+    finer = len(values) // count
+    return np.asarray(values.reshape(count, finer, count, finer).mean((1, 3)))
+
+
+def spread_points(density: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return coordinates over the pupil's radius of points that have a density, given on samples of the square."""
+    # As many as there are samples of the largest density, some of them several times.
+    upto = np.cumsum(density) / density.max()
+    place = np.searchsorted(upto, np.arange(math.floor(upto[-1])) + 0.5)
+    row, column = np.divmod(place, len(density))
+    return along(len(density))[column], along(len(density))[row]
