@@ -38,6 +38,7 @@ SHIPPED: dict[str, dict[str, str]] = {
         "jax": "inverse",
         "laser": "laser",
         "onchip": "onchip",
+        "particles": "particles",
         "exchange": "raw",
         "wavefront": "wavefront",
         "far_sources": "wavefront",
@@ -50,6 +51,7 @@ SHIPPED: dict[str, dict[str, str]] = {
         "fit": "inverse",
         "dual": "onchip",
         "reproduce": "paper",
+        "particles": "particles",
         "demosaic": "raw",
         "mtf": "sharpness",
         "preview": "studio",
@@ -97,6 +99,7 @@ if TYPE_CHECKING:
     from .extensions.onchip.onchip import match_halves as match_halves
     from .extensions.onchip.onchip import psf_bank as psf_bank
     from .extensions.onchip.parameter import PhotodiodeParameter
+    from .extensions.particles import velocimetry as particles
     from .extensions.raw import exchange as exchange
     from .extensions.raw.demosaic import demosaic as demosaic
     from .extensions.sharpness.sharpness import EdgeSharpness as EdgeSharpness
@@ -129,6 +132,7 @@ if TYPE_CHECKING:
         "match_halves",
         "onchip",
         "optimisation",
+        "particles",
         "photon_transfer",
         "psf_bank",
         "scene_functions",

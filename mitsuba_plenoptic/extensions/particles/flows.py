@@ -1,0 +1,278 @@
+r"""Steady flows with exact displacements: velocities in millimetres per second at positions in the camera frame.
+
+All are free of divergence, so that particles that are spread evenly stay so. A new flow is a frozen dataclass with
+`velocity`, and an entry in `FLOWS`; a flow without a closed form of its paths has them integrated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import RegularGridInterpolator
+
+from ...errors import InputError, put, refuse_if, require_choice, require_length, require_number, require_numbers
+from .labelled_files import read_netcdf
+
+Points = NDArray[np.float64]
+"""Positions or velocities, (n, 3)."""
+
+_TOLERANCE = 1e-11
+"""Error of an integrated path, over its length and over the flow's own size."""
+
+_FASTEST = 1e9
+
+_AXES = "xyz"
+
+
+def _cylinder(axis: str) -> list[int]:
+    """Return the indices of two axes and of the one that they turn about, in this order."""
+    last = _AXES.index(axis)
+    return [(last + 1) % 3, (last + 2) % 3, last]
+
+
+def _centre(value: Any) -> tuple[float, ...]:
+    return require_numbers("centre", value, count=3, minimum=-1e9, maximum=1e9)
+
+
+def _speed(name: str, value: Any) -> float:
+    return require_number(name, value, minimum=-_FASTEST, maximum=_FASTEST)
+
+
+class Flow:
+    """A steady flow."""
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        raise NotImplementedError
+
+    def advected(self, points: Points, time: float) -> Points:
+        """Return where particles at some positions are after a time in seconds, which may be negative.
+
+        Raises
+        ------
+        InputError
+            If the path of a particle cannot be followed.
+        """
+        if time == 0 or not len(points):
+            return points.copy()
+        found = solve_ivp(
+            lambda _, state: self.velocity(state.reshape(-1, 3)).ravel(),
+            (0.0, time),
+            points.ravel(),
+            method="DOP853",
+            rtol=_TOLERANCE,
+            atol=_TOLERANCE,
+        )
+        refuse_if(not found.success, f"flow: paths over {time:g} s cannot be followed: {found.message}")
+        return np.asarray(found.y[:, -1].reshape(-1, 3))
+
+
+@dataclass(frozen=True)
+class Uniform(Flow):
+    """The same velocity everywhere."""
+
+    # Velocity in mm/s along x, y and z.
+    speed: tuple[float, ...] = (1.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        speed = require_numbers("speed", self.speed, count=3, minimum=-_FASTEST, maximum=_FASTEST)
+        put(self, speed=speed)
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        return np.broadcast_to(np.array(self.speed), points.shape)
+
+    def advected(self, points: Points, time: float) -> Points:
+        """Return where particles at some positions are after a time in seconds."""
+        return np.asarray(points + time * np.array(self.speed))
+
+
+@dataclass(frozen=True)
+class Shear(Flow):
+    """A velocity along one axis that grows evenly along another one, 0 at the centre."""
+
+    # Growth of the velocity in 1/s.
+    rate: float = 1.0
+    # Axis of the velocity, and axis along which it grows.
+    along: str = "x"
+    across: str = "z"
+    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+
+    def __post_init__(self) -> None:
+        for name in ("along", "across"):
+            require_choice(name, getattr(self, name), tuple(_AXES))
+        refuse_if(self.along == self.across, f"along = {self.along}, across = {self.across}: they must differ")
+        put(self, rate=_speed("rate", self.rate), centre=_centre(self.centre))
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        result, across = np.zeros(points.shape), _AXES.index(self.across)
+        result[:, _AXES.index(self.along)] = self.rate * (points[:, across] - self.centre[across])
+        return result
+
+    def advected(self, points: Points, time: float) -> Points:
+        """Return where particles at some positions are after a time in seconds."""
+        return np.asarray(points + time * self.velocity(points))
+
+
+@dataclass(frozen=True)
+class TaylorGreen(Flow):
+    """Rows of square vortices that turn about one axis, each against its neighbours (Taylor and Green 1937)."""
+
+    # Largest velocity in mm/s.
+    speed: float = 1.0
+    # Width of a vortex in mm.
+    length: float = 2.0
+    axis: str = "z"
+    # A corner of four vortices.
+    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+
+    def __post_init__(self) -> None:
+        require_choice("axis", self.axis, tuple(_AXES))
+        length = require_length("length", self.length)
+        put(self, speed=_speed("speed", self.speed), length=length, centre=_centre(self.centre))
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        first, second, _ = _cylinder(self.axis)
+        p, q = ((points[:, i] - self.centre[i]) * math.pi / self.length for i in (first, second))
+        result = np.zeros(points.shape)
+        result[:, first] = self.speed * np.sin(p) * np.cos(q)
+        result[:, second] = -self.speed * np.cos(p) * np.sin(q)
+        return result
+
+
+@dataclass(frozen=True)
+class LambOseen(Flow):
+    r"""A line vortex with a core, at one moment: :math:`v = \Gamma / 2 \pi r \, (1 - e^{-r^2 / c^2})` (Lamb 1932)."""
+
+    # Circulation in mm^2/s.
+    circulation: float = 10.0
+    # Radius of the core in mm.
+    core: float = 0.5
+    axis: str = "z"
+    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+
+    def __post_init__(self) -> None:
+        require_choice("axis", self.axis, tuple(_AXES))
+        circulation, core = _speed("circulation", self.circulation), require_length("core", self.core)
+        put(self, circulation=circulation, core=core, centre=_centre(self.centre))
+
+    def _turning(self, p: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the angular velocity in 1/s at distances from the axis of the vortex."""
+        square = (p * p + q * q) / self.core**2
+        # (1 - exp(-s)) / s is 1 at s = 0.
+        ratio = np.where(square > 0, -np.expm1(-square) / np.where(square > 0, square, 1), 1.0)
+        return np.asarray(self.circulation / (2 * math.pi * self.core**2) * ratio)
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        first, second, _ = _cylinder(self.axis)
+        p, q = (points[:, i] - self.centre[i] for i in (first, second))
+        turning, result = self._turning(p, q), np.zeros(points.shape)
+        result[:, first], result[:, second] = -turning * q, turning * p
+        return result
+
+    def advected(self, points: Points, time: float) -> Points:
+        """Return where particles at some positions are after a time in seconds: on circles about the axis."""
+        first, second, _ = _cylinder(self.axis)
+        p, q = (points[:, i] - self.centre[i] for i in (first, second))
+        angle, result = time * self._turning(p, q), points.copy()
+        result[:, first] = self.centre[first] + p * np.cos(angle) - q * np.sin(angle)
+        result[:, second] = self.centre[second] + p * np.sin(angle) + q * np.cos(angle)
+        return result
+
+
+@dataclass(frozen=True)
+class HillVortex(Flow):
+    r"""Hill's spherical vortex, which stands in a stream of velocity :math:`-U` along its axis (Hill 1894).
+
+    The stream function is :math:`\tfrac34 U r^2 (1 - R^2 / a^2)` within the sphere of radius a, and
+    :math:`-\tfrac12 U r^2 (1 - a^3 / R^3)` outside; R is the distance from the centre, r that from the axis.
+    """
+
+    # Velocity U in mm/s.
+    speed: float = 1.0
+    # Radius of the sphere in mm.
+    radius: float = 2.0
+    axis: str = "z"
+    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+
+    def __post_init__(self) -> None:
+        require_choice("axis", self.axis, tuple(_AXES))
+        radius = require_length("radius", self.radius)
+        put(self, speed=_speed("speed", self.speed), radius=radius, centre=_centre(self.centre))
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions."""
+        first, second, last = _cylinder(self.axis)
+        p, q, along = ((points[:, i] - self.centre[i]) / self.radius for i in (first, second, last))
+        square = p * p + q * q
+        distance = np.maximum(np.sqrt(square + along * along), 1.0)
+        within = square + along * along < 1
+        outer = 1.5 * self.speed / distance**5
+        bent = np.where(within, 1.5 * self.speed, outer) * along
+        result = np.empty(points.shape)
+        result[:, first], result[:, second] = bent * p, bent * q
+        stream = -self.speed * (1 - distance**-3.0) - outer * square
+        result[:, last] = np.where(within, 1.5 * self.speed * (1 - 2 * square - along * along), stream)
+        return result
+
+
+@dataclass(frozen=True)
+class ImportedFlow(Flow):
+    """A velocity field on a regular grid, linear between its nodes.
+
+    The NetCDF file, or `xarray.Dataset`, has the variables u, v and w, in mm/s along x, y and z of the camera frame, on
+    the dimensions x, y and z in mm.
+    """
+
+    field: Any = None
+
+    def __post_init__(self) -> None:
+        name = str(self.field) if isinstance(self.field, (str, Path)) else "field"
+        data = read_netcdf(self.field, "a velocity field") if isinstance(self.field, (str, Path)) else self.field
+        refuse_if(
+            not isinstance(data, xr.Dataset) or any(part not in data for part in "uvwxyz"),
+            f"{name}: it must be a data set with u, v and w on x, y and z",
+        )
+        try:
+            axes = [np.asarray(data[axis], np.float64) for axis in _AXES]
+            parts = [np.asarray(data[part].transpose(*_AXES), np.float64) for part in "uvw"]
+        except ValueError:
+            raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
+        for axis, values in zip(_AXES, axes, strict=True):
+            refuse_if(len(values) < 2 or not (np.diff(values) > 0).all(), f"{name}: {axis} must rise, over two values")
+        values = np.stack(parts, -1)
+        refuse_if(not np.isfinite(values).all(), f"{name}: its velocities must be finite")
+        put(self, field=name, _interpolated=RegularGridInterpolator(axes, values))
+
+    def velocity(self, points: Points) -> Points:
+        """Return the velocities at positions, which must be within the grid."""
+        interpolated: RegularGridInterpolator = getattr(self, "_interpolated")  # noqa: B009
+        bounds = np.array([(axis[0], axis[-1]) for axis in interpolated.grid])
+        outside = ((points < bounds[:, 0]) | (points > bounds[:, 1])).any(1)
+        if outside.any():
+            where = ", ".join(f"{value:.4g}" for value in points[outside][0])
+            grid = ", ".join(f"{low:g} to {high:g}" for low, high in bounds)
+            raise InputError(f"flow: {self.field}: a particle at ({where}) leaves its grid, {grid} mm")
+        return np.asarray(interpolated(points))
+
+
+FLOWS: dict[str, Callable[..., Flow]] = {
+    "uniform": Uniform,
+    "shear": Shear,
+    "taylor_green": TaylorGreen,
+    "lamb_oseen": LambOseen,
+    "hill": HillVortex,
+    "file": ImportedFlow,
+}
+"""Flows by the names that the command and recipes call them."""

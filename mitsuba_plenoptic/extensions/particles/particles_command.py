@@ -1,0 +1,155 @@
+"""``mitsuba-plenoptic particles``: captures of particles in a flow, with exact displacements."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from ...cli.inputs import CameraFile, OutputFolder, Seed, named_camera, numeric
+from ...cli.judging import COUNTED, WAVELENGTH, one_of
+from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
+from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_known, short_repr
+from ...io.captures import MODELS
+from ...runtime.progress import progress_bar
+
+_FILE = "particles.nc"
+"""File of the particles in the output's folder."""
+
+
+def particles(
+    output: OutputFolder,
+    volume: Annotated[
+        str,
+        typer.Option(
+            metavar="X,Y,Z,X,Y,Z", help="Two corners of the box with the particles, in mm of the camera's frame."
+        ),
+    ],
+    flow: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME[:KEY=VALUE,...]",
+            help="The flow: uniform, shear, taylor_green, lamb_oseen, hill, or file:FILE.nc; its parameters, such as "
+            "hill:speed=4,radius=5, in mm and mm/s; its centre=X/Y/Z is that of the volume by default.",
+        ),
+    ],
+    interval: Annotated[float, numeric("Time from frame to frame.", unit="SECONDS")],
+    camera: CameraFile = None,
+    frames: Annotated[int, numeric("Number of frames."), COUNTED] = 2,
+    per_lens: Annotated[
+        float | None, numeric("Particles over the microlenses on which the volume is imaged; give one density.")
+    ] = None,
+    per_volume: Annotated[float | None, numeric("Particles in a cubic millimetre.")] = None,
+    count: Annotated[float | None, numeric("Mean number of particles in the volume.")] = None,
+    diameter: Annotated[float, numeric("Median diameter of particles.", unit="UM")] = 10.0,
+    spread: Annotated[float, numeric("Standard deviation of the logarithm of diameters.")] = 0.0,
+    index: Annotated[float, numeric("Refractive index of particles.")] = 1.59,
+    medium: Annotated[float, numeric("Refractive index of the fluid.")] = 1.333,
+    direction: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Direction in which the sheet's light travels.")
+    ] = "1,0,0",
+    thickness: Annotated[
+        float | None, numeric("Thickness of the light sheet, across the axis.", "light everywhere", unit="MM")
+    ] = None,
+    model: Annotated[
+        str, typer.Option(metavar="|".join(MODELS), help="How light propagates."), one_of(MODELS)
+    ] = "wave",
+    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 550.0,
+    accuracy: Annotated[float | None, numeric("Allowed relative error of captures by waves.", "0.01")] = None,
+    photons: Annotated[
+        float | None,
+        numeric("Record with noise: photons of a mean particle through the pupil.", "without noise", unit="N"),
+    ] = None,
+    seed: Seed = 0,
+    resume: Resume = False,
+) -> None:
+    """Capture particles in a flow at several times, with their exact displacements.
+
+    Writes the folder's particles.nc, NetCDF with all positions and
+    displacements, and a capture of each frame, such as wave_0000.exr. The same
+    command with another model captures the same particles. Pixels are in units
+    of a mean particle, the sum of whose pixels is 1. 'expose' records
+    captures with other detectors than the one of --photons.
+
+    [bold]Examples:[/bold]
+
+      mitsuba-plenoptic particles -o pair --volume=-6,-6,230,6,6,250 --per-lens 0.05
+      --flow hill:speed=4,radius=5 --interval 0.1
+
+      mitsuba-plenoptic particles -o pair --volume=-6,-6,230,6,6,250 --per-lens 0.05
+      --flow hill:speed=4,radius=5 --interval 0.1 --model ray --photons 1e5
+    """
+    from ...camera import PlenopticCamera
+    from ...io.captures import write_capture
+    from ...light.detector import Detector, expose
+    from .flows import FLOWS
+    from .images import ParticleImages
+    from .labelled_files import write_netcdf
+    from .seeding import LightSheet, ParticleVolume, Seeding
+    from .sequence import particle_sequence
+
+    corners = _numbers("volume", volume, 6)
+    box = ParticleVolume(corners[:3], corners[3:])
+    densities = {"per_lens": per_lens, "per_volume": per_volume, "count": count}
+    truth = particle_sequence(
+        named_camera(camera) or PlenopticCamera(),
+        box,
+        Seeding(**densities, diameter=diameter, spread=spread, index=index, medium=medium),
+        _flow(flow, FLOWS, box.centre),
+        interval=interval,
+        frames=frames,
+        sheet=LightSheet(direction=_numbers("direction", direction, 3), thickness=thickness),
+        seed=seed,
+    )
+    images = ParticleImages(truth, wavelength=wavelength, model=model, accuracy=accuracy)
+    with refusing(f"{output}: no folder can be made there", OSError):
+        output.mkdir(parents=True, exist_ok=True)
+    write_netcdf(output / _FILE, truth)
+    lit = int((truth["inside"][0].values * (truth["irradiance"][0].values > 0)).sum())
+    typer.echo(f"{output / _FILE}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
+    for frame in range(frames):
+        path = output / f"{model}_{frame:04d}.exr"
+        with checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
+            saved.run = {"photons": photons}
+            with stopped_by_hand(saved, progress):
+                capture = images.capture(frame, progress=progress, checkpoint=saved)
+            if photons is not None:
+                capture = expose(capture, Detector(), photons=photons, seed=seed + frame)
+            write_capture(path, capture)
+        typer.echo(f"{path}: capture by {model}s at {float(truth['time'][frame]):g} s")
+
+
+def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
+    """Return the numbers of an option, separated by commas."""
+    rule = f"{name} = {short_repr(text)}: it must be {count} numbers, separated by commas"
+    with refusing(rule, ValueError):
+        values = tuple(float(part) for part in text.split(","))
+    refuse_if(len(values) != count, rule)
+    return values
+
+
+def _flow(text: str, flows: dict[str, Any], centre: tuple[float, ...]) -> Any:
+    """Return the flow that an option states, as NAME:KEY=VALUE,..., with numbers of a vector separated by slashes.
+
+    Where the option states no centre, it is the given one.
+    """
+    name, _, rest = text.partition(":")
+    kind = flows[require_choice("flow", name, tuple(flows))]
+    if name == "file":
+        return kind(rest)
+    known = tuple(kind.__dataclass_fields__)
+    values: dict[str, Any] = {"centre": centre} if "centre" in known else {}
+    for part in filter(None, rest.split(",")):
+        key, equals, value = part.partition("=")
+        refuse_if(not equals, f"flow = {short_repr(text)}: write it as NAME:KEY=VALUE,KEY=VALUE")
+        require_known(f"flow: {name}: ", [key], known)
+        try:
+            numbers = [float(each) for each in value.split("/")]
+            values[key] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+        except ValueError:
+            values[key] = value
+    with naming(f"flow: {name}"):
+        try:
+            return kind(**values)
+        except TypeError as error:
+            raise InputError(str(error)) from None
