@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.ndimage import spline_filter1d
 
 from ...camera import PlenopticCamera
 from ...camera.aperture import Round
@@ -96,9 +97,12 @@ class ScatteredLight:
 
     def pupil_weights(self) -> PupilWeights:
         """Return the relative power over the pupil for a `CaptureOperator`."""
-        table = self.over_pupil / self.over_pupil.mean((1, 2), keepdims=True)
-        count = len(table)
-        return PupilWeights(table.astype(np.float32), np.arange(count), np.zeros((count, 2)), sampled=True)
+        # Cubic B-splines of these coefficients pass through the samples; those of the samples would flatten lobes.
+        table, count = self.over_pupil / self.over_pupil.mean((1, 2), keepdims=True), len(self.positions)
+        for axis in (1, 2):
+            table = spline_filter1d(table, axis=axis)
+        table = np.maximum(table, 0).astype(np.float32)
+        return PupilWeights(table, np.arange(count), np.zeros((count, 2)), sampled=True)
 
 
 def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: PlenopticCamera) -> ScatteredLight:

@@ -3,6 +3,7 @@
 from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
 from .images import ParticleImages
 from .labelled_files import read_netcdf, write_netcdf
+from .mie import cross_sections
 from .seeding import LightSheet, ParticleVolume, Seeding
 from .sequence import particle_sequence
 
@@ -19,6 +20,7 @@ __all__ = [
     "Shear",
     "TaylorGreen",
     "Uniform",
+    "cross_sections",
     "particle_sequence",
     "read_netcdf",
     "write_netcdf",

@@ -1,0 +1,172 @@
+"""Particles and their images: densities, what enters and leaves, image positions, total light, rays against waves."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import particles as pt
+
+CAMERA = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
+VOLUME = pt.ParticleVolume((-0.7, -0.7, 230), (0.7, 0.7, 250))
+
+
+def sequence(flow=None, count=40.0, volume=VOLUME, sheet=None, frames=2, interval=0.1, **seeding):
+    flow = flow or pt.Uniform((1.0, 0.0, 0.0))
+    given = pt.Seeding(count=count, **seeding)
+    return pt.particle_sequence(CAMERA, volume, given, flow, interval=interval, frames=frames, sheet=sheet, seed=4)
+
+
+def test_densities_are_those_asked_for():
+    # 1.4 mm at 240 mm are 0.7 mm at 120 mm, which 0.7 / 0.064 lenses cover along an axis.
+    lenses, contents = (0.7 / 0.064) ** 2, 1.4 * 1.4 * 20
+    for given, expected in (({"per_lens": 20.0}, 20 * lenses), ({"per_volume": 60.0}, 60 * contents)):
+        seeding = pt.Seeding(**given, diameter=1.0)
+        truth = pt.particle_sequence(CAMERA, VOLUME, seeding, pt.Uniform((0, 0, 0)), interval=1.0, frames=1)
+        count = int(truth["inside"][0].sum())
+        assert abs(count - expected) < 5 * expected**0.5, given
+        position = truth["position"][0].values
+        assert VOLUME.contains(position).all()
+        # Even: mean and variance of each coordinate within five standard errors.
+        place = (position - VOLUME.lower) / VOLUME.size
+        assert np.abs(place.mean(0) - 0.5).max() < 5 / (12 * count) ** 0.5
+        assert np.abs(place.var(0) - 1 / 12).max() < 5 * (1 / 180 / count) ** 0.5
+
+
+def test_particles_enter_and_leave_and_their_number_stays():
+    flow = pt.HillVortex(speed=30.0, radius=3.0, centre=(0.2, 0, 241))
+    truth = sequence(flow, count=4000.0, diameter=1.0, frames=4, interval=0.03)
+    inside = truth["inside"].values == 1
+    assert (inside.sum(1) - 4000 < 5 * 4000**0.5).all()
+    left, entered = (inside[0] & ~inside[3]).sum(), (~inside[0] & inside[3]).sum()
+    assert left > 400
+    assert abs(left - entered) < 5 * (left + entered) ** 0.5
+    # Where particles entered there are as many as elsewhere.
+    last = truth["position"][3].values[inside[3]]
+    parts = np.histogramdd(last, [2, 2, 4], list(zip(VOLUME.lower, VOLUME.upper, strict=True)))[0]
+    assert np.abs(parts - parts.mean()).max() < 5 * parts.mean() ** 0.5
+    assert_allclose((truth["position"] + truth["displacement"])[:3], truth["position"][1:], atol=1e-9)
+    assert_allclose(flow.advected(truth["position"][1].values, 0.03), truth["position"][2], atol=1e-9)
+
+
+def test_sheets_light_what_is_within_them():
+    thick = pt.LightSheet(thickness=6.0)
+    truth = sequence(count=500.0, sheet=thick)
+    lit = np.abs(truth["position"].values[..., 2] - 240) < 3
+    assert (truth["irradiance"].values == lit).all()
+    falls = pt.LightSheet(thickness=6.0, profile="gaussian").irradiance(
+        np.array([[0, 0, 240.0], [9, 9, 243.0]]), VOLUME
+    )
+    assert_allclose(falls, [1, np.exp(-2)])
+
+
+def test_images_are_where_the_lens_equation_has_them():
+    for g in (215.0, 240.0, 270.0):
+        place = np.array([0.42, -0.3, g])
+        low, high = place - 5e-3, place + 5e-3
+        volume = pt.ParticleVolume(tuple(low), tuple(high))
+        # Small particles scatter evenly over the pupil.
+        truth = sequence(pt.Uniform((0, 0, 0)), count=8.0, volume=volume, frames=1, diameter=0.05)
+        # The light meets the array about -X b / g, and the detector within half a lens of there.
+        for model in ("wave", "ray"):
+            image = pt.ParticleImages(truth, wavelength=550, model=model).capture(0).image
+            at = (np.arange(256) - 127.5) * CAMERA.pixel_size
+            mean = np.array([(image.sum(0) @ at), (image.sum(1) @ at)]) / image.sum()
+            assert np.abs(mean - -place[:2] * 120 / g).max() < 0.6 * 0.064, (g, model)
+
+
+def test_the_light_of_a_particle_is_its_cross_section_times_the_solid_angle():
+    truth = sequence(count=30.0, diameter=0.05, frames=1)
+    images = pt.ParticleImages(truth, wavelength=550, model="ray")
+    capture = images.capture(0)
+    lit = truth["inside"][0].values == 1
+    # The square around the volume's image, and the blur, are within the detector.
+    assert_allclose(capture.image.sum(), lit.sum(), rtol=1e-5)
+    # Rayleigh: as good as even over the pupil, across the direction of the light.
+    section = pt.cross_sections(np.array([0.05]), 1.59 / 1.333, 550 / 1.333, np.array([[0.0]])).item()
+    solid = np.pi * (5 / truth["position"].values[0, lit, 2]) ** 2
+    assert_allclose(capture.metadata["reference"], section * solid.mean(), rtol=2e-3)
+
+
+def test_light_over_the_pupil_is_that_of_single_angles():
+    # In focus each pixel below the only lens sees one place of the pupil; lobes of 40 micrometres are narrower than it.
+    box = pt.ParticleVolume((0.05, 0.05, 239.95), (0.06, 0.06, 240.05))
+    truth = sequence(pt.Uniform((0, 0, 0)), count=8.0, diameter=0.05, frames=1, volume=box).isel(particle=[0])
+    truth["diameter"][:] = 40.0
+    place = truth["position"].values[0, 0]
+    image = pt.ParticleImages(truth, wavelength=550, model="ray").capture(0).image.astype(float)
+    column = np.flatnonzero(image.sum(0))
+    # A ray through the pupil's x meets the array at m = -X / 2, and the detector at c + z (m - x) / b.
+    at, centre, meets = (column - 127.5) * CAMERA.pixel_size, -0.032, -place[0] / 2
+    edges = meets - (at[:, None] - centre + np.linspace(-0.5, 0.5, 41) * CAMERA.pixel_size) * 120 / 0.512
+    across = np.linspace(-5, 5, 401)
+    towards = np.stack(np.broadcast_arrays(edges[..., None], across, 0.0), -1) - place
+    cosine = (towards[..., 0] / np.linalg.norm(towards, axis=-1)).reshape(1, -1)
+    section = pt.cross_sections(np.array([40.0]), 1.59 / 1.333, 550 / 1.333, cosine).reshape(towards.shape[:-1])
+    open_ = np.hypot(edges[..., None], across) < 5
+    expected, flat = (section * open_).mean((1, 2)), open_.mean((1, 2))
+    seen = image.sum(0)[column]
+    assert_allclose(seen / seen.sum(), expected / expected.sum(), atol=0.006)
+    assert np.abs(flat / flat.sum() - expected / expected.sum()).max() > 0.03
+
+
+def test_waves_against_spreads_of_each_particle_alone():
+    truth = sequence(count=25.0, diameter=3.0, frames=1)
+    images = pt.ParticleImages(truth, wavelength=550)
+    exact = pt.ParticleImages(truth, wavelength=550, accuracy=0).capture(0).image
+    assert np.linalg.norm(images.capture(0).image - exact) < 0.01 * np.linalg.norm(exact)
+
+
+def test_files_hold_sequences(tmp_path):
+    truth = sequence(count=5.0, diameter=2.0, spread=0.2, index=1.5 + 0.01j)
+    pt.write_netcdf(tmp_path / "truth.nc", truth)
+    again = pt.read_netcdf(tmp_path / "truth.nc", "particles")
+    capture, other = (pt.ParticleImages(each, wavelength=550, model="ray").capture(1) for each in (truth, again))
+    assert (capture.image == other.image).all()
+    mp.write_capture(tmp_path / "frame.exr", capture)
+    assert mp.read_capture(tmp_path / "frame.exr").metadata["particles"]["flow"]["kind"] == "Uniform"
+
+
+@pytest.mark.parametrize(
+    ("build", "line"),
+    [
+        (lambda: sequence(volume=pt.ParticleVolume((0, 0, -5), (1, 1, 5))), "z = -5: particles must be in front of"),
+        (lambda: sequence(volume=pt.ParticleVolume((0, 0, 80), (1, 1, 90))), "beyond its focus at 80 only"),
+        (lambda: pt.ParticleVolume((0, 0, 240), (1, 0, 250)), "the volume is empty; upper must be beyond lower"),
+        (lambda: sequence(pt.Uniform((20, 0, 0))), "particles move by 2 mm along x .* beyond the volume, .* 1.4 mm"),
+        (lambda: sequence(count=1e4, diameter=200.0), "they cover 1.6e4% of the view|they cover 16029% of the view"),
+        (lambda: pt.Seeding(count=3, per_lens=1), "per_lens, per_volume, count: give one of them, not 2"),
+        (lambda: pt.Seeding(count=1, index=1.333), "as that of the medium, so that nothing is scattered"),
+        (lambda: pt.LightSheet(direction=(0, 0, 0)), r"direction = .*: it must not be 0"),
+        (lambda: pt.LightSheet(direction=(0, 0, 1), thickness=3), "light travels along its sheet, across normal"),
+        (lambda: images_of(pt.LightSheet(thickness=1, centre=(0, 0, 300))), "no particle is lit within it"),
+        (lambda: pt.ParticleImages(sequence(), wavelength=550, model="ray", accuracy=0.1), "rays take none"),
+        (lambda: pt.ParticleImages(sequence(), wavelength=550).capture(2), "frame = 2: it must be at most 1"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(build, line):
+    with pytest.raises(mp.InputError, match=line):
+        build()
+
+
+def images_of(sheet):
+    return pt.ParticleImages(sequence(sheet=sheet), wavelength=550)
+
+
+def test_the_command_writes_pairs(run, complaint, tmp_path):
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps({"detector_width": 0.512, "resolution": [128, 128]}))
+    common = ["particles", "-o", tmp_path / "pair", "--camera", camera, "--volume=-0.3,-0.3,236,0.3,0.3,244"]
+    common += ["--count", "5", "--flow", "hill:speed=1,radius=0.5", "--interval", "0.1"]
+    assert "lit in the first frame" in run(*common)
+    run(*common, "--model", "ray", "--photons", "1e5")
+    names = ["particles.nc", "ray_0000.exr", "ray_0001.exr", "wave_0000.exr", "wave_0001.exr"]
+    assert sorted(path.name for path in (tmp_path / "pair").iterdir()) == names
+    truth = pt.read_netcdf(tmp_path / "pair" / "particles.nc", "particles")
+    assert json.loads(truth.attrs["particles"])["flow"]["centre"] == [0, 0, 240]
+    assert mp.read_capture(tmp_path / "pair" / "ray_0001.exr").metadata["exposure"]["photons"] == 1e5
+    assert complaint(*common[:-4], "--flow", "hil", "--interval", "0.1").endswith("did you mean hill?")
