@@ -76,6 +76,8 @@ class Extension:
     cameras : mapping of str to str
         Programs whose JSON files of cameras are read, and the places of functions of such a file's object that return
         the camera.
+    generators : mapping of str to str
+        Generators of the samples of data sets, by the names that recipes call them, and the places of their classes.
     displays : mapping of str to str
         Classes whose objects notebooks show with a picture or a table, such as ``Capture``, and the places of functions
         of such an object that return its HTML.
@@ -95,6 +97,7 @@ class Extension:
     methods: Mapping[str, str] = field(default_factory=dict)
     lenses: Mapping[str, str] = field(default_factory=dict)
     cameras: Mapping[str, str] = field(default_factory=dict)
+    generators: Mapping[str, str] = field(default_factory=dict)
     displays: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, FileFormat] = field(default_factory=dict)
 

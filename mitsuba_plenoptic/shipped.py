@@ -63,6 +63,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     "presets": {"full_frame_dual": "onchip", "phone_quad": "onchip", "phone_quad_bayer": "onchip"},
     "captures": {"small lenses": "onchip"},
     "cameras": {"libpleno": "calibrate"},
+    "generators": {"particles": "particles"},
     "formats": {
         ".zmx": "lensdesign",
         ".seq": "lensdesign",

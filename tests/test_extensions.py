@@ -66,7 +66,7 @@ def test_all_that_records_name_is_there():
             assert all(hasattr(importlib.import_module(f"{package}.{module}"), name.split(".")[-1]) for name in names)
         for module in [*record.plugins, *record.methods.values(), *record.lenses.values()]:
             importlib.import_module(f"{package}.{module}")
-        for kind in ("parameters", "responses", "presets", "captures", "cameras"):
+        for kind in ("parameters", "responses", "presets", "captures", "cameras", "generators"):
             for text in getattr(record, kind).values():
                 module, _, name = text.partition(":")
                 assert hasattr(importlib.import_module(f"{package}.{module}"), name)

@@ -24,6 +24,7 @@ KINDS = (
     "presets",
     "captures",
     "cameras",
+    "generators",
     "formats",
     "methods",
     "plugins",

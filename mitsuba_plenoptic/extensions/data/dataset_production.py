@@ -286,8 +286,10 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
     """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
     for name, array in sorted(made[0].arrays.items()):
-        base = name.removeprefix("views_")
-        if base != name:
+        base, told = name.removeprefix("views_"), made[0].facts.get("arrays", {})
+        if name in told:
+            meaning = told[name]
+        elif base != name:
             meaning = f"the same as `{base}`, of the samples of the views"
         elif name in _MEANINGS:
             meaning = _MEANINGS[name]
@@ -306,7 +308,7 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
         table="\n".join(lines),
         folder=recipe.name,
         model=model,
-        arrays=json.dumps([*pair, "lens_depth"] if "lens_depth" in names else [model, "depth"]),
+        arrays=json.dumps([*pair, "lens_depth"] if "lens_depth" in names else [model, *({"depth"} & set(names))]),
         recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
         software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
     )

@@ -1,10 +1,14 @@
-"""Generators of random scenes; a new one is a class with `scene`, and an entry in `GENERATORS`."""
+"""Generators of random scenes; a new one is a class with `scene`, and an entry in `GENERATORS`.
+
+Other extensions add theirs by `generators` of their records; what they show need not be a scene of Mitsuba's.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import mitsuba as mi
 import numpy as np
@@ -12,7 +16,9 @@ from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera
 from ...design import depth_ranges
-from ...errors import refuse_if, require_count, require_number, short_repr
+from ...errors import refuse_if, require_choice, require_count, require_number, short_repr
+from ...extension import entries, missing, place
+from ...io.captures import Capture
 from ...runtime.backend import drjit_array
 
 _TEXELS = (64, 512)
@@ -96,6 +102,23 @@ class SceneGenerator(Protocol):
 
     def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
         """Return a scene without a sensor, for ``mi.load_dict``; the camera is at the origin and looks along +z."""
+
+
+@runtime_checkable
+class CaptureGenerator(Protocol):
+    """Generator of random captures of what is no scene of Mitsuba's, such as single points."""
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What the arrays besides the captures are, by name."""
+
+    def captures(
+        self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
+    ) -> tuple[dict[str, Capture], dict[str, np.ndarray]]:
+        """Return captures by name, which begins with the model, and the arrays of `meanings`.
+
+        `options` are those of each model in the recipe.
+        """
 
 
 @dataclass(frozen=True)
@@ -210,4 +233,12 @@ class Shapes:
 
 
 GENERATORS: dict[str, type[SceneGenerator]] = {"shapes": Shapes}
-"""Generators by the names that recipes call them."""
+"""Generators of this extension by the names that recipes call them."""
+
+
+def generator_called(name: str, kind: Any) -> Any:
+    """Return the class of generators that a recipe calls `kind`, of this extension or of another one."""
+    added = {key: (package, text) for package, key, text in entries("generators")}
+    refuse_if(isinstance(kind, str) and missing("generators", kind), f"{name}: {missing('generators', str(kind))}")
+    require_choice(name, kind, (*GENERATORS, *added))
+    return place(*added[kind]) if kind in added else GENERATORS[kind]

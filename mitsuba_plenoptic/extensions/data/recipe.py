@@ -36,7 +36,7 @@ from ...runtime.files import read_yaml
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs
-from .generators import GENERATORS, Illumination, SceneGenerator
+from .generators import CaptureGenerator, Illumination, SceneGenerator, generator_called
 
 MOST_COUNT = 10**6
 
@@ -74,7 +74,7 @@ class SamplePlan:
     source: int
     camera: PlenopticCamera
     light: Illumination
-    maker: SceneGenerator | None
+    maker: SceneGenerator | CaptureGenerator | None
     parameters: Mapping[str, str]
     # As for `expose`; None without noise.
     detector: Detector | None
@@ -165,7 +165,11 @@ class Recipe:
         maker, parameters = None, {}
         if source.generator:
             with naming(f"scenes: generator {source.generator}"):
-                maker = GENERATORS[source.generator](**drawn["scene"])
+                maker = generator_called("generator", source.generator)(**drawn["scene"])
+            of_scenes = {"truth": self.truth, "photodiodes": self.photodiodes, "light": self.light}
+            for name in (name for name, value in of_scenes.items() if value and isinstance(maker, CaptureGenerator)):
+                empty = "; give an empty list" if name == "truth" else "; leave it out"
+                raise InputError(f"{name}: scenes: generator {source.generator} makes no scenes{empty}")
         else:
             parameters = {name: str(value) for name, value in drawn["scene"].items()}
         detector = photons = None
@@ -290,8 +294,8 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     )
     share = require_number(f"{name}: share", entry.get("share", 1), positive=True, maximum=1e9)
     if "generator" in entry:
-        kind = require_choice(f"{name}: generator", entry["generator"], tuple(GENERATORS))
-        known = tuple(field.name for field in fields(GENERATORS[kind]))  # type: ignore[arg-type]
+        kind = entry["generator"]
+        known = tuple(field.name for field in fields(generator_called(f"{name}: generator", kind)))
         _require_names(name, entry, ("generator", "share", *known))
         values = {key: value for key, value in entry.items() if key in known}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})

@@ -17,6 +17,7 @@ from ...light.scene import load_scene
 from ...plugins.other_camera import with_camera
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
+from .generators import CaptureGenerator
 from .recipe import Recipe, SamplePlan, generator
 
 VIEWS = "views_"
@@ -86,16 +87,22 @@ class Sample:
 
 
 def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
-    """Return the scene of a sample, loaded or generated, with the sample's camera."""
+    """Return the scene of a sample, loaded or generated, with the sample's camera; None for what is no scene."""
     source = recipe.scenes[plan.source]
+    if isinstance(plan.maker, CaptureGenerator):
+        return None
     if plan.maker:
-        # The scene's own random numbers, whatever else is drawn.
-        random = generator(recipe.seed, plan.index, f"scenes.{plan.source}")
+        random = random_of_scene(recipe, plan)
         scene = load_scene(plan.maker.scene(plan.camera, plan.light, random), variant=recipe.variant)
         scene.set_id(str(source.generator))
     else:
         scene = load_scene(str(source.scene), variant=recipe.variant, parameters=plan.parameters, unit=source.unit)
     return with_camera(scene, plan.camera)
+
+
+def random_of_scene(recipe: Recipe, plan: SamplePlan) -> np.random.Generator:
+    """Return the random numbers of a sample's scene, which do not depend on what else is drawn."""
+    return generator(recipe.seed, plan.index, f"scenes.{plan.source}")
 
 
 def make_sample(recipe: Recipe, index: int) -> Sample:
@@ -121,27 +128,37 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
     def seed(name: str) -> int:
         return int(generator(recipe.seed, index, f"seed.{name}").integers(2**32))
 
-    for model in recipe.models:
-        found = {model: render_capture(scene, model=model, seed=seed(model), **plan.options[model])}
+    if isinstance(plan.maker, CaptureGenerator):
+        made, arrays = plan.maker.captures(plan.camera, plan.options, random_of_scene(recipe, plan))
+        kind, meanings = recipe.scenes[plan.source].generator, plan.maker.meanings
+    else:
+        options = plan.options
+        made = {
+            model: render_capture(scene, model=model, seed=seed(model), **options[model]) for model in recipe.models
+        }
+        kind, meanings = scene.id(), {}
+    for name in list(made):
         if plan.detector and plan.photons is not None:
-            name = model + EXPOSED
-            found[name] = expose(found[model], plan.detector, photons=plan.photons, seed=seed(name))
-        for name, capture in found.items():
-            arrays[name] = capture.image
-            if recipe.photodiodes:
-                arrays |= pictures_of(capture, recipe.photodiodes, name)
-            about[name] = {"wavelength": capture.wavelength, "metadata": capture.metadata}
+            exposed = name + EXPOSED
+            made[exposed] = expose(made[name], plan.detector, photons=plan.photons, seed=seed(exposed))
+    for name, capture in sorted(made.items()):
+        arrays[name] = capture.image
+        if recipe.photodiodes:
+            arrays |= pictures_of(capture, recipe.photodiodes, name)
+        about[name] = {"wavelength": capture.wavelength, "metadata": capture.metadata}
     if recipe.photodiodes:
         arrays |= truth_of_lenses(scene, plan.options[recipe.models[0]]["spp"], seed("sharp"))
     truth = ground_truth(scene, recipe.truth) if recipe.truth else None
-    facts = {
+    facts: dict[str, Any] = {
         "camera": plan.camera.to_dict(),
-        "scene": scene.id(),
+        "scene": kind,
         "draws": dict(plan.draws),
         "captures": about,
         "shapes": [],
         "to_world": np.eye(4).tolist(),
     }
+    if meanings:
+        facts["arrays"] = meanings
     if truth:
         facts |= {"shapes": list(truth.shapes), "to_world": truth.to_world.tolist()}
         arrays |= truth.pixels | {VIEWS + name: array for name, array in truth.views.items()}

@@ -5,4 +5,8 @@ Images by rays, and tracking, need the extension `inverse`.
 
 from ...extension import Extension
 
-EXTENSION = Extension(modules={"particles": "velocimetry"}, commands={"particles": "particles_command"})
+EXTENSION = Extension(
+    modules={"particles": "velocimetry"},
+    commands={"particles": "particles_command"},
+    generators={"particles": "particle_pairs:ParticlePairs"},
+)

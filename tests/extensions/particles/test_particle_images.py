@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
 
 CAMERA = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
 VOLUME = pt.ParticleVolume((-0.7, -0.7, 230), (0.7, 0.7, 250))
@@ -155,6 +156,26 @@ def test_bad_input_is_refused_in_one_line(build, line):
 
 def images_of(sheet):
     return pt.ParticleImages(sequence(sheet=sheet), wavelength=550)
+
+
+def test_data_sets_hold_pairs(tmp_path):
+    recipe = {
+        "count": 1,
+        "camera": {"detector_width": 0.512, "resolution": [128, 128]},
+        "scenes": [{"generator": "particles", "flow": "lamb_oseen", "per_lens": 0.1, "displacement": 2}],
+        "models": ["ray"],
+        "noise": {"photons": 1e5},
+    }
+    with pytest.raises(mp.InputError, match="truth: scenes: generator particles makes no scenes; give an empty list"):
+        parse_recipe(recipe)
+    sample = make_dataset(parse_recipe(recipe | {"truth": []}), tmp_path / "pairs")[0]
+    position, displacement = (sample.arrays[f"particle_{name}"] for name in ("position", "displacement"))
+    both = np.isfinite(position).all((0, 2))
+    assert_allclose((position[0] + displacement[0])[both], position[1][both], atol=1e-4)
+    # Of two lens pitches, 0.128 mm at twice the distance; particles are elsewhere than the places it is set at.
+    assert 0.1 < np.nanmax(np.linalg.norm(displacement, axis=-1)) < 0.28
+    assert sample.capture_called("ray_next_exposed", "ray").metadata["frame"] == 1
+    assert "the second capture by rays, with the noise" in (tmp_path / "pairs" / "README.md").read_text()
 
 
 def test_the_command_writes_pairs(run, complaint, tmp_path):

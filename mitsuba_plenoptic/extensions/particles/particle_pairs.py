@@ -1,0 +1,124 @@
+"""Generator of data sets: pairs of captures of particles in a random flow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if, require_choice, require_length, require_number
+from ...io.captures import Capture
+from .flows import FLOWS, Flow
+from .images import ParticleImages
+from .seeding import LightSheet, ParticleVolume, Seeding
+from .sequence import particle_sequence
+
+_WAVELENGTH = 550.0
+
+_STRENGTH = {
+    "uniform": "speed",
+    "shear": "rate",
+    "taylor_green": "speed",
+    "lamb_oseen": "circulation",
+    "hill": "speed",
+}
+"""The parameter of each flow to which its velocities are proportional."""
+
+_SIZE = {"taylor_green": "length", "lamb_oseen": "core", "hill": "radius"}
+
+_VORTEX = (0.2, 0.5)
+"""Size of a vortex over the smallest extent of the volume."""
+
+_FIELD = 0.8
+"""Part of the field of view that the volume fills."""
+
+_NODES = 4000
+
+
+@dataclass(frozen=True)
+class ParticlePairs:
+    """Particles in a light sheet and a random flow, captured twice."""
+
+    flow: str = "hill"
+    # Distances between which they are. Default: a twentieth of the distance in focus to either side.
+    near: float | None = None
+    far: float | None = None
+    # Particles over the microlenses on which the volume is imaged.
+    per_lens: float = 0.05
+    # Median diameter in micrometres, and standard deviation of its logarithm.
+    diameter: float = 10.0
+    spread: float = 0.0
+    # Largest displacement over the width of a microlens, imaged into the volume's middle.
+    displacement: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_choice("flow", self.flow, tuple(_STRENGTH))
+        for name in ("near", "far"):
+            if getattr(self, name) is not None:
+                require_length(name, getattr(self, name))
+        require_number("displacement", self.displacement, positive=True, maximum=1e3)
+        Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
+
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What the arrays besides the captures are, by name."""
+        second = {f"{model}_next": f"the second capture by {model}s" for model in ("ray", "wave")}
+        exposed = {f"{name}_exposed": f"{words}, with the noise of a detector" for name, words in second.items()}
+        return {
+            **second,
+            **exposed,
+            "particle_position": "positions of the particles at both captures, mm; NaN outside the volume",
+            "particle_displacement": "displacements until the next capture and after it, mm",
+            "particle_diameter": "diameters, micrometres",
+        }
+
+    def _random_flow(self, volume: ParticleVolume, largest: float, random: np.random.Generator) -> Flow:
+        """Return a flow at a random place and of random orientation, with a given largest velocity."""
+        values: dict[str, Any] = {}
+        if self.flow == "uniform":
+            values["speed"] = tuple(random.normal(size=3))
+        else:
+            values["centre"] = tuple(random.uniform(volume.lower, volume.upper))
+            axes = random.permutation(list("xyz"))
+            orientation = {"along": axes[0], "across": axes[1]} if self.flow == "shear" else {"axis": axes[0]}
+            values |= {name: str(axis) for name, axis in orientation.items()}
+        if self.flow in _SIZE:
+            values[_SIZE[self.flow]] = random.uniform(*_VORTEX) * float(volume.size.min())
+        trial = FLOWS[self.flow](**values)
+        places = random.uniform(volume.lower, volume.upper, (_NODES, 3))
+        factor, strength = largest / float(np.linalg.norm(trial.velocity(places), axis=1).max()), _STRENGTH[self.flow]
+        grown = factor * np.array(getattr(trial, strength))
+        return FLOWS[self.flow](**values | {strength: grown.tolist() if grown.ndim else float(grown)})
+
+    def captures(
+        self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
+    ) -> tuple[dict[str, Capture], dict[str, np.ndarray]]:
+        """Return both captures by each model, and the particles."""
+        focus = camera.focus_distance
+        near, far = (0.95 * focus if self.near is None else self.near), (1.05 * focus if self.far is None else self.far)
+        refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
+        width, height = (
+            _FIELD * extent * near / (2 * camera.mla_distance)
+            for extent in (camera.detector_width, camera.detector_height)
+        )
+        volume = ParticleVolume((-width, -height, near), (width, height, far))
+        largest = self.displacement * camera.mla_pitch * volume.centre[2] / camera.mla_distance
+        flow = self._random_flow(volume, largest, random)
+        seeding = Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
+        seed = int(random.integers(2**32))
+        truth = particle_sequence(camera, volume, seeding, flow, interval=1.0, sheet=LightSheet(), seed=seed)
+        made: dict[str, Capture] = {}
+        for model, given in options.items():
+            light = {"accuracy": given["accuracy"]} if "accuracy" in given else {}
+            images = ParticleImages(truth, wavelength=given.get("wavelength", _WAVELENGTH), model=model, **light)
+            made |= {model: images.capture(0), f"{model}_next": images.capture(1)}
+        inside = truth["inside"].values[..., None] == 1
+        arrays = {
+            "particle_position": np.where(inside, truth["position"], np.nan),
+            "particle_displacement": np.where(inside, truth["displacement"], np.nan),
+            "particle_diameter": truth["diameter"].values,
+        }
+        return made, {name: values.astype(np.float32) for name, values in arrays.items()}
