@@ -1,11 +1,21 @@
-"""Plenoptic particle image velocimetry: particles in flows, their captures, and velocities from these."""
+"""Plenoptic particle image velocimetry: particles in flows, their captures, and velocities from these.
 
+`particle_sequence` carries particles through a volume, and `ParticleImages` captures them by waves or by rays.
+`reconstruct_volume` finds the light of voxels again, `correlate_volumes` the displacements between two volumes, and
+`locate_particles`, `refine_particles` and `match_particles` those of single particles.
+"""
+
+from .correlation import correlate_volumes
 from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
 from .images import ParticleImages
 from .labelled_files import read_netcdf, write_netcdf
 from .mie import cross_sections
+from .projection import VoxelProjector
 from .seeding import LightSheet, ParticleVolume, Seeding
 from .sequence import particle_sequence
+from .tomography import reconstruct_volume
+from .tracking import locate_particles, match_particles, refine_particles
+from .voxels import VoxelGrid, drawn_particles, elongation, ghost_fraction, quality
 
 __all__ = [
     "FLOWS",
@@ -20,8 +30,19 @@ __all__ = [
     "Shear",
     "TaylorGreen",
     "Uniform",
+    "VoxelGrid",
+    "VoxelProjector",
+    "correlate_volumes",
     "cross_sections",
+    "drawn_particles",
+    "elongation",
+    "ghost_fraction",
+    "locate_particles",
+    "match_particles",
     "particle_sequence",
+    "quality",
     "read_netcdf",
+    "reconstruct_volume",
+    "refine_particles",
     "write_netcdf",
 ]

@@ -1,0 +1,169 @@
+r"""Displacements between two volumes by cross-correlation of windows (Elsinga et al. 2006; Scarano 2013).
+
+Each window of the first volume is correlated with the second one, its displacement is the peak, refined by the normal
+curve through three values along each axis (Willert and Gharib 1991, Experiments in Fluids 10, 181). Vectors unlike
+their neighbours are found by the normalised median test (Westerweel and Scarano 2005, Experiments in Fluids 39, 1096)
+and replaced by the neighbours' median. Later passes displace the second volume's window by the result before.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import scipy.fft
+import xarray as xr
+from numpy.typing import NDArray
+
+from ...errors import refuse_if, require_count, require_number, require_numbers, suggest_keywords
+from ...runtime.batches import Progress, counted
+
+MEDIAN_LIMIT, MEDIAN_FLOOR = 2.0, 0.1
+"""Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
+
+_LEAST_OVERLAP = 0.25
+"""Overlap of the windows, over their size, below which a displacement is not looked for."""
+
+
+@suggest_keywords
+def correlate_volumes(
+    first: xr.DataArray,
+    second: xr.DataArray,
+    *,
+    window: Any,
+    overlap: float = 0.5,
+    passes: int = 2,
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    """Return the displacements of windows from one volume to the next.
+
+    Parameters
+    ----------
+    first, second : xarray.DataArray (z, y, x)
+        The volumes, on the same grid.
+    window : (int, int, int)
+        Voxels of a window along z, y and x.
+    overlap : float
+        Part of a window that it shares with the next one, from 0 to 0.9.
+    passes : int
+        Number of passes, each from the displacements of the one before.
+    progress : callable, optional
+        Called with the numbers of windows done and of all.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by the
+        median of its neighbours; ``correlation``, the correlation coefficient of the windows at the peak.
+
+    Raises
+    ------
+    InputError
+        If the volumes differ in their grid, are empty, or are smaller than a window.
+    """
+    grids = [[each[axis].values for axis in "zyx"] for each in (first, second)]
+    refuse_if(
+        any(a.shape != b.shape or not np.allclose(a, b) for a, b in zip(*grids, strict=True)),
+        "second: it must be on the voxels of the first volume",
+    )
+    size = np.array([require_count("window", n, minimum=4) for n in require_numbers("window", window, count=3)])
+    overlap = require_number("overlap", overlap, minimum=0, maximum=0.9)
+    passes = require_count("passes", passes, maximum=10)
+    one, other = first.values.astype(np.float64), second.values.astype(np.float64)
+    refuse_if((size > one.shape).any(), f"window = {tuple(size.tolist())}: the volumes have {one.shape} voxels")
+    for name, values in (("first", one), ("second", other)):
+        refuse_if(not values.any(), f"{name}: the volume is empty")
+    step = np.maximum(1, np.rint(size * (1 - overlap))).astype(int)
+    starts = [np.arange(0, count - width + 1, by) for count, width, by in zip(one.shape, size, step, strict=True)]
+    counts = tuple(map(len, starts))
+    found, best = np.zeros((*counts, 3)), np.zeros(counts)
+    outlier = np.zeros(counts, bool)
+    corners = list(itertools.product(*starts))
+    indices = list(np.ndindex(counts))
+    for number in range(passes):
+        guess = np.rint(found).astype(int)
+        shown = None if progress is None else _part_of(progress, number, passes)
+        for index, corner in zip(indices, counted(corners, shown), strict=False):
+            start = np.array(corner)
+            moved = np.clip(start + guess[index], 0, np.array(one.shape) - size)
+            windows = (
+                each[tuple(slice(low, low + width) for low, width in zip(at, size, strict=True))]
+                for each, at in ((one, start), (other, moved))
+            )
+            shift, best[index] = _displacement(*windows)
+            found[index] = moved - start + shift
+        outlier = is_outlier(found)
+        found = np.where(outlier[..., None], _median(found), found)
+    voxel = np.array([axis[1] - axis[0] if len(axis) > 1 else 1.0 for axis in grids[0]])
+    centres = {
+        name: axis[0] + (start + (width - 1) / 2) * spacing
+        for name, axis, start, width, spacing in zip("zyx", grids[0], starts, size, voxel, strict=True)
+    }
+    return xr.Dataset(
+        {
+            "displacement": (("z", "y", "x", "axis"), (found * voxel)[..., ::-1], {"units": "mm"}),
+            "outlier": (("z", "y", "x"), outlier.astype(np.int8)),
+            "correlation": (("z", "y", "x"), best),
+        },
+        coords={**centres, "axis": list("xyz")},
+    )
+
+
+def _part_of(progress: Progress, number: int, passes: int) -> Progress:
+    """Return the progress of one of several passes."""
+    return lambda done, total: progress(number * total + done, passes * total)
+
+
+def _displacement(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the displacement in voxels of one window's content in the other, and their correlation coefficient."""
+    size = np.array(one.shape)
+    shape = [scipy.fft.next_fast_len(int(2 * n), real=True) for n in size]
+    a, b = one - one.mean(), other - other.mean()
+    spectrum = np.conj(scipy.fft.rfftn(a, shape)) * scipy.fft.rfftn(b, shape)
+    products = scipy.fft.irfftn(spectrum, shape)
+    reach = ((1 - _LEAST_OVERLAP) * size).astype(int)
+    lags = [np.arange(-most, most + 1) for most in reach]
+    products = products[np.ix_(*lags)]
+    # Fewer voxels meet at a displacement, which would draw peaks towards 0.
+    for axis, (lag, n) in enumerate(zip(lags, size, strict=True)):
+        products = products / np.expand_dims(1 - np.abs(lag) / n, [i for i in range(3) if i != axis])
+    peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
+    whole = float(np.linalg.norm(a) * np.linalg.norm(b))
+    shift = peak - reach + [_beside(products, peak, axis) for axis in range(3)]
+    return shift, float(products[tuple(peak)]) / whole if whole else 0.0
+
+
+def _beside(products: NDArray[np.float64], peak: NDArray[np.int64], axis: int) -> float:
+    """Return the distance of a peak from its voxel along an axis, of the normal curve through three values."""
+    if not 0 < peak[axis] < products.shape[axis] - 1:
+        return 0.0
+    line = products[tuple(slice(n - 1, n + 2) if i == axis else n for i, n in enumerate(peak))]
+    low, middle, high = np.log(line) if (line > 0).all() else line
+    bent = low - 2 * middle + high
+    return float(np.clip(0.5 * (low - high) / bent, -0.5, 0.5)) if bent < 0 else 0.0
+
+
+def _neighbours(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the up to 26 neighbours of each vector along a new first axis, NaN where there are none."""
+    padded = np.pad(vectors, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
+    shifts = (shift for shift in itertools.product((0, 1, 2), repeat=3) if shift != (1, 1, 1))
+    return np.stack(
+        [padded[tuple(slice(s, s + n) for s, n in zip(shift, vectors.shape[:3], strict=True))] for shift in shifts]
+    )
+
+
+def _median(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median of each vector's neighbours, or the vector where it is alone."""
+    if vectors[..., 0].size == 1:
+        return vectors
+    return np.asarray(np.nanmedian(_neighbours(vectors), axis=0))
+
+
+def is_outlier(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which vectors (z, y, x, axis), in voxels, differ from their neighbours (Westerweel and Scarano 2005)."""
+    if vectors[..., 0].size == 1:
+        return np.zeros(vectors.shape[:3], bool)
+    around, middle = _neighbours(vectors), _median(vectors)
+    typical = np.nanmedian(np.abs(around - middle), axis=0) + MEDIAN_FLOOR
+    return np.asarray(np.linalg.norm((vectors - middle) / typical, axis=-1) > MEDIAN_LIMIT)

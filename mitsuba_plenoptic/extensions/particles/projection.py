@@ -1,0 +1,100 @@
+r"""Voxels onto pixels by waves: a volume's planes on points that share point spreads from lens to lens.
+
+Point spreads repeat from lens to lens of the array (see `points.accuracy`), but the voxels of a rectangular grid are
+imaged to other places of the lenses in each plane, and hardly any two share one. So the light of a voxel is spread
+evenly, by the bilinear weights W, over the four nearest of points that lie regularly on the lenses of the plane's
+image, and these share spreads: the operator is :math:`A W`, and its adjoint :math:`W^T A^T`. A voxel is then a tent of
+the width of these points, not a point, as befits a volume.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from ...camera import PlenopticCamera
+from ...errors import require_accuracy, require_count, require_wavelength, suggest_keywords
+from ...light.optical_system import OpticalSystem
+from ...points.operator import CaptureOperator
+from ...runtime.batches import Job
+from .voxels import VoxelGrid
+
+
+@suggest_keywords
+class VoxelProjector:
+    """The image that a camera records of a volume's voxels by waves, as a linear function of their light.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    grid : VoxelGrid
+        The voxels.
+    wavelength : float
+        Wavelength in nanometres.
+    per_lens : int
+        Points to which a microlens has its light spread, along an axis: about as many as voxels to a lens.
+    accuracy : float
+        Allowed relative error of the points' images, see `CaptureOperator`.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, or a voxel is not before the camera.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> from mitsuba_plenoptic import particles
+    >>> camera = mp.PlenopticCamera(detector_width=0.256, resolution=(64, 64))
+    >>> grid = particles.VoxelGrid((-0.1, -0.1, 238), (0.1, 0.1, 242), (2, 3, 3))
+    >>> projector = particles.VoxelProjector(camera, grid, wavelength=550)
+    >>> image = projector.forward([1.0] * 18)
+    >>> image.shape, projector.adjoint(image).shape
+    ((64, 64), (18,))
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        grid: VoxelGrid,
+        *,
+        wavelength: float,
+        per_lens: int = 2,
+        accuracy: float = 0.1,
+    ) -> None:
+        wavelength, per_lens = require_wavelength(wavelength), require_count("per_lens", per_lens, maximum=32)
+        points = grid.points
+        lens = OpticalSystem(camera, wavelength).waves_of(points)
+        # The vectors of the lattice, the first of which is along its rows.
+        angle = math.radians(camera.mla_rotation or 0.0)
+        turned = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        basis = np.array(camera.lattice.basis) @ turned
+        steps = (lens.images(points) - np.array(camera.mla_offset)) @ np.linalg.inv(basis) * per_lens
+        plane = np.repeat(np.arange(grid.shape[0]), len(points) // grid.shape[0])
+        low = np.floor(steps).astype(np.int64)
+        beyond = steps - low
+        corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
+        keys = [np.column_stack([plane, low + corner]) for corner in corners]
+        weights = [np.abs(1 - corner - beyond).prod(1) for corner in corners]
+        nodes, index = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+        voxels = np.tile(np.arange(len(points)), 4)
+        entries = np.concatenate(weights), (index.reshape(-1), voxels)
+        self._spread = scipy.sparse.csr_array(entries, shape=(len(nodes), len(points)))
+        inverse = lens.inverse_distance(points.reshape(grid.shape[0], -1, 3)[:, 0])[nodes[:, 0]]
+        # A little aside, so that points at the borders of lenses belong to one of them alike.
+        places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
+        at = lens.points(places, inverse)
+        self.points = CaptureOperator(camera, at, wavelength=wavelength, accuracy=require_accuracy(accuracy))
+
+    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
+        """Return the image (rows, columns) of voxels with the given light, (n,)."""
+        return self.points.forward(self._spread @ np.asarray(weights, np.float64), job=job)
+
+    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+        """Return each voxel's inner product with an image, (n,)."""
+        return np.asarray(self._spread.T @ self.points.adjoint(image, job=job))

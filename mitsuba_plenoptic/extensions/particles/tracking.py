@@ -1,0 +1,162 @@
+"""Particles found in volumes, refined by least squares on the capture, and tracked to the next frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+from scipy.spatial import cKDTree
+
+from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
+from ...io.captures import Capture
+from ...runtime.batches import Progress
+from ..inverse.stored import StoredOperator
+from .voxels import elongation
+
+_STEP = 0.02
+"""Lateral step of derivatives, over the width of a lens imaged to the particle; along the axis by the elongation."""
+
+_LARGEST_STEP = 0.5
+"""Lateral motion in a step of least squares at most, over the same width."""
+
+
+def locate_particles(
+    volume: xr.DataArray, *, threshold: float = 0.1, apart: Any = (3, 3, 3)
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return positions (n, 3) in mm and the light (n,) of the local maxima of a volume.
+
+    Parameters
+    ----------
+    volume : xarray.DataArray (z, y, x)
+        The volume.
+    threshold : float
+        Least value of a maximum, over the largest one.
+    apart : (int, int, int)
+        Voxels, along z, y and x, of the boxes in which a maximum is the largest value. The position is the centroid of
+        the box, and the light its sum.
+
+    Raises
+    ------
+    InputError
+        If the volume is empty.
+    """
+    values = np.maximum(volume.values.astype(np.float64), 0)
+    refuse_if(not values.any(), "volume: it is empty")
+    box = tuple(int(n) // 2 * 2 + 1 for n in require_numbers("apart", apart, count=3, minimum=1))
+    threshold = require_number("threshold", threshold, minimum=0, maximum=1)
+    peaks = np.argwhere((values == maximum_filter(values, box)) & (values >= threshold * values.max()))
+    half = [n // 2 for n in box]
+    padded = np.pad(values, [(n, n) for n in half])
+    positions, light = np.empty((len(peaks), 3)), np.empty(len(peaks))
+    axes = [volume[name].values for name in "zyx"]
+    for number, peak in enumerate(peaks):
+        part = padded[tuple(slice(n, n + width) for n, width in zip(peak, box, strict=True))]
+        light[number] = part.sum()
+        for axis, (name, places) in enumerate(zip("zyx", axes, strict=True)):
+            spacing = places[1] - places[0] if len(places) > 1 else 0.0
+            profile = part.sum(axis=tuple(i for i in range(3) if i != axis))
+            offset = profile @ (np.arange(box[axis]) - half[axis]) / profile.sum()
+            positions[number, "xyz".index(name)] = places[peak[axis]] + offset * spacing
+    return positions, light
+
+
+@suggest_keywords
+def refine_particles(
+    capture: Capture,
+    positions: NDArray[np.float64],
+    light: NDArray[np.float64],
+    *,
+    wavelength: float | None = None,
+    iterations: int = 5,
+    accuracy: float = 0.0,
+    progress: Progress | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return positions and light of particles that explain a capture by waves best, in the sense of least squares.
+
+    Gauss and Newton's steps from given positions, with derivatives by central differences of point spreads. Particles
+    count as points that light the pupil evenly.
+
+    Parameters
+    ----------
+    capture : Capture
+        The image.
+    positions : float64 array (n, 3)
+        Positions to start from, in mm.
+    light : float64 array (n,)
+        Light of the particles to start from.
+    wavelength : float, optional
+        In nanometres. Default: that of the capture.
+    iterations : int
+        Number of steps.
+    accuracy : float
+        Allowed relative error of point spreads; with 0 each particle has its own.
+    progress : callable, optional
+        Called with the numbers of steps done and of all.
+
+    Returns
+    -------
+    positions : float64 array (n, 3)
+    light : float64 array (n,)
+    """
+    iterations = require_count("iterations", iterations)
+    given = capture.wavelength if wavelength is None else wavelength
+    camera, number = capture.camera, require_wavelength(given)
+    image = np.asarray(capture.image, np.float64).ravel()
+    positions, light, count = positions.astype(np.float64), light.astype(np.float64), len(positions)
+    refuse_if(not count, "positions: there is none to start from")
+    for step in range(iterations):
+        if progress:
+            progress(step, iterations)
+        lens = camera.mla_pitch * positions[:, 2] / camera.mla_distance
+        scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
+        moves = _STEP * scale[:, :, None] * np.eye(3)
+        places = np.concatenate(
+            [positions[None], *((positions + sign * moves[:, axis])[None] for axis in range(3) for sign in (1, -1))]
+        )
+        operator = StoredOperator(camera, places.reshape(-1, 3), wavelength=number, accuracy=accuracy, budget=8.0)
+        spreads = operator.to_sparse()
+        own, *sides = (spreads[:, part * count : (part + 1) * count] for part in range(7))
+        columns = [own]
+        for axis in range(3):
+            # In units of the scale, so that all columns are alike in size.
+            slope = (sides[2 * axis] - sides[2 * axis + 1]) / (2 * _STEP)
+            columns.append(slope @ scipy.sparse.diags_array(light))
+        jacobian = scipy.sparse.hstack(columns, format="csc")
+        change = scipy.sparse.linalg.lsqr(jacobian, image - own @ light, atol=1e-6, btol=1e-6)[0].reshape(4, count)
+        moved = change[1:].T
+        longest = np.abs(moved).max(1, keepdims=True) / _LARGEST_STEP
+        positions = positions + scale * moved / np.maximum(1, longest)
+        light = np.maximum(light + change[0], 0)
+    if progress:
+        progress(iterations, iterations)
+    return positions, light
+
+
+def match_particles(
+    first: NDArray[np.float64], second: NDArray[np.float64], predicted: NDArray[np.float64], reach: Any
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the indices of particles of two frames that are the same ones.
+
+    Parameters
+    ----------
+    first, second : float64 array (n, 3), (m, 3)
+        Positions in both frames.
+    predicted : float64 array (n, 3)
+        Displacement by which a particle of the first frame is looked for in the second one, such as that of
+        `correlate_volumes`.
+    reach : (float, float, float)
+        Semi-axes of the ellipsoid, in mm, in which the nearest particle is taken, if none of the first frame is nearer
+        to that one.
+    """
+    semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
+    expected, there = (first + predicted) / semi_axes, second / semi_axes
+    if not len(first) or not len(second):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    away, nearest = cKDTree(there).query(expected)
+    back = cKDTree(expected).query(there)[1]
+    index = np.flatnonzero((away <= 1) & (back[nearest] == np.arange(len(first))))
+    return index, nearest[index]

@@ -1,0 +1,152 @@
+"""Grids of voxels, particles drawn on them, and what tells how well a reconstructed volume shows the particles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ...camera import PlenopticCamera
+from ...errors import put, refuse_if, require_numbers, suggest_keywords
+
+MOST_VOXELS = 10**8
+
+_TRUNCATED = 4.0
+"""Standard deviations beyond which a drawn particle is left out."""
+
+
+@suggest_keywords
+@dataclass(frozen=True)
+class VoxelGrid:
+    """A box cut into equal voxels.
+
+    Parameters
+    ----------
+    lower, upper : (float, float, float)
+        Corners in millimetres of the camera frame.
+    shape : (int, int, int)
+        Numbers of voxels along z, y and x, as arrays have them.
+
+    Raises
+    ------
+    InputError
+        If the box is empty, or has too many voxels.
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    shape: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            put(self, **{name: require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9)})
+        put(self, shape=tuple(int(n) for n in require_numbers("shape", self.shape, count=3, minimum=1)))
+        refuse_if(
+            any(low >= high for low, high in zip(self.lower, self.upper, strict=True)),
+            f"lower = {self.lower}, upper = {self.upper}: the volume is empty; upper must be beyond lower",
+        )
+        refuse_if(math.prod(self.shape) > MOST_VOXELS, f"shape = {self.shape}: {MOST_VOXELS:.0e} voxels at most")
+
+    @property
+    def voxel(self) -> NDArray[np.float64]:
+        """Size of a voxel along x, y and z in millimetres."""
+        return np.subtract(self.upper, self.lower) / np.array(self.shape[::-1])
+
+    @property
+    def axes(self) -> list[NDArray[np.float64]]:
+        """Centres of the voxels along x, y and z."""
+        parts = zip(self.lower, self.voxel, self.shape[::-1], strict=True)
+        return [low + size * (np.arange(count) + 0.5) for low, size, count in parts]
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Centres of all voxels, (n, 3), for a `CaptureOperator`."""
+        x, y, z = self.axes
+        return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], -1).reshape(-1, 3)
+
+    def labelled(self, values: NDArray[Any], **attributes: Any) -> xr.DataArray:
+        """Return values of all voxels with their coordinates in millimetres."""
+        x, y, z = ((name, axis, {"units": "mm"}) for name, axis in zip("xyz", self.axes, strict=True))
+        return xr.DataArray(
+            np.reshape(values, self.shape), dims=tuple("zyx"), coords={"z": z, "y": y, "x": x}, attrs=attributes
+        )
+
+
+def drawn_particles(
+    grid: VoxelGrid, positions: NDArray[np.float64], weights: NDArray[np.float64], width: Any
+) -> xr.DataArray:
+    """Return a volume of particles as normal curves, whose voxels add up to their weights.
+
+    Parameters
+    ----------
+    grid : VoxelGrid
+        The voxels.
+    positions : float64 array (n, 3)
+        Positions in mm; light beyond the grid is lost.
+    weights : float64 array (n,)
+        Light of each particle.
+    width : (float, float, float)
+        Standard deviations along x, y and z in mm.
+    """
+    values, axes, deviations = np.zeros(grid.shape), grid.axes, require_numbers("width", width, count=3, minimum=1e-9)
+    for position, weight in zip(positions, weights, strict=True):
+        spans, curves = [], []
+        for centre, axis, size, deviation in zip(position, axes, grid.voxel, deviations, strict=True):
+            span = slice(*np.searchsorted(axis, [centre - _TRUNCATED * deviation, centre + _TRUNCATED * deviation]))
+            curve = np.exp(-0.5 * ((axis[span] - centre) / deviation) ** 2)
+            spans.append(span)
+            curves.append(curve * size / (deviation * math.sqrt(2 * math.pi)))
+        x, y, z = curves
+        values[spans[2], spans[1], spans[0]] += weight * z[:, None, None] * y[:, None] * x
+    return grid.labelled(values)
+
+
+def quality(volume: xr.DataArray, reference: xr.DataArray) -> float:
+    """Return the correlation Q of a volume with its reference, without subtracting means.
+
+    Elsinga, Scarano, Wieneke and van Oudheusden 2006, Experiments in Fluids 41, 933, equation 11. It is 1 for volumes
+    that are the same but for a factor.
+    """
+    one, other = volume.values.astype(np.float64), reference.values.astype(np.float64)
+    refuse_if(one.shape != other.shape, f"reference of shape {other.shape}: the volume has {one.shape}")
+    size = math.sqrt(float((one**2).sum()) * float((other**2).sum()))
+    return float((one * other).sum()) / size if size else 0.0
+
+
+def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: Any) -> float:
+    """Return the part of a volume's light that is farther than `reach` from every particle.
+
+    Parameters
+    ----------
+    volume : xarray.DataArray (z, y, x)
+        The volume.
+    positions : float64 array (n, 3)
+        Positions of all particles in mm.
+    reach : (float, float, float)
+        Semi-axes along x, y and z, in mm, of the ellipsoid around a particle that is its own.
+    """
+    values, semi_axes = np.maximum(volume.values, 0), np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
+    whole = float(values.sum())
+    if not whole:
+        return 0.0
+    lit = np.argwhere(values > 0)
+    z, y, x = (volume[name].values[index] for name, index in zip("zyx", lit.T, strict=True))
+    if not len(positions):
+        return 1.0
+    away = cKDTree(positions / semi_axes).query(np.stack([x, y, z], -1) / semi_axes, distance_upper_bound=1.0)[0]
+    return float(values[tuple(lit[np.isinf(away)].T)].sum()) / whole
+
+
+def elongation(camera: PlenopticCamera, distance: float) -> float:
+    r"""Return how much less precisely the depth of a point is seen than its place across the axis: :math:`\sqrt2 g/a`.
+
+    Each part of the pupil of radius a sees the point from another direction. The slopes of these have the variance
+    :math:`(a / g)^2 / 4` along each axis, and both axes tell of the depth, so that the standard deviation of a least
+    squares estimate of depth over that of a lateral one is :math:`1 / \sqrt{2 (a / g)^2 / 4}`.
+    """
+    return math.sqrt(2) * distance / camera.aperture_radius
