@@ -21,6 +21,7 @@ from ...errors import require_accuracy, require_count, require_wavelength, sugge
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...runtime.batches import Job
+from ..inverse.stored import StoredOperator
 from .voxels import VoxelGrid
 
 
@@ -37,9 +38,12 @@ class VoxelProjector:
     wavelength : float
         Wavelength in nanometres.
     per_lens : int
-        Points to which a microlens has its light spread, along an axis: about as many as voxels to a lens.
+        Points to which a microlens has its light spread, along an axis: fewer blur more.
     accuracy : float
         Allowed relative error of the points' images, see `CaptureOperator`.
+    budget : float, optional
+        Memory in GiB in which all point spreads are stored, so that only the first product computes them. Default: they
+        are computed in each product.
 
     Raises
     ------
@@ -64,8 +68,9 @@ class VoxelProjector:
         grid: VoxelGrid,
         *,
         wavelength: float,
-        per_lens: int = 2,
+        per_lens: int = 4,
         accuracy: float = 0.1,
+        budget: float | None = None,
     ) -> None:
         wavelength, per_lens = require_wavelength(wavelength), require_count("per_lens", per_lens, maximum=32)
         points = grid.points
@@ -89,7 +94,12 @@ class VoxelProjector:
         # A little aside, so that points at the borders of lenses belong to one of them alike.
         places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
         at = lens.points(places, inverse)
-        self.points = CaptureOperator(camera, at, wavelength=wavelength, accuracy=require_accuracy(accuracy))
+        accuracy = require_accuracy(accuracy)
+        self.points: CaptureOperator = (
+            CaptureOperator(camera, at, wavelength=wavelength, accuracy=accuracy)
+            if budget is None
+            else StoredOperator(camera, at, wavelength=wavelength, accuracy=accuracy, budget=budget)
+        )
 
     def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""

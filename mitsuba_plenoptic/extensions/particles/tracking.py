@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
+from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
 from ...io.captures import Capture
 from ...runtime.batches import Progress
@@ -22,6 +23,12 @@ _STEP = 0.02
 
 _LARGEST_STEP = 0.5
 """Lateral motion in a step of least squares at most, over the same width."""
+
+_DAMPING, _MOST_DAMPING = 0.03, 10.0
+"""Damping of the first step, over the mean derivative, and that above which no step is tried any more."""
+
+_BUDGET = 8.0
+"""GiB that point spreads may take."""
 
 
 def locate_particles(
@@ -71,14 +78,15 @@ def refine_particles(
     light: NDArray[np.float64],
     *,
     wavelength: float | None = None,
-    iterations: int = 5,
-    accuracy: float = 0.0,
+    iterations: int = 4,
+    bins: Any = (4, 2, 1),
     progress: Progress | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return positions and light of particles that explain a capture by waves best, in the sense of least squares.
 
-    Gauss and Newton's steps from given positions, with derivatives by central differences of point spreads. Particles
-    count as points that light the pupil evenly.
+    Levenberg and Marquardt's steps from given positions, with derivatives by central differences of point spreads.
+    Point spreads have fringes, in which steps get stuck, so that the first ones explain sums of several pixels.
+    Particles count as points that light the pupil evenly, each with a point spread of its own.
 
     Parameters
     ----------
@@ -91,9 +99,9 @@ def refine_particles(
     wavelength : float, optional
         In nanometres. Default: that of the capture.
     iterations : int
-        Number of steps.
-    accuracy : float
-        Allowed relative error of point spreads; with 0 each particle has its own.
+        Number of steps for each of `bins`.
+    bins : sequence of int
+        Pixels along an axis that are added, in turn.
     progress : callable, optional
         Called with the numbers of steps done and of all.
 
@@ -101,39 +109,64 @@ def refine_particles(
     -------
     positions : float64 array (n, 3)
     light : float64 array (n,)
+
+    Raises
+    ------
+    InputError
+        If there is no particle, or the point spreads take more than 8 GiB.
     """
-    iterations = require_count("iterations", iterations)
-    given = capture.wavelength if wavelength is None else wavelength
-    camera, number = capture.camera, require_wavelength(given)
-    image = np.asarray(capture.image, np.float64).ravel()
-    positions, light, count = positions.astype(np.float64), light.astype(np.float64), len(positions)
+    iterations, count = require_count("iterations", iterations), len(positions)
+    wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
-    for step in range(iterations):
+    camera, damping = capture.camera, _DAMPING
+    levels = [level for level in bins for _ in range(iterations)]
+    for step, level in enumerate(levels):
         if progress:
-            progress(step, iterations)
+            progress(step, len(levels))
         lens = camera.mla_pitch * positions[:, 2] / camera.mla_distance
         scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
-        moves = _STEP * scale[:, :, None] * np.eye(3)
-        places = np.concatenate(
-            [positions[None], *((positions + sign * moves[:, axis])[None] for axis in range(3) for sign in (1, -1))]
-        )
-        operator = StoredOperator(camera, places.reshape(-1, 3), wavelength=number, accuracy=accuracy, budget=8.0)
-        spreads = operator.to_sparse()
-        own, *sides = (spreads[:, part * count : (part + 1) * count] for part in range(7))
-        columns = [own]
-        for axis in range(3):
-            # In units of the scale, so that all columns are alike in size.
-            slope = (sides[2 * axis] - sides[2 * axis + 1]) / (2 * _STEP)
-            columns.append(slope @ scipy.sparse.diags_array(light))
-        jacobian = scipy.sparse.hstack(columns, format="csc")
-        change = scipy.sparse.linalg.lsqr(jacobian, image - own @ light, atol=1e-6, btol=1e-6)[0].reshape(4, count)
-        moved = change[1:].T
-        longest = np.abs(moved).max(1, keepdims=True) / _LARGEST_STEP
-        positions = positions + scale * moved / np.maximum(1, longest)
-        light = np.maximum(light + change[0], 0)
+        summed = _summed(camera.shape, require_count("bins", level))
+        image = summed @ np.asarray(capture.image, np.float64).ravel()
+        own, slopes = _slopes(camera, positions, scale, wavelength)
+        jacobian = scipy.sparse.hstack([summed @ own, *(summed @ slope * light for slope in slopes)], format="csc")
+        error = image - summed @ (own @ light)
+        while True:
+            change = scipy.sparse.linalg.lsqr(
+                jacobian, error, damp=damping * float(np.sqrt(jacobian.power(2).sum() / (4 * count)))
+            )[0].reshape(4, count)
+            moved = positions + scale * np.clip(change[1:].T, -_LARGEST_STEP, _LARGEST_STEP)
+            lit = np.maximum(light + change[0], 0)
+            spreads = StoredOperator(camera, moved, wavelength=wavelength, accuracy=0, budget=_BUDGET).to_sparse()
+            better = np.linalg.norm(image - summed @ (spreads @ lit)) < np.linalg.norm(error)
+            damping = max(damping / 3, 1e-4) if better else damping * 4
+            if better:
+                positions, light = moved, lit
+            if better or damping > _MOST_DAMPING:
+                damping = min(damping, 1.0)
+                break
     if progress:
-        progress(iterations, iterations)
+        progress(len(levels), len(levels))
     return positions, light
+
+
+def _summed(shape: tuple[int, int], level: int) -> Any:
+    """Return the sparse matrix that adds level x level pixels of an image (rows, columns)."""
+    rows, columns = np.indices(shape) // level
+    index = (rows * (-(-shape[1] // level)) + columns).ravel()
+    return scipy.sparse.csr_array((np.ones(len(index)), (index, np.arange(len(index)))))
+
+
+def _slopes(
+    camera: PlenopticCamera, positions: NDArray[np.float64], scale: NDArray[np.float64], wavelength: float
+) -> tuple[Any, list[Any]]:
+    """Return the point spreads (pixels, n), and their derivatives along x, y and z for motions in units of `scale`."""
+    moves = _STEP * scale[:, None] * np.eye(3)
+    places = [positions, *(positions + sign * moves[:, axis] for axis in range(3) for sign in (1, -1))]
+    spreads = StoredOperator(
+        camera, np.concatenate(places), wavelength=wavelength, accuracy=0, budget=_BUDGET
+    ).to_sparse()
+    own, *sides = (spreads[:, part * len(positions) : (part + 1) * len(positions)] for part in range(7))
+    return own, [(sides[2 * axis] - sides[2 * axis + 1]) / (2 * _STEP) for axis in range(3)]
 
 
 def match_particles(
