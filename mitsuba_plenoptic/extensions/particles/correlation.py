@@ -55,7 +55,7 @@ def correlate_volumes(
     -------
     xarray.Dataset
         ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by the
-        median of its neighbours; ``correlation``, the correlation coefficient of the windows at the peak.
+        median of its neighbours; ``correlation``, the correlation coefficient of the windows then.
 
     Raises
     ------
@@ -125,13 +125,14 @@ def _displacement(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple
     reach = ((1 - _LEAST_OVERLAP) * size).astype(int)
     lags = [np.arange(-most, most + 1) for most in reach]
     products = products[np.ix_(*lags)]
-    # Fewer voxels meet at a displacement, which would draw peaks towards 0.
-    for axis, (lag, n) in enumerate(zip(lags, size, strict=True)):
-        products = products / np.expand_dims(1 - np.abs(lag) / n, [i for i in range(3) if i != axis])
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
     whole = float(np.linalg.norm(a) * np.linalg.norm(b))
+    coefficient = float(products[tuple(peak)]) / whole if whole else 0.0
+    # Fewer voxels meet at a displacement, which draws the peak towards 0.
+    for axis, (lag, n) in enumerate(zip(lags, size, strict=True)):
+        products = products / np.expand_dims(1 - np.abs(lag) / n, [i for i in range(3) if i != axis])
     shift = peak - reach + [_beside(products, peak, axis) for axis in range(3)]
-    return shift, float(products[tuple(peak)]) / whole if whole else 0.0
+    return shift, coefficient
 
 
 def _beside(products: NDArray[np.float64], peak: NDArray[np.int64], axis: int) -> float:

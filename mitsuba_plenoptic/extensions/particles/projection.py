@@ -1,15 +1,13 @@
 r"""Voxels onto pixels by waves: a volume's planes on points that share point spreads from lens to lens.
 
 Point spreads repeat from lens to lens of the array (see `points.accuracy`), but the voxels of a rectangular grid are
-imaged to other places of the lenses in each plane, and hardly any two share one. So the light of a voxel is spread
-evenly, by the bilinear weights W, over the four nearest of points that lie regularly on the lenses of the plane's
-image, and these share spreads: the operator is :math:`A W`, and its adjoint :math:`W^T A^T`. A voxel is then a tent of
-the width of these points, not a point, as befits a volume.
+imaged to other places of the lenses in each plane, and hardly any two share one. So the point spread of a voxel is
+interpolated between the four nearest of points that lie regularly on the lenses of the plane's image, by bilinear
+weights W, and these share spreads: the operator is :math:`A W`, and its adjoint :math:`W^T A^T`.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -38,7 +36,7 @@ class VoxelProjector:
     wavelength : float
         Wavelength in nanometres.
     per_lens : int
-        Points to which a microlens has its light spread, along an axis: fewer blur more.
+        Points to a microlens along an axis between which point spreads are interpolated.
     accuracy : float
         Allowed relative error of the points' images, see `CaptureOperator`.
     budget : float, optional
@@ -75,10 +73,7 @@ class VoxelProjector:
         wavelength, per_lens = require_wavelength(wavelength), require_count("per_lens", per_lens, maximum=32)
         points = grid.points
         lens = OpticalSystem(camera, wavelength).waves_of(points)
-        # The vectors of the lattice, the first of which is along its rows.
-        angle = math.radians(camera.mla_rotation or 0.0)
-        turned = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-        basis = np.array(camera.lattice.basis) @ turned
+        basis = np.array(camera.lattice.basis)
         steps = (lens.images(points) - np.array(camera.mla_offset)) @ np.linalg.inv(basis) * per_lens
         plane = np.repeat(np.arange(grid.shape[0]), len(points) // grid.shape[0])
         low = np.floor(steps).astype(np.int64)

@@ -55,7 +55,9 @@ def locate_particles(
     refuse_if(not values.any(), "volume: it is empty")
     box = tuple(int(n) // 2 * 2 + 1 for n in require_numbers("apart", apart, count=3, minimum=1))
     threshold = require_number("threshold", threshold, minimum=0, maximum=1)
-    peaks = np.argwhere((values == maximum_filter(values, box)) & (values >= threshold * values.max()))
+    # Of equal values that lie side by side, the last one counts.
+    ranked = values * (1 + np.linspace(0, 1e-9, values.size).reshape(values.shape))
+    peaks = np.argwhere((ranked == maximum_filter(ranked, box)) & (values >= threshold * values.max()))
     half = [n // 2 for n in box]
     padded = np.pad(values, [(n, n) for n in half])
     positions, light = np.empty((len(peaks), 3)), np.empty(len(peaks))

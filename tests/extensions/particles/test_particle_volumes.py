@@ -1,0 +1,223 @@
+"""Reconstruction against dense matrices, correlation on exact shifts, and tracking against known positions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import particles as pt
+
+CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+GRID = pt.VoxelGrid((-0.2, -0.2, 236), (0.2, 0.2, 246), (2, 3, 3))
+
+
+class Dense:
+    """A matrix as a projector."""
+
+    def __init__(self, matrix, shape):
+        self.matrix, self.shape = matrix, shape
+
+    def forward(self, weights):
+        return (self.matrix @ weights).reshape(self.shape)
+
+    def adjoint(self, image):
+        return self.matrix.T @ np.ravel(image)
+
+
+def dense_case(count=18, pixels=60):
+    random = np.random.default_rng(5)
+    matrix = random.random((pixels, count)) * (random.random((pixels, count)) < 0.4)
+    light = np.where(random.random(count) < 0.3, random.random(count), 0)
+    return Dense(matrix, (10, 6)), light
+
+
+@pytest.mark.parametrize("method", ["mart", "sirt"])
+def test_steps_are_those_of_a_dense_matrix(method):
+    operator, light = dense_case()
+    image = operator.forward(light) + 0.05
+    found = pt.reconstruct_volume(operator, image, GRID, method=method, iterations=7, relaxation=0.8)
+    A, b = operator.matrix, image.ravel()
+    x = np.full(A.shape[1], b.sum() / A.sum())
+    for _ in range(7):
+        if method == "mart":
+            x = x * np.exp(0.8 * np.array([A[:, j] @ np.log(b / (A @ x)) / A[:, j].sum() for j in range(len(x))]))
+        else:
+            part = (b - A @ x) / A.sum(1)
+            x = np.maximum(x + 0.8 * np.array([A[:, j] @ part / A[:, j].sum() for j in range(len(x))]), 0)
+    assert_allclose(found.values.ravel(), x, rtol=1e-5, atol=1e-7)
+    assert found.dims == ("z", "y", "x")
+    assert_allclose(found["z"], [238.5, 243.5])
+
+
+@pytest.mark.parametrize("method", ["mart", "sirt"])
+def test_what_a_consistent_system_determines_is_found(method):
+    operator, light = dense_case()
+    image = operator.forward(light)
+    found = pt.reconstruct_volume(operator, image, GRID, method=method, iterations=6000)
+    assert_allclose(found.values.ravel(), light, atol=0.02)
+
+
+def test_steps_stop_and_go_on(tmp_path):
+    operator, light = dense_case()
+    image = operator.forward(light)
+    whole = pt.reconstruct_volume(operator, image, GRID, iterations=40)
+    assert whole.attrs["stopped"] == "iterations"
+    noisy = pt.reconstruct_volume(operator, image, GRID, iterations=40, noise=0.1)
+    assert noisy.attrs["stopped"] == "noise" and noisy.attrs["iterations"] < 40
+    assert noisy.attrs["residual"] * np.sqrt((image**2).mean()) <= 0.1
+    assert pt.reconstruct_volume(operator, image, GRID, iterations=40, tolerance=0.2).attrs["stopped"] == "tolerance"
+    # A run stopped after 15 steps goes on with the same bits.
+    saved = mp.Checkpoint(tmp_path / "volume.checkpoint", "resume")
+
+    def stop(done, total):
+        if done == 15:
+            saved.stop()
+
+    with pytest.raises(KeyboardInterrupt), saved:
+        pt.reconstruct_volume(operator, image, GRID, iterations=40, progress=stop, checkpoint=saved)
+    with mp.Checkpoint(tmp_path / "volume.checkpoint", "resume") as saved:
+        steps = []
+        again = pt.reconstruct_volume(
+            operator, image, GRID, iterations=40, progress=lambda *done: steps.append(done[0]), checkpoint=saved
+        )
+    assert steps[0] == 16
+    assert (again.values == whole.values).all()
+
+
+def test_voxels_have_point_spreads_between_those_of_regular_points():
+    grid = pt.VoxelGrid((-0.09, -0.07, 235), (0.11, 0.13, 237), (1, 2, 2))
+    light, errors = np.array([1.0, 0.5, 0.0, 2.0]), []
+    exact = mp.CaptureOperator(CAMERA, grid.points, wavelength=550, accuracy=0).forward(light)
+    for per_lens in (2, 10):
+        projector = pt.VoxelProjector(CAMERA, grid, wavelength=550, per_lens=per_lens, accuracy=0)
+        image = projector.forward(light)
+        assert abs(float(image.sum() / exact.sum()) - 1) < 0.005
+        errors.append(np.linalg.norm(image - exact) / np.linalg.norm(exact))
+    assert errors[1] < min(0.08, errors[0] / 4)
+    other = np.random.default_rng(3).random(image.shape).astype(np.float32)
+    assert_allclose((image * other).sum(dtype=float), projector.adjoint(other) @ light, rtol=1e-4)
+    stored = pt.VoxelProjector(CAMERA, grid, wavelength=550, per_lens=10, accuracy=0, budget=1.0)
+    assert_allclose(stored.forward(light), image, atol=1e-4 * image.max())
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [CAMERA.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02)), CAMERA.replace(mla_lattice="hexagonal")],
+    ids=["rotated", "hexagonal"],
+)
+def test_points_between_voxels_follow_the_lattice(camera):
+    grid = pt.VoxelGrid((-0.09, -0.07, 235), (0.11, 0.13, 237), (1, 2, 2))
+    projector = pt.VoxelProjector(camera, grid, wavelength=550, per_lens=3)
+    # The light of a voxel is about its own place, and the points are a whole number of thirds of lattice steps apart.
+    assert_allclose(projector._spread.T @ projector.points.points, grid.points, atol=1e-5)
+    between = (projector.points.points[:, :2] - projector.points.points[0, :2]) * -120 / 236
+    turn = np.radians(camera.mla_rotation)
+    unturned = between @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    steps = unturned @ np.linalg.inv(camera.replace(mla_rotation=0.0).lattice.basis) * 3
+    assert_allclose(steps, np.rint(steps), atol=1e-6)
+
+
+def test_quality_and_ghosts():
+    grid = pt.VoxelGrid((-1, -1, 99), (1, 1, 101), (20, 40, 40))
+    places, light = np.array([[0.2, 0.1, 100], [-0.5, 0.4, 99.7]]), np.array([1.0, 2.0])
+    volume = pt.drawn_particles(grid, places, light, (0.1, 0.1, 0.2))
+    assert_allclose(float(volume.sum()), 3, rtol=2e-3)
+    assert_allclose(float((volume * volume["x"]).sum() / volume.sum()), (0.2 - 1.0) / 3, atol=1e-3)
+    assert pt.quality(volume, 5 * volume) == pytest.approx(1)
+    # Two curves of the same width, a distance d apart: exp(-d^2 / 4 s^2).
+    one, other = (pt.drawn_particles(grid, np.array([[x, 0, 100]]), light[:1], (0.1, 0.1, 0.2)) for x in (0, 0.15))
+    assert pt.quality(one, other) == pytest.approx(np.exp(-(0.15**2) / 0.04), abs=2e-3)
+    assert pt.ghost_fraction(volume, places, (0.5, 0.5, 1)) == pytest.approx(0, abs=1e-5)
+    assert pt.ghost_fraction(volume, places[:1], (0.35, 0.35, 0.5)) == pytest.approx(2 / 3, abs=0.02)
+    assert pt.elongation(CAMERA, 240) == pytest.approx(2**0.5 * 240 / 5)
+
+
+def shifted_pair(move):
+    grid = pt.VoxelGrid((-1, -1, 99), (1, 1, 103), (32, 48, 48))
+    random = np.random.default_rng(8)
+    low, high = np.array([-1.3, -1.3, 98.4]), np.array([1.3, 1.3, 103.6])
+    places, light = random.uniform(low, high, (500, 3)), random.uniform(0.5, 1, 500)
+    widths = (0.05, 0.05, 0.15)
+    return [pt.drawn_particles(grid, places + step, light, widths) for step in (0.0, move(places))]
+
+
+def test_correlation_finds_exact_shifts():
+    # 2.4, -1.3 and 3.2 voxels.
+    move = np.array([0.1, -0.054, 0.4])
+    found = pt.correlate_volumes(*shifted_pair(lambda places: move), window=(16, 16, 16))
+    voxel = np.array([2 / 48, 2 / 48, 4 / 32])
+    error = (found["displacement"].values - move) / voxel
+    assert np.sqrt((error**2).mean((0, 1, 2))).max() < 0.15
+    assert np.abs(error.mean((0, 1, 2))).max() < 0.05
+    assert found.sizes == {"z": 3, "y": 5, "x": 5, "axis": 3}
+    assert_allclose(found["x"][0], -1 + 8 / 24, atol=1e-9)
+
+
+def test_correlation_finds_a_shear():
+    rate = 0.05
+    found = pt.correlate_volumes(
+        *shifted_pair(lambda p: np.stack([rate * (p[:, 2] - 101), 0 * p[:, 0], 0 * p[:, 0]], -1)), window=(8, 24, 24)
+    )
+    expected = rate * (found["z"] - 101)
+    middle = found["displacement"].sel(axis="x").median(("x", "y"))
+    assert np.abs(middle - expected)[1:-1].max() < 0.012
+    assert np.polyfit(found["z"][1:-1], middle[1:-1], 1)[0] == pytest.approx(rate, rel=0.1)
+
+
+def test_outliers_are_replaced():
+    first, second = shifted_pair(lambda places: np.array([0.1, 0, 0]))
+    # Noise instead of particles in one window.
+    second[8:16, 16:32, 16:32] = np.random.default_rng(1).random((8, 16, 16)) * 0.1
+    found = pt.correlate_volumes(first, second, window=(8, 16, 16), overlap=0)
+    assert found["outlier"].values[1, 1, 1]
+    assert found["outlier"].sum() < 4
+    assert np.abs(found["displacement"].values[1, 1, 1] - [0.1, 0, 0]).max() < 0.05
+
+
+def test_particles_are_located_and_matched():
+    grid = pt.VoxelGrid((-1, -1, 99), (1, 1, 101), (20, 40, 40))
+    places = np.array([[0.21, 0.1, 100.03], [-0.51, 0.42, 99.7], [0.62, -0.63, 100.4]])
+    found, light = pt.locate_particles(
+        pt.drawn_particles(grid, places, np.array([1, 2, 1.5]), (0.06, 0.06, 0.12)), apart=(7, 7, 7)
+    )
+    order = np.argsort(light)
+    assert_allclose(found[order], places[[0, 2, 1]], atol=0.01)
+    assert_allclose(light[order], [1, 1.5, 2], rtol=0.03)
+    move = np.array([0.3, 0, 0.1])
+    second = np.concatenate([places[::-1] + move + 0.01, [[5, 5, 5]]])
+    first, other = pt.match_particles(places, second, np.broadcast_to(move, places.shape), (0.1, 0.1, 0.2))
+    assert (first, other) == (pytest.approx([0, 1, 2]), pytest.approx([2, 1, 0]))
+
+
+def test_least_squares_find_positions_and_light():
+    places, light = np.array([[0.05, 0.02, 231.0], [-0.07, -0.04, 250.0]]), np.array([1.0, 0.6])
+    image = mp.CaptureOperator(CAMERA, places, wavelength=550, accuracy=0).forward(light)
+    start = places + np.array([[0.01, -0.01, 0.3], [-0.01, 0.01, -0.3]])
+    capture = mp.Capture(image, CAMERA, 550.0, "wave")
+    found, power = pt.refine_particles(capture, start, np.ones(2), iterations=3, bins=(2, 1))
+    assert np.abs((found - places)[:, :2]).max() < 5e-4
+    assert np.abs((found - places)[:, 2]).max() < 0.03
+    assert_allclose(power, light, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("build", "line"),
+    [
+        (lambda: pt.VoxelGrid((0, 0, 1), (1, 1, 1), (2, 2, 2)), "the volume is empty"),
+        (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (0, 2, 2)), "shape = 0: it must be at least 1"),
+        (lambda: pt.reconstruct_volume(dense_case()[0], np.zeros((10, 6)), GRID), "dark everywhere"),
+        (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels: the operator's"),
+        (lambda: pt.reconstruct_volume(dense_case()[0], np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
+        (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(4, 4, 4)), "first: the volume is empty"),
+        (lambda: pt.correlate_volumes(EMPTY, EMPTY, window=(9, 4, 4)), r"window = \(9, 4, 4\): the volumes have"),
+        (lambda: pt.locate_particles(EMPTY), "volume: it is empty"),
+    ],
+)
+def test_bad_volumes_are_refused_in_one_line(build, line):
+    with pytest.raises(mp.InputError, match=line):
+        build()
+
+
+EMPTY = pt.VoxelGrid((0, 0, 0), (1, 1, 1), (4, 4, 4)).labelled(np.zeros(64))
