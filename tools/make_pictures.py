@@ -33,6 +33,7 @@ from picture_layout import DPI, WIDTH, coloured, drawn, in_browser, narrowed, sh
 from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.errors import require_choice
 from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
@@ -479,6 +480,46 @@ def dual_pixel() -> Image.Image:
         "Disparity: blue -8, yellow 4 lenses": coloured(disparity, -8, 4, unknown=128),
     }
     return sheet([list(panels.items())[:2], list(panels.items())[2:]])
+
+
+@picture
+def particles() -> Image.Image:
+    """Show particles by waves and by rays, and from above those found again beside those that were there."""
+    camera = mp.PlenopticCamera(
+        focal_length=50,
+        aperture_radius=6.25,
+        focus_distance=100,
+        mla_pitch=0.125,
+        mla_focal_length=1.0,
+        detector_width=2.0,
+        resolution=(256, 256),
+    )
+    box = pt.ParticleVolume((-0.75, -0.75, 96), (0.75, 0.75, 104))
+    flow = pt.HillVortex(speed=1.5, radius=3.0, axis="x", centre=(0, 0, 100))
+    truth = pt.particle_sequence(camera, box, pt.Seeding(count=16, diameter=1), flow, interval=0.12, seed=3)
+    captures = [pt.ParticleImages(truth, wavelength=550, model=model).capture(0) for model in ("wave", "ray")]
+    grid = pt.VoxelGrid((-0.85, -0.85, 95), (0.85, 0.85, 105), (20, 28, 28))
+    volume = pt.reconstruct_volume(
+        pt.VoxelProjector(camera, grid, wavelength=550, per_lens=2, budget=3.0), captures[0], grid
+    )
+    canvas, side = Canvas(WIDTH, 2.9, DPI), 2.35
+    for column, (capture, title) in enumerate(zip(captures, ("By waves", "By rays"), strict=True)):
+        axes = canvas.axes(column * (side + 0.06), 0.24, side, side)
+        axes.imshow(np.sqrt(np.maximum(capture.image, 0)), cmap="gray", vmax=0.12, interpolation="none")
+        axes.set_axis_off()
+        axes.set_title(title, size=9, loc="left", pad=3)
+    axes = canvas.axes(2 * (side + 0.06) + 0.3, 0.24, WIDTH - 2 * (side + 0.06) - 0.34, side)
+    above = volume.max("y")
+    axes.pcolormesh(above["x"], above["z"], np.sqrt(above), cmap="gray")
+    chosen = truth["inside"].values[0] == 1
+    place, move = truth["position"].values[0, chosen], truth["displacement"].values[0, chosen]
+    axes.quiver(
+        place[:, 0], place[:, 2], move[:, 0], move[:, 2], color="tab:orange", angles="xy", scale_units="xy", scale=1
+    )
+    axes.set_title("Volume, z over x in mm", size=9, loc="left", pad=3)
+    axes.set_xticks([-0.5, 0, 0.5], ["-0.5", "0", "0.5"], fontsize=8)
+    axes.set_yticks([96, 100, 104], ["96", "100", "104"], fontsize=8)
+    return drawn(canvas)
 
 
 @picture

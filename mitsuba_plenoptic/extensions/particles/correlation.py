@@ -9,7 +9,7 @@ and replaced by the neighbours' median. Later passes displace the second volume'
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.fft
@@ -31,7 +31,7 @@ def correlate_volumes(
     first: xr.DataArray,
     second: xr.DataArray,
     *,
-    window: Any,
+    window: Sequence[int],
     overlap: float = 0.5,
     passes: int = 2,
     progress: Progress | None = None,

@@ -7,10 +7,9 @@ All are free of divergence, so that particles that are spread evenly stay so. A 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -38,11 +37,11 @@ def _cylinder(axis: str) -> list[int]:
     return [(last + 1) % 3, (last + 2) % 3, last]
 
 
-def _centre(value: Any) -> tuple[float, ...]:
+def _centre(value: Sequence[float]) -> tuple[float, ...]:
     return require_numbers("centre", value, count=3, minimum=-1e9, maximum=1e9)
 
 
-def _speed(name: str, value: Any) -> float:
+def _speed(name: str, value: float) -> float:
     return require_number(name, value, minimum=-_FASTEST, maximum=_FASTEST)
 
 
@@ -55,6 +54,13 @@ class Flow:
 
     def advected(self, points: Points, time: float) -> Points:
         """Return where particles at some positions are after a time in seconds, which may be negative.
+
+        Parameters
+        ----------
+        points : float64 array (n, 3)
+            Positions in mm.
+        time : float
+            The time.
 
         Raises
         ------
@@ -77,9 +83,14 @@ class Flow:
 
 @dataclass(frozen=True)
 class Uniform(Flow):
-    """The same velocity everywhere."""
+    """The same velocity everywhere.
 
-    # Velocity in mm/s along x, y and z.
+    Parameters
+    ----------
+    speed : (float, float, float)
+        Velocity along x, y and z in mm/s.
+    """
+
     speed: tuple[float, ...] = (1.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -97,11 +108,19 @@ class Uniform(Flow):
 
 @dataclass(frozen=True)
 class Shear(Flow):
-    """A velocity along one axis that grows evenly along another one, 0 at the centre."""
+    """A velocity along one axis that grows evenly along another one.
 
-    # Growth of the velocity in 1/s.
+    Parameters
+    ----------
+    rate : float
+        Growth of the velocity in 1/s.
+    along, across : {"x", "y", "z"}
+        Axis of the velocity, and axis along which it grows.
+    centre : (float, float, float)
+        A place in mm where the velocity is 0.
+    """
+
     rate: float = 1.0
-    # Axis of the velocity, and axis along which it grows.
     along: str = "x"
     across: str = "z"
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
@@ -125,14 +144,23 @@ class Shear(Flow):
 
 @dataclass(frozen=True)
 class TaylorGreen(Flow):
-    """Rows of square vortices that turn about one axis, each against its neighbours (Taylor and Green 1937)."""
+    """Rows of square vortices that turn about one axis, each against its neighbours (Taylor and Green 1937).
 
-    # Largest velocity in mm/s.
+    Parameters
+    ----------
+    speed : float
+        Largest velocity in mm/s.
+    length : float
+        Width of a vortex in mm.
+    axis : {"x", "y", "z"}
+        Axis about which they turn.
+    centre : (float, float, float)
+        A corner of four vortices, in mm.
+    """
+
     speed: float = 1.0
-    # Width of a vortex in mm.
     length: float = 2.0
     axis: str = "z"
-    # A corner of four vortices.
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
 
     def __post_init__(self) -> None:
@@ -152,11 +180,21 @@ class TaylorGreen(Flow):
 
 @dataclass(frozen=True)
 class LambOseen(Flow):
-    r"""A line vortex with a core, at one moment: :math:`v = \Gamma / 2 \pi r \, (1 - e^{-r^2 / c^2})` (Lamb 1932)."""
+    r"""A line vortex with a core, at one moment: :math:`v = \Gamma / 2 \pi r \, (1 - e^{-r^2 / c^2})` (Lamb 1932).
 
-    # Circulation in mm^2/s.
+    Parameters
+    ----------
+    circulation : float
+        Circulation :math:`\Gamma` in mm^2/s.
+    core : float
+        Radius c of the core in mm.
+    axis : {"x", "y", "z"}
+        Axis about which it turns.
+    centre : (float, float, float)
+        A point of its axis, in mm.
+    """
+
     circulation: float = 10.0
-    # Radius of the core in mm.
     core: float = 0.5
     axis: str = "z"
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
@@ -197,11 +235,20 @@ class HillVortex(Flow):
 
     The stream function is :math:`\tfrac34 U r^2 (1 - R^2 / a^2)` within the sphere of radius a, and
     :math:`-\tfrac12 U r^2 (1 - a^3 / R^3)` outside; R is the distance from the centre, r that from the axis.
+
+    Parameters
+    ----------
+    speed : float
+        Velocity U in mm/s.
+    radius : float
+        Radius a of the sphere in mm.
+    axis : {"x", "y", "z"}
+        Axis of the vortex.
+    centre : (float, float, float)
+        Centre of the sphere, in mm.
     """
 
-    # Velocity U in mm/s.
     speed: float = 1.0
-    # Radius of the sphere in mm.
     radius: float = 2.0
     axis: str = "z"
     centre: tuple[float, ...] = (0.0, 0.0, 240.0)
@@ -233,9 +280,19 @@ class ImportedFlow(Flow):
 
     The NetCDF file, or `xarray.Dataset`, has the variables u, v and w, in mm/s along x, y and z of the camera frame, on
     the dimensions x, y and z in mm.
+
+    Parameters
+    ----------
+    field : path or xarray.Dataset
+        The file or the data set.
+
+    Raises
+    ------
+    InputError
+        If it is no velocity field, or a particle leaves its grid.
     """
 
-    field: Any = None
+    field: str | Path | xr.Dataset
 
     def __post_init__(self) -> None:
         name = str(self.field) if isinstance(self.field, (str, Path)) else "field"

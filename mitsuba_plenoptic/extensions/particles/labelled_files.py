@@ -15,15 +15,40 @@ _PER_BYTE = 3
 
 
 def write_netcdf(path: str | Path, data: xr.Dataset) -> None:
-    """Write a data set as NetCDF 3, which ``xarray.open_dataset`` and most other programs read."""
+    """Write a data set as NetCDF 3, which ``xarray.open_dataset`` and most other programs read.
+
+    Parameters
+    ----------
+    path : path
+        File to write, whose name ends in ``.nc``.
+    data : xarray.Dataset
+        The data set.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
     with atomic_output(Path(path), ".nc") as temporary:
         data.to_netcdf(temporary, engine="scipy")
 
 
-def read_netcdf(path: str | Path, what: str) -> xr.Dataset:
-    """Return the data set in a file of NetCDF 3; `what` names its content in messages.
+def read_netcdf(path: str | Path, what: str = "a data set") -> xr.Dataset:
+    """Return the data set in a file of NetCDF 3.
 
     NetCDF 4 is HDF5, whose files can link to others, and is not read.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    what : str
+        Name of its content in messages.
+
+    Raises
+    ------
+    InputError
+        If it is another file, or damaged.
     """
     path = require_file(path)
     with refusing(f"{path}: it cannot be read as {what}:"):

@@ -12,7 +12,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_choice, require_length, require_number
 from ...io.captures import Capture
 from .flows import FLOWS, Flow
-from .images import ParticleImages
+from .particle_images import ParticleImages
 from .seeding import LightSheet, ParticleVolume, Seeding
 from .sequence import particle_sequence
 

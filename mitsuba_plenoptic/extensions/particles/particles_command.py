@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +14,9 @@ from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_known, short_repr
 from ...io.captures import MODELS
 from ...runtime.progress import progress_bar
+
+if TYPE_CHECKING:
+    from .flows import Flow
 
 _FILE = "particles.nc"
 """File of the particles in the output's folder."""
@@ -73,18 +78,18 @@ def particles(
 
     [bold]Examples:[/bold]
 
-      mitsuba-plenoptic particles -o pair --volume=-6,-6,230,6,6,250 --per-lens 0.05
+      mitsuba-plenoptic particles -o pair --volume -6,-6,230,6,6,250 --per-lens 0.05
       --flow hill:speed=4,radius=5 --interval 0.1
 
-      mitsuba-plenoptic particles -o pair --volume=-6,-6,230,6,6,250 --per-lens 0.05
+      mitsuba-plenoptic particles -o pair --volume -6,-6,230,6,6,250 --per-lens 0.05
       --flow hill:speed=4,radius=5 --interval 0.1 --model ray --photons 1e5
     """
     from ...camera import PlenopticCamera
     from ...io.captures import write_capture
     from ...light.detector import Detector, expose
     from .flows import FLOWS
-    from .images import ParticleImages
     from .labelled_files import write_netcdf
+    from .particle_images import ParticleImages
     from .seeding import LightSheet, ParticleVolume, Seeding
     from .sequence import particle_sequence
 
@@ -128,7 +133,7 @@ def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
     return values
 
 
-def _flow(text: str, flows: dict[str, Any], centre: tuple[float, ...]) -> Any:
+def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: tuple[float, ...]) -> Flow:
     """Return the flow that an option states, as NAME:KEY=VALUE,..., with numbers of a vector separated by slashes.
 
     Where the option states no centre, it is the given one.
@@ -137,7 +142,7 @@ def _flow(text: str, flows: dict[str, Any], centre: tuple[float, ...]) -> Any:
     kind = flows[require_choice("flow", name, tuple(flows))]
     if name == "file":
         return kind(rest)
-    known = tuple(kind.__dataclass_fields__)
+    known = tuple(inspect.signature(kind).parameters)
     values: dict[str, Any] = {"centre": centre} if "centre" in known else {}
     for part in filter(None, rest.split(",")):
         key, equals, value = part.partition("=")

@@ -8,11 +8,9 @@ weights W, and these share spreads: the operator is :math:`A W`, and its adjoint
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import require_accuracy, require_count, require_wavelength, suggest_keywords
@@ -96,10 +94,10 @@ class VoxelProjector:
             else StoredOperator(camera, at, wavelength=wavelength, accuracy=accuracy, budget=budget)
         )
 
-    def forward(self, weights: Any, *, job: Job | None = None) -> NDArray[np.float32]:
+    def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
         return self.points.forward(self._spread @ np.asarray(weights, np.float64), job=job)
 
-    def adjoint(self, image: Any, *, job: Job | None = None) -> NDArray[np.float64]:
+    def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> NDArray[np.float64]:
         """Return each voxel's inner product with an image, (n,)."""
         return np.asarray(self._spread.T @ self.points.adjoint(image, job=job))

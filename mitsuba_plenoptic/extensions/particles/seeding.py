@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_choice, require_length, require_number, require_numbers, suggest_keywords
+
+Record = TypeVar("Record")
 
 MOST = 10**7
 """Particles at most."""
@@ -49,7 +51,7 @@ class ParticleVolume:
     @property
     def size(self) -> NDArray[np.float64]:
         """Extent along x, y and z."""
-        return np.subtract(self.upper, self.lower)
+        return np.array(self.upper) - np.array(self.lower)
 
     @property
     def centre(self) -> tuple[float, ...]:
@@ -212,7 +214,7 @@ class Seeding:
         return np.asarray(self.diameter * np.exp(self.spread * random.normal(size=count)))
 
 
-def from_plain(kind: type[Any], values: dict[str, Any]) -> Any:
+def from_plain(kind: type[Record], values: dict[str, Any]) -> Record:
     """Return a record made of plain values, in which a complex number is a pair."""
     index = values.get("index")
     return kind(**values | ({"index": complex(*index)} if isinstance(index, (list, tuple)) else {}))

@@ -40,10 +40,10 @@ _LEAST_SEEN = 1e-3
 class Projector(Protocol):
     """A linear map from the light of voxels to pixels, with its transpose, such as a `CaptureOperator`."""
 
-    def forward(self, weights: Any, /) -> NDArray[Any]:
+    def forward(self, weights: NDArray[np.float64], /) -> NDArray[Any]:
         """Return the image of voxels."""
 
-    def adjoint(self, image: Any, /) -> NDArray[Any]:
+    def adjoint(self, image: NDArray[np.float32], /) -> NDArray[Any]:
         """Return each voxel's inner product with an image."""
 
 
@@ -82,7 +82,7 @@ class Steps:
 @suggest_keywords
 def reconstruct_volume(
     operator: Projector,
-    capture: Capture | NDArray[Any],
+    capture: Capture | NDArray[np.float32],
     grid: VoxelGrid,
     *,
     method: str = "mart",
@@ -168,5 +168,6 @@ def reconstruct_volume(
             checkpoint.save_arrays(partial(dict, values=values, residuals=residuals))
     if progress:
         progress(iterations, iterations)
-    facts = {"method": method, "iterations": len(residuals), "residual": float(residuals[-1]), "stopped": stopped}
-    return grid.labelled(values, **facts)
+    return grid.labelled(
+        values, method=method, iterations=len(residuals), residual=float(residuals[-1]), stopped=stopped
+    )

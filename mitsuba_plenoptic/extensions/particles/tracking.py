@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ _BUDGET = 8.0
 
 
 def locate_particles(
-    volume: xr.DataArray, *, threshold: float = 0.1, apart: Any = (3, 3, 3)
+    volume: xr.DataArray, *, threshold: float = 0.1, apart: Sequence[int] = (3, 3, 3)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return positions (n, 3) in mm and the light (n,) of the local maxima of a volume.
 
@@ -81,7 +82,7 @@ def refine_particles(
     *,
     wavelength: float | None = None,
     iterations: int = 4,
-    bins: Any = (4, 2, 1),
+    bins: Sequence[int] = (4, 2, 1),
     progress: Progress | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return positions and light of particles that explain a capture by waves best, in the sense of least squares.
@@ -172,7 +173,7 @@ def _slopes(
 
 
 def match_particles(
-    first: NDArray[np.float64], second: NDArray[np.float64], predicted: NDArray[np.float64], reach: Any
+    first: NDArray[np.float64], second: NDArray[np.float64], predicted: NDArray[np.float64], reach: Sequence[float]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the indices of particles of two frames that are the same ones.
 

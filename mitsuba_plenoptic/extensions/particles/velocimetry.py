@@ -7,9 +7,9 @@
 
 from .correlation import correlate_volumes
 from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
-from .images import ParticleImages
 from .labelled_files import read_netcdf, write_netcdf
 from .mie import cross_sections
+from .particle_images import ParticleImages
 from .projection import VoxelProjector
 from .seeding import LightSheet, ParticleVolume, Seeding
 from .sequence import particle_sequence

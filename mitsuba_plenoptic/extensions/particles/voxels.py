@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,7 +70,7 @@ class VoxelGrid:
         x, y, z = self.axes
         return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], -1).reshape(-1, 3)
 
-    def labelled(self, values: NDArray[Any], **attributes: Any) -> xr.DataArray:
+    def labelled(self, values: NDArray[Any], **attributes: str | float) -> xr.DataArray:
         """Return values of all voxels with their coordinates in millimetres."""
         x, y, z = ((name, axis, {"units": "mm"}) for name, axis in zip("xyz", self.axes, strict=True))
         return xr.DataArray(
@@ -78,7 +79,7 @@ class VoxelGrid:
 
 
 def drawn_particles(
-    grid: VoxelGrid, positions: NDArray[np.float64], weights: NDArray[np.float64], width: Any
+    grid: VoxelGrid, positions: NDArray[np.float64], weights: NDArray[np.float64], width: Sequence[float]
 ) -> xr.DataArray:
     """Return a volume of particles as normal curves, whose voxels add up to their weights.
 
@@ -111,6 +112,11 @@ def quality(volume: xr.DataArray, reference: xr.DataArray) -> float:
 
     Elsinga, Scarano, Wieneke and van Oudheusden 2006, Experiments in Fluids 41, 933, equation 11. It is 1 for volumes
     that are the same but for a factor.
+
+    Parameters
+    ----------
+    volume, reference : xarray.DataArray (z, y, x)
+        The volumes, of the same shape.
     """
     one, other = volume.values.astype(np.float64), reference.values.astype(np.float64)
     refuse_if(one.shape != other.shape, f"reference of shape {other.shape}: the volume has {one.shape}")
@@ -118,7 +124,7 @@ def quality(volume: xr.DataArray, reference: xr.DataArray) -> float:
     return float((one * other).sum()) / size if size else 0.0
 
 
-def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: Any) -> float:
+def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: Sequence[float]) -> float:
     """Return the part of a volume's light that is farther than `reach` from every particle.
 
     Parameters
@@ -148,5 +154,12 @@ def elongation(camera: PlenopticCamera, distance: float) -> float:
     Each part of the pupil of radius a sees the point from another direction. The slopes of these have the variance
     :math:`(a / g)^2 / 4` along each axis, and both axes tell of the depth, so that the standard deviation of a least
     squares estimate of depth over that of a lateral one is :math:`1 / \sqrt{2 (a / g)^2 / 4}`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    distance : float
+        Distance g of the point from the main lens, in mm.
     """
     return math.sqrt(2) * distance / camera.aperture_radius

@@ -181,7 +181,7 @@ def test_data_sets_hold_pairs(tmp_path):
 def test_the_command_writes_pairs(run, complaint, tmp_path):
     camera = tmp_path / "camera.json"
     camera.write_text(json.dumps({"detector_width": 0.512, "resolution": [128, 128]}))
-    common = ["particles", "-o", tmp_path / "pair", "--camera", camera, "--volume=-0.3,-0.3,236,0.3,0.3,244"]
+    common = ["particles", "-o", tmp_path / "pair", "--camera", camera, "--volume", "-0.3,-0.3,236,0.3,0.3,244"]
     common += ["--count", "5", "--flow", "hill:speed=1,radius=0.5", "--interval", "0.1"]
     assert "lit in the first frame" in run(*common)
     run(*common, "--model", "ray", "--photons", "1e5")

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
+from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.extensions.particles.particle_images import scattered_light
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import full_field
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 
 from .. import Row, at_most, case
 from ..measures import relative
+from ..timing import peak_memory
 
 Point = tuple[float, float, float]
 
@@ -190,3 +194,35 @@ def hidden_pupils() -> Iterator[Figure]:
         patch = CaptureOperator(SMALL, [point], wavelength=633.0, accuracy=0, pupil_weights=weights).forward([1.0])
         yield f"{name} of the pupil at {g:g}, full_field", relative(full, reference), 0.002
         yield f"{name} of the pupil at {g:g}, patch", relative(patch, reference), 0.003
+
+
+@case(
+    "point-spreads.particles",
+    "Particles of 10 micrometres by waves, 2048 x 2048 pixels, 550 nm, depths to a blur of eight lenses; the error is "
+    "that of the first hundred against point spreads of their own, relative L2",
+    {
+        "particles": "{particles}", "time (s)": "{seconds:.0f}", "peak memory (GiB)": "{memory:.2f}",
+        "error": "{error:.2%}",
+    },
+    (at_most("seconds", 60), at_most("memory", 2), at_most("error", 0.01)),
+    page="docs/howto/particles.md",
+    quick={"count": 200},
+)  # fmt: skip
+def particles(*, count: int = 10000) -> Iterator[Row]:
+    """Particles in the paper's field of view."""
+    camera = PAPER.replace(resolution=(2048, 2048))
+    box = pt.ParticleVolume((-7, -7, 217.7), (7, 7, 267.4))
+    truth = pt.particle_sequence(camera, box, pt.Seeding(count=count), pt.Uniform((0, 0, 0)), interval=1, frames=1)
+    start = time.perf_counter()
+    pt.ParticleImages(truth, wavelength=550).capture(0)
+    seconds, memory = time.perf_counter() - start, peak_memory()
+    few = truth.copy(deep=True)
+    few["inside"][:, 100:] = 0
+    # The others stay, without light, so that the band of directions is that of many.
+    light = scattered_light(truth, 0, 550.0, camera)
+    weights = np.where(np.arange(len(light.positions)) < 100, light.powers / light.powers.mean(), 0)
+    operator = CaptureOperator(camera, light.positions, wavelength=550, pupil_weights=light.pupil_weights())
+    exact = pt.ParticleImages(few, wavelength=550, accuracy=0).capture(0)
+    scale = light.powers[:100].mean() / light.powers.mean()
+    error = relative(operator.forward(weights), scale * exact.image)
+    yield {"particles": len(light.positions), "seconds": seconds, "memory": memory, "error": error}
