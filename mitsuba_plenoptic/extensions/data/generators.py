@@ -236,9 +236,9 @@ GENERATORS: dict[str, type[SceneGenerator]] = {"shapes": Shapes}
 """Generators of this extension by the names that recipes call them."""
 
 
-def generator_called(name: str, kind: Any) -> Any:
+def generator_called(name: str, kind: object) -> Any:
     """Return the class of generators that a recipe calls `kind`, of this extension or of another one."""
     added = {key: (package, text) for package, key, text in entries("generators")}
     refuse_if(isinstance(kind, str) and missing("generators", kind), f"{name}: {missing('generators', str(kind))}")
-    require_choice(name, kind, (*GENERATORS, *added))
-    return place(*added[kind]) if kind in added else GENERATORS[kind]
+    chosen = require_choice(name, kind, (*GENERATORS, *added))
+    return place(*added[chosen]) if chosen in added else GENERATORS[chosen]
