@@ -40,6 +40,9 @@ _PER_LOBE, _FEWEST, _MOST = 4.0, 6, 64
 _ANGLES_PER_CELL = 2
 """Angles at which the scattering of a particle is computed, to each cell across the pupil."""
 
+_TOGETHER = 2048
+"""Particles whose scattering is computed at a time, which limits memory."""
+
 
 @dataclass(frozen=True)
 class ScatteredLight:
@@ -69,20 +72,23 @@ class ScatteredLight:
     @cached_property
     def over_pupil(self) -> NDArray[np.float64]:
         """Differential cross-sections towards the pupil's cells, in square micrometres per steradian, (n, y, x)."""
+        count = len(self.positions)
+        blocks = [self._of(slice(first, first + _TOGETHER)) for first in range(0, count, _TOGETHER)]
+        return np.concatenate([np.zeros((0, self.cells, self.cells)), *blocks])
+
+    def _of(self, some: slice) -> NDArray[np.float64]:
+        """Return the cross-sections of some particles."""
         place, radius = self.pupil
         at = radius * ((np.arange(self.cells) + 0.5) * (2 / self.cells) - 1)
-        towards = np.stack(np.broadcast_arrays(at, at[:, None], place), -1) - self.positions[:, None, None]
+        towards = np.stack(np.broadcast_arrays(at, at[:, None], place), -1) - self.positions[some, None, None]
         cosine = towards @ np.array(self.direction) / np.linalg.norm(towards, axis=-1)
         flat = cosine.reshape(len(cosine), -1)
         low, high = flat.min(1), flat.max(1)
+        # Few angles, between which the many of the cells are interpolated.
         steps = np.linspace(0, 1, _ANGLES_PER_CELL * self.cells)
         along = np.clip(low[:, None] + steps * (high - low)[:, None], -1, 1)
-        sections = cross_sections(
-            self.diameters,
-            complex(self.seeding.index) / self.seeding.medium,
-            self.wavelength / self.seeding.medium,
-            along,
-        )
+        index, medium = complex(self.seeding.index), self.seeding.medium
+        sections = cross_sections(self.diameters[some], index / medium, self.wavelength / medium, along)
         rows = zip(flat, along, sections, strict=True)
         return np.stack([np.interp(*row) for row in rows]).reshape(cosine.shape)
 
