@@ -46,8 +46,8 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 47_240, 43_659, "0.662 after the move; ordinary, real cameras 3,200; GPUs 150"),
-    Limit("lines of the package", 66_151, 73_000, 61_520, "extensions, aliases of 1.0, cameras, GPUs; particles 2,250"),
+    Limit("lines of the core", 66_151, 47_250, 43_659, "0.662 after the move; ordinary, real cameras 3,200; GPUs 150"),
+    Limit("lines of the package", 66_151, 73_100, 61_520, "extensions, aliases of 1.0, cameras, GPUs; particles 2,250"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),
@@ -70,7 +70,7 @@ LIMITS = (
     Limit("file names that stand twice", 24, 0, 0),
     Limit("internal names that tests import", 313, 263, 150, "steps of methods; extensions; devices 8"),
     Limit("modules of tools/bench/cases", 59, 30, 30),
-    Limit("words of the documentation", 91_870, 75_200, 68_902, "ordinary cameras 2,900, real 2,100, particles 800"),
+    Limit("words of the documentation", 91_870, 75_600, 68_902, "ordinary cameras 2,900, real 2,100, particles 800"),
     Limit("files visited by a ray capture", 24, 20, 20),
     Limit("files visited by a wave capture", 40, 41, 30, "signed rays: eight files, each a step; warps; pixels"),
     Limit("files visited by a coherent reconstruction", 33, 30, 28, "displaced lenses, and captures straightened"),
