@@ -81,6 +81,8 @@ class Extension:
     displays : mapping of str to str
         Classes whose objects notebooks show with a picture or a table, such as ``Capture``, and the places of functions
         of such an object that return its HTML.
+    comparisons : mapping of str to str
+        Options of ``compare`` that take the place of a scene, and the places of the functions that they call.
     formats : mapping of str to FileFormat
         Suffixes of files, such as ``.lfr``, or the name of a file in each folder, such as ``parameters.cfg``, and how
         they are read and written.
@@ -99,6 +101,7 @@ class Extension:
     cameras: Mapping[str, str] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
     displays: Mapping[str, str] = field(default_factory=dict)
+    comparisons: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, FileFormat] = field(default_factory=dict)
 
 

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..errors import require_count
+from ..errors import InputError, refuse_if, require_count
+from ..extension import entry_of
 from .choices import AGAINST
 from .inputs import (
     CameraFile,
     Definitions,
     OutputFolder,
     PositiveDistances,
-    Scene,
     Unit,
     camera_instead,
+    named_camera,
     numeric,
     parse_definitions,
 )
-from .judging import COUNTED, WAVELENGTH, one_of
+from .judging import COUNTED, FILE, SCENE, WAVELENGTH, one_of
 from .stages import stage_lines
 from .stopping import Resume
 
 
 def compare(
-    scene: Scene,
     output: OutputFolder,
-    distance: PositiveDistances,
+    scene: Annotated[
+        str | None,
+        typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", show_default=False),
+        SCENE,
+    ] = None,
+    distance: PositiveDistances | None = None,
     wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
     against: Annotated[
@@ -38,6 +44,27 @@ def compare(
             "sharpness of both.",
         ),
         one_of(AGAINST),
+    ] = None,
+    real: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LIGHTFIELD",
+            help="Light field of a real microscope, instead of a scene: a volume is found from part of its pixels, "
+            "and predicts the others, by rays and by waves. --camera is the camera as it is known.",
+        ),
+        FILE,
+    ] = None,
+    white: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --real: picture of something evenly white."), FILE
+    ] = None,
+    dark: Annotated[Path | None, typer.Option(metavar="FILE", help="With --real: picture without light."), FILE] = None,
+    part: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEFT,TOP,RIGHT,BOTTOM",
+            show_default="the middle quarter",
+            help="With --real: part of the picture, such as 0.5,0.5,1,1.",
+        ),
     ] = None,
     resume: Resume = False,
     camera: CameraFile = None,
@@ -60,7 +87,23 @@ def compare(
       --distance 258 -D resolution=2048 -D detector_width=4.096
 
       mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
+
+      mitsuba-plenoptic compare --real leg.png --white white.png --dark dark.tif
+      --camera lfm_water --wavelength 510 -o leg
     """
+    if real is not None:
+        refuse_if(scene is not None, f"scene = {scene}: --real takes its place")
+        refuse_if(bool(distance or against or define), "--distance, --against, -D: they are not for --real")
+        known = named_camera(camera)
+        refuse_if(white is None or known is None, "--real: give --white and --camera, too")
+        with stage_lines(resume) as stages:
+            entry_of("comparisons", "real", "--real")(
+                real, output, known, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
+            )
+        return
+    refuse_if(any(each is not None for each in (white, dark, part)), "--white, --dark, --part: they are for --real")
+    if scene is None or not distance:
+        raise InputError("scene, --distance: give a scene and a distance, or --real with a real light field")
     from ..light.render_capture import MOST_SAMPLES
 
     # Figures need libraries that take a second to load, which other commands need not wait for.

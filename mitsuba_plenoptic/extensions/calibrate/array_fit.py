@@ -74,8 +74,11 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
     )
 
 
-def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera) -> ArrayFit:
-    """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2)."""
+def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 3) -> ArrayFit:
+    """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2).
+
+    The warp has the degree at most, and a lower one for few lenses; of degree 1 there is none.
+    """
     scale = camera.pixel_size / camera.image_growth
     at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
     wanted = (place - at_axis) * scale
@@ -84,7 +87,7 @@ def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera) -> 
     matrix = np.column_stack([np.ones(len(steps)), steps])
     middle, along, across = np.linalg.lstsq(matrix, wanted)[0]
     turn = math.atan2(along[1], along[0])
-    degree = 3 if len(place) >= _CUBIC else 2 if len(place) >= _QUADRATIC else 1
+    degree = min(degree, 3 if len(place) >= _CUBIC else 2 if len(place) >= _QUADRATIC else 1)
     terms = [(i, j) for i, j in WARP_POWERS if i + j <= degree]
     # Coefficients of a warp in pixels at the farthest lens, so that all numbers are of one size.
     reach = np.abs(wanted).max()

@@ -54,6 +54,13 @@ class FieldNumbers:
         for name in NUMBERS:
             self.coefficients[name][0] = getattr(start, name)
 
+    @classmethod
+    def of(cls, middle: np.ndarray, scale: float, coefficients: dict[str, np.ndarray]) -> FieldNumbers:
+        """Return polynomials about a middle in pixels, of places over a scale, with known coefficients."""
+        made = cls((1, 1), 0, PupilNumbers(1.0))
+        made.middle, made.scale, made.coefficients = middle, scale, coefficients
+        return made
+
     @property
     def number(self) -> np.ndarray:
         """Index in `NUMBERS` of each coefficient, in their order."""

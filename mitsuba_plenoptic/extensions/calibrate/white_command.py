@@ -31,7 +31,7 @@ def fit_camera(
     report: Path | None,
 ) -> None:
     """Fit a camera to a white picture, write the camera as JSON and a report, and print what was found."""
-    light, black = _values(white), None if dark is None else _values(dark)
+    light, black = sensor_values(white), None if dark is None else sensor_values(dark)
     noise = None if black is None else _noise(light, black)
     with naming(white), progress_bar("Fitting the camera") as progress:
         found = fit_white(light, camera, dark=black, wavelength=wavelength, progress=progress)
@@ -46,7 +46,7 @@ def fit_camera(
     typer.echo(f"{output}: fitted to {np.count_nonzero(~found.withheld)} micro-images")
 
 
-def _values(path: Path) -> np.ndarray:
+def sensor_values(path: Path) -> np.ndarray:
     """Return a sensor's values, proportional to light: the digital numbers of a picture of 8 or 16 bits."""
     if path.suffix.lower() == ".exr":
         return read_capture(path).image

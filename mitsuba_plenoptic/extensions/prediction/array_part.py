@@ -1,0 +1,200 @@
+"""A part of a real picture: its lenses, its pixels in their lenses' micro-images, and the white light of each pixel."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ..calibrate.array_fit import ArrayFit, fit_array, places
+from ..calibrate.field_fit import FieldNumbers
+from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
+from ..calibrate.white_fit import WhiteFit, of_size
+
+_ZONE = 4
+"""Lenses along a side for which one micro-image serves, at their own brightness."""
+
+_FEWEST = 8
+"""Lenses along a side of a part that are needed."""
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera as it is fitted to a white picture, or as it is known, with the model of its micro-images.
+
+    Attributes
+    ----------
+    camera : PlenopticCamera
+        The camera, with a film of the picture's size.
+    wavelength : float or None
+        Wavelength in nanometres; None for rays.
+    array : ArrayFit
+        Lattice and warp.
+    field : FieldNumbers
+        The pupil over the field, blur and stray light.
+    lens : (n, 2) array
+        Indices along and across the rows of the micro-images on the picture.
+    brightness : (n,) array
+        Light in the middle of their white micro-images, over the mean.
+    """
+
+    camera: PlenopticCamera
+    wavelength: float | None
+    array: ArrayFit
+    field: FieldNumbers
+    lens: np.ndarray
+    brightness: np.ndarray
+
+    @classmethod
+    def fitted(cls, found: WhiteFit) -> CameraModel:
+        """Return the model of a fit to a white picture."""
+        bright = found.brightness / np.nanmean(found.brightness)
+        return cls(found.camera, found.wavelength, found.array, found.field, found.lens, bright)
+
+    def as_known(self, camera: PlenopticCamera) -> CameraModel:
+        """Return the model of the camera before the fit: of its places, only pitch, rotation and offset are found.
+
+        All lenses are equally bright, the pupil is round and even, and there is neither blur nor stray light.
+        """
+        size = self.camera.resolution
+        camera = of_size(camera, size)
+        array = fit_array(places(self.array, self.lens, self.camera), self.lens, camera, degree=1)
+        camera = camera.replace(**array.lattice_parameters())
+        even = FieldNumbers(size, 0, PupilNumbers(camera.pupil_radius / camera.pupil_step))
+        return replace(self, camera=camera, array=array, field=even, brightness=np.ones(len(self.lens)))
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return the model as plain values, for files."""
+        array = {name: np.asarray(value).tolist() for name, value in asdict(self.array).items()}
+        field = {
+            "middle": self.field.middle.tolist(),
+            "scale": self.field.scale,
+            "coefficients": {name: values.tolist() for name, values in self.field.coefficients.items()},
+        }
+        lens = {"lens": self.lens.tolist(), "brightness": self.brightness.tolist()}
+        return {"camera": self.camera.to_dict(), "wavelength": self.wavelength, "array": array, "field": field, **lens}
+
+    @classmethod
+    def of(cls, plain: dict[str, Any]) -> CameraModel:
+        """Return the model that `to_plain` made plain."""
+        values = plain["array"]
+        array = ArrayFit(
+            tuple(values["pitches"]),
+            values["rotation"],
+            tuple(values["offset"]),
+            np.array(values["warp"]),
+            np.array(values["nearest"]),
+        )
+        camera = PlenopticCamera.from_dict(plain["camera"])
+        field = FieldNumbers.of(
+            np.array(plain["field"]["middle"]),
+            plain["field"]["scale"],
+            {name: np.array(some) for name, some in plain["field"]["coefficients"].items()},
+        )
+        lens, bright = np.array(plain["lens"]), np.array(plain["brightness"])
+        return cls(camera, plain["wavelength"], array, field, lens, bright)
+
+    @property
+    def pitch(self) -> np.ndarray:
+        """Distances of micro-images along and across the rows, in pixels."""
+        lattice = self.camera.lattice
+        pitches = np.array([lattice.pitches[0], lattice.row_distance])
+        return np.asarray(pitches * self.camera.image_growth / self.camera.pixel_size)
+
+
+class ArrayPart:
+    """Lenses whose micro-images lie in a rectangle of a picture, in rows and columns, and their pixels.
+
+    Parameters
+    ----------
+    model : CameraModel
+        The camera and the places of its micro-images.
+    box : (left, top, right, bottom)
+        The rectangle, in pixels.
+
+    Attributes
+    ----------
+    lenses : (int, int)
+        Lenses along and across the rows.
+    place : (n, 2) array
+        Places of all lenses in pixels, row by row.
+    pixel : (m,) array
+        Numbers of the pixels in the flat picture.
+    lens_of : (m,) array
+        The lens in whose cell each pixel is.
+    within : (m, 2) array
+        Place of each pixel in its cell, from -1/2 to 1/2 along and across the rows.
+    """
+
+    def __init__(self, model: CameraModel, box: tuple[float, float, float, float]) -> None:
+        refuse_if(
+            not model.camera.lattice.rectangular,
+            f"mla_lattice = {model.camera.mla_lattice}: light fields are predicted behind square arrays",
+        )
+        self.model = model
+        place = places(model.array, model.lens, model.camera)
+        inside = ((place > box[:2]) & (place < box[2:])).all(1)
+        refuse_if(not inside.any(), "part: no micro-image lies in it")
+        first = np.rint(model.lens[inside].min(0)).astype(int)
+        self.lenses = tuple((np.rint(model.lens[inside].max(0)).astype(int) - first + 1).tolist())
+        refuse_if(
+            min(self.lenses) < _FEWEST,
+            f"part: {self.lenses[0]} x {self.lenses[1]} lenses lie in it: at least {_FEWEST} along a side are needed",
+        )
+        rows, columns = (index.ravel() for index in np.mgrid[: self.lenses[1], : self.lenses[0]])
+        lens = first + np.stack([columns, rows], axis=-1)
+        self.place = places(model.array, lens.astype(np.float64), model.camera)
+        index = np.rint(model.lens).astype(int).tolist()
+        known = {tuple(one): light for one, light in zip(index, model.brightness, strict=True)}
+        self._bright = np.array([known.get(tuple(one), 1.0) for one in lens.tolist()])
+        self.pixel, self.lens_of, self._offset, self.within = self._pixels()
+
+    def _pixels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return numbers, lenses, offsets in pixels from the lenses' places, and places in cells of all pixels."""
+        angle, size = np.deg2rad(self.model.camera.mla_rotation), self.model.camera.resolution
+        half = int(np.ceil(0.5 * self.model.pitch.max() * (abs(np.cos(angle)) + abs(np.sin(angle))))) + 1
+        window, base = np.arange(-half, half + 1), np.rint(self.place).astype(int)
+        column, row = np.broadcast_arrays(base[:, 0, None, None] + window, base[:, 1, None, None] + window[:, None])
+        x, y = column - self.place[:, 0, None, None], row - self.place[:, 1, None, None]
+        along = (np.cos(angle) * x + np.sin(angle) * y) / self.model.pitch[0]
+        across = (np.cos(angle) * y - np.sin(angle) * x) / self.model.pitch[1]
+        inside = (np.maximum(abs(along), abs(across)) < 0.5) & (column >= 0) & (column < size[0])
+        inside &= (row >= 0) & (row < size[1])
+        # Cells of a warped array overlap by parts of a pixel.
+        number, first = np.unique((row * size[0] + column)[inside], return_index=True)
+        lens = np.broadcast_to(np.arange(len(self.place))[:, None, None], x.shape)[inside][first]
+        offset, within = (np.stack([a[inside][first], b[inside][first]], -1) for a, b in ((x, y), (along, across)))
+        return number, lens, offset, within
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Place of the middle of the part on the array, in millimetres in the camera frame."""
+        camera = self.model.camera
+        from_axis = self.place.mean(0) - (np.array(camera.resolution) - 1) / 2
+        x, y = (from_axis * camera.pixel_size / camera.image_growth).tolist()
+        return x, y
+
+    @property
+    def numbers(self) -> PupilNumbers:
+        """Numbers of the pupil in the middle of the part."""
+        return PupilNumbers(*self.model.field.values(self.place.mean(0)[None])[0])
+
+    @cached_property
+    def white(self) -> np.ndarray:
+        """Light of each pixel of an evenly white scene, without stray light, over that in the middle of lenses."""
+        camera = self.model.camera.replace(vignetting=None, mla_transmissions=None, mla_warp=(), detector_blur=0.0)
+        micro = MicroImageModel(camera, self.model.wavelength)
+        numbers = self.model.field.values(self.place)
+        numbers[:, NUMBERS.index("stray")] = 0.0
+        column, row = self.lens_of % self.lenses[0], self.lens_of // self.lenses[0]
+        zone = (row // _ZONE) * self.lenses[0] + column // _ZONE
+        order = np.argsort(zone, kind="stable")
+        light = np.empty(len(self.pixel))
+        for some in np.split(order, np.flatnonzero(np.diff(zone[order])) + 1):
+            mean = numbers[np.unique(self.lens_of[some])].mean(0)
+            light[some] = micro.at(micro.samples(PupilNumbers(*mean)), *self._offset[some].T)
+        return np.asarray(light * self._bright[self.lens_of])

@@ -1,0 +1,145 @@
+"""Page on a real light field beside simulated ones: pixels, differences, profiles, slices of the volume, figures."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from ...report.framing import INK, Canvas, annotate, show, show_difference
+from ...report.images import data_url
+from ...report.page import template
+from ...runtime.files import write_text
+from .array_part import ArrayPart
+from .study import CAMERAS, LIGHTS, Answer, Study
+from .withheld import TESTS
+
+_TEMPLATES = Path(__file__).parent / "templates"
+
+_SHOWN = 10
+"""Lenses along a side of the pictures that are shown."""
+
+_SLICES = 5
+"""Slices of the volume that are shown."""
+
+_STRONGEST = 0.2
+"""Difference, over bright pixels, that has the strongest colour."""
+
+_BRIGHT = 0.998
+"""Quantile of what a picture shows as white."""
+
+_SIDE = 3.4
+"""Width in inches of a picture."""
+
+
+def write_page(path: Path, study: Study, answer: Answer) -> None:
+    """Write the page, with all figures in it."""
+    figures = []
+    for canvas in (pictures(study), slices(study)):
+        picture = io.BytesIO()
+        canvas.figure.savefig(picture, format="png")
+        figures.append(data_url("png", picture.getvalue()))
+    rows = [
+        {
+            "camera": camera,
+            "test": test,
+            "ratio": answer.ratios[camera][test],
+            "relative": {light: answer.relative[camera][light][test] for light in LIGHTS},
+        }
+        for camera in CAMERAS
+        for test in TESTS
+    ]
+    page = template("real.html", _TEMPLATES).render(
+        figures=figures, rows=rows, answer=answer, lights=LIGHTS, wavelength=study.wavelength
+    )
+    write_text(path, page, ".html")
+
+
+def pictures(study: Study) -> Canvas:
+    """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
+    part = study.part("fitted", "waves")
+    recorded = _picture(study, part, study.electrons(part))
+    predicted = {}
+    for light in LIGHTS:
+        own = study.part("fitted", light)
+        predicted[light] = _picture(study, own, study.predicted("fitted", light, 0, study.strength(light, "pixels")))
+    rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
+    peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
+    canvas = Canvas(3 * _SIDE + 1.2, 2 * _SIDE + 1.1)
+    show(canvas.axes(0.2, 0.4, _SIDE, _SIDE), recorded[rows, columns], "Recorded", peak=peak)
+    for number, light in enumerate(LIGHTS, 1):
+        axes = canvas.axes(0.2 + number * (_SIDE + 0.1), 0.4, _SIDE, _SIDE)
+        show(axes, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
+    low = _SIDE + 0.85
+    for number, light in enumerate(LIGHTS, 1):
+        axes = canvas.axes(0.2 + number * (_SIDE + 0.1), low, _SIDE, _SIDE)
+        drawn = show_difference(axes, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
+        annotate(axes, title=f"Recorded less {light}")
+    canvas.colour_bar(drawn, 3 * _SIDE + 0.55, low, _SIDE, "of bright pixels")
+    axes = canvas.axes(0.65, low, _SIDE - 0.6, _SIDE - 0.4)
+    axes.set_frame_on(True)
+    row = (rows.start + rows.stop) // 2
+    across = np.arange(columns.start, columns.stop) - columns.start
+    shown = across < 4 * part.model.pitch.max()
+    for name, image, colour in (
+        ("recorded", recorded, "#8a94a3"),
+        ("waves", predicted["waves"], INK),
+        ("rays", predicted["rays"], "#d1495b"),
+    ):
+        style = "o" if name == "recorded" else "-"
+        axes.plot(across[shown], image[row, columns][shown] / peak, style, color=colour, markersize=3, label=name)
+    axes.set(xticks=[0, 50, 100], yticks=[0, 0.5, 1], ylim=(0, None))
+    axes.tick_params(labelsize=8)
+    axes.legend(frameon=False, fontsize=8)
+    annotate(axes, title="A line of pixels", foot="pixels")
+    return canvas
+
+
+def _picture(study: Study, part: ArrayPart, values: np.ndarray) -> np.ndarray:
+    """Return a part's values as a picture, cut to the box of the study."""
+    rows, columns = study.pictures.light_field.shape
+    flat = np.full(rows * columns, np.nan)
+    flat[part.pixel] = values
+    left, top, right, bottom = (round(side) for side in study.box)
+    return flat.reshape(rows, columns)[top:bottom, left:right]
+
+
+def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
+    """Return the square of a size within an image whose pixels differ most from their neighbours."""
+    change = np.abs(np.nan_to_num(image[1:, 1:] - image[:-1, 1:])) + np.abs(
+        np.nan_to_num(image[1:, 1:] - image[1:, :-1])
+    )
+    change[~np.isfinite(image[1:, 1:])] = 0
+    size = min(size, *(side - 1 for side in change.shape))
+    sums = np.pad(change.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    total = sums[size:, size:] - sums[:-size, size:] - sums[size:, :-size] + sums[:-size, :-size]
+    row, column = np.unravel_index(total.argmax(), total.shape)
+    return slice(int(row), int(row) + size), slice(int(column), int(column) + size)
+
+
+def slices(study: Study) -> Canvas:
+    """Return a figure of the volume's planes, by waves and by rays, from all pixels."""
+    volumes = {light: _planes(study, light) for light in LIGHTS}
+    depths = sorted(volumes["waves"], key=lambda depth: -float(np.ptp(volumes["waves"][depth])))
+    chosen = sorted(depths[:_SLICES])
+    tall = 2.1 * study.part("fitted", "waves").lenses[1] / study.part("fitted", "waves").lenses[0]
+    canvas = Canvas(_SLICES * 2.2 + 0.3, 2 * (tall + 0.4) + 0.2)
+    for row, light in enumerate(LIGHTS):
+        for column, depth in enumerate(chosen):
+            axes = canvas.axes(0.2 + column * 2.2, 0.35 + row * (tall + 0.4), 2.1, tall)
+            image = volumes[light][depth]
+            peak = float(np.quantile(image, _BRIGHT))
+            show(axes, image, f"{1000 * depth:+.0f} µm by {light}", peak=peak, size=8)
+    return canvas
+
+
+def _planes(study: Study, light: str) -> dict[float, np.ndarray]:
+    """Return the planes of a volume by depth, within the part, in voxels per area of the finest."""
+    volume, _ = study.volume(light)
+    projector = study.projector("fitted", light)
+    planes = {}
+    for plane, image in zip(projector.planes, projector.split(volume), strict=True):
+        edge = projector.reach * plane.across
+        planes[plane.depth] = image[edge:-edge, edge:-edge] * plane.across**2
+    return planes

@@ -1,0 +1,169 @@
+r"""Pictures of voxels behind a regular array, by waves and by rays, from which a volume's picture is put together.
+
+Behind an objective with the array in its image, points that are one pitch apart have equal pictures one lens apart, so
+that the voxels before one lens stand for all (Broxton et al. 2013, "Wave optics theory and 3-D deconvolution for the
+light field microscope", Optics Express 21, 25418).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from ...camera import PlenopticCamera
+from ...camera.vignetting import Vignetting
+from ...errors import refuse_if
+from ...light.optical_system import OpticalSystem
+from ...light.walk import Passage, Walk
+from ...points.operator import CaptureOperator
+from .array_part import ArrayPart
+
+_FIRST, _GROWTH, _WIDEST = 0.75, 1.12, 14.0
+"""Blur of the first plane beyond the focus in lenses, factor by which steps grow, and blur of the last plane."""
+
+_FINE, _COARSE, _FINE_BLUR = 4, 3, 6.5
+"""Voxels along a lens's side, and the blur in lenses from which on they are coarse."""
+
+_PARTS = 2
+"""Points along a voxel's side."""
+
+_RAYS = 8
+"""Rays along a pixel."""
+
+_DIFFRACTED = 0.6
+"""Light of a point beyond its blur's border, in lenses, that counts."""
+
+_ANY_WAVELENGTH = 550.0
+"""Wavelength of rays through an objective, which do not depend on it."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane of voxels, with the picture of each of a lens's voxels.
+
+    Attributes
+    ----------
+    depth : float
+        Depth in millimetres, positive beyond the plane in focus.
+    across : int
+        Voxels along a lens's side.
+    pictures : (rows, columns, voxels) float32 array
+        Light in pixels of an odd number of lenses along a side, over the light through the pupil; voxels row by row,
+        in the directions of the picture.
+    """
+
+    depth: float
+    across: int
+    pictures: np.ndarray
+
+
+def depths_of(camera: PlenopticCamera) -> list[float]:
+    """Return the depths of planes in millimetres, in the steps in which a light field resolves them."""
+    refuse_if(
+        camera.objective is None or camera.objective.arrangement != "image",
+        "camera: light fields are predicted of microscopes, with the array in the image of an objective",
+    )
+    count = int(np.log(1 + (_GROWTH - 1) * _WIDEST / _FIRST) / np.log(_GROWTH))
+    blurs = _FIRST * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
+    behind = (blurs / _blur_rate(camera)).tolist()
+    return [*(-depth for depth in behind[::-1]), 0.0, *behind]
+
+
+def _blur_rate(camera: PlenopticCamera) -> float:
+    """Return the diameter of a point's blur on the array, in pitches, per millimetre of depth."""
+    objective = camera.objective
+    assert objective is not None
+    return float(2 * np.tan(objective.half_angle) * objective.magnification / camera.mla_pitch)
+
+
+def pixels_across(part: ArrayPart) -> int:
+    """Return the pixels along a lens's side of the regular array: at least as many as the picture has."""
+    return int(np.ceil(part.model.pitch.max()))
+
+
+def plane_of(part: ArrayPart, depth: float) -> Plane:
+    """Return a plane's voxels with their pictures."""
+    blur = abs(depth) * _blur_rate(part.model.camera)
+    across = _FINE if blur < _FINE_BLUR else _COARSE
+    # A voxel may be half a pitch from the middle of its lens.
+    lenses = 2 * int(np.ceil(blur / 2 + 0.5 + _DIFFRACTED)) + 1
+    camera = _regular(part, lenses)
+    assert camera.objective is not None
+    pitch = camera.mla_pitch / camera.objective.magnification
+    step = ((np.arange(across * _PARTS) + 0.5) / (across * _PARTS) - 0.5) * pitch
+    # The objective's image is upside down.
+    y, x = np.meshgrid(-step, -step, indexing="ij")
+    points = np.stack([x, y, np.full_like(x, depth)], axis=-1)
+    points = points.reshape(across, _PARTS, across, _PARTS, 3).transpose(0, 2, 1, 3, 4).reshape(across**2, -1, 3)
+    blurred = part.numbers.blur * pixels_across(part) / part.model.pitch.max()
+    wavelength = part.model.wavelength
+    sharp = _by_rays(camera, points) if wavelength is None else _by_waves(camera, points, wavelength)
+    return Plane(depth, across, gaussian_filter(sharp, (blurred, blurred, 0)).astype(np.float32))
+
+
+def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
+    """Return a camera of a few lenses that are those in the middle of a part, without displacements."""
+    camera, across = part.model.camera, pixels_across(part)
+    pupil = None
+    if camera.vignetting is not None:
+        here = camera.vignetting.at(*part.middle)
+        numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
+        pupil = Vignetting(**numbers)
+    pitch = camera.mla_pitch
+    return camera.replace(
+        mla_pitch=pitch,
+        mla_rotation=0.0,
+        # A lens is centred on the axis.
+        mla_offset=(pitch / 2, pitch / 2),
+        mla_warp=(),
+        mla_transmissions=None,
+        detector_blur=0.0,
+        vignetting=pupil,
+        resolution=(lenses * across, lenses * across),
+        detector_width=lenses * pitch * camera.image_growth,
+        crop_offset=(0, 0),
+        crop_size=(lenses * across, lenses * across),
+    )
+
+
+def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) -> np.ndarray:
+    """Return the pictures of voxels, each of several points (voxels, points, 3)."""
+    voxels, count, _ = points.shape
+    operator = CaptureOperator(camera, points.reshape(-1, 3), wavelength=wavelength, accuracy=0)
+    weights = np.repeat(np.eye(voxels, dtype=np.float32) / count, count, axis=0)
+    return operator.forward(weights)
+
+
+def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:
+    """Return the pictures of voxels, each of several points, by an even grid of rays through the pupil."""
+    lens = OpticalSystem(camera, _ANY_WAVELENGTH).waves_of(np.empty((0, 3)))
+    walk, light, radius = Walk.of(camera, lens), lens.bind(np.empty((0, 3))), float(lens.pupil_radius)
+    across, generator = _RAYS * round(camera.mla_pitch / camera.pixel_size), np.random.default_rng(0)
+    rows, columns = camera.shape
+    pictures = np.zeros((len(points), rows * columns), np.float32)
+    for picture, some in zip(pictures, points, strict=True):
+        for point in some:
+            # Places of the grid differ, so that borders of lenses fall between rays by chance.
+            aside = generator.random((2, 1))
+            x, y = (each.ravel() for each in np.meshgrid(*((np.arange(across) + aside) * (2 / across) - 1)))
+            within = np.hypot(x, y) < 1
+            x, y = x[within], y[within]
+            pupil = x * radius, y * radius
+            seen = np.full_like(x, point[0]), np.full_like(x, point[1]), np.full_like(x, point[2])
+            place = light.land(pupil, seen)
+            power = light.amplitude(pupil, seen) ** 2
+            if camera.vignetting is not None:
+                power = power * camera.vignetting.power(x, y, *place)
+            passage = Passage(place, *walk.lens_at(*camera.lattice.cell(*place)))
+            landed, _ = walk.onto_detector(pupil, passage)
+            column, row = (
+                np.floor(q / camera.pixel_size + size / 2).astype(int)
+                for q, size in zip(landed, (columns, rows), strict=True)
+            )
+            inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+            lit = np.bincount((row * columns + column)[inside], power[inside], minlength=rows * columns)
+            picture += lit / (power.sum() * len(some))
+    return np.moveaxis(pictures.reshape(-1, rows, columns), 0, -1)

@@ -1,0 +1,58 @@
+"""The part of ``mitsuba-plenoptic compare`` that compares a real light field with simulated ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from ...camera import PlenopticCamera
+from ...errors import naming, refuse_if, refusing
+from ...io.checkpoints import write_json
+from ...report.stage_store import StageOptions, Stages
+from ..calibrate.white_command import sensor_values
+from .page import write_page
+from .study import LIGHTS, Pictures, Study
+from .withheld import TESTS
+
+PART = "0.25,0.25,0.75,0.75"
+"""Left, top, right and bottom of the part that is studied, over the picture's size."""
+
+
+def compare_real(
+    light_field: Path,
+    folder: Path,
+    camera: PlenopticCamera,
+    *,
+    white: Path,
+    dark: Path | None,
+    wavelength: float,
+    part: str | None,
+    options: StageOptions,
+) -> None:
+    """Fit the camera by waves and by rays, predict withheld pixels of a light field, and write a page on it."""
+    corners = _corners(part or PART)
+    pictures = Pictures(sensor_values(light_field), sensor_values(white), None if dark is None else sensor_values(dark))
+    rows, columns = pictures.white.shape[:2]
+    box = tuple(corner * size for corner, size in zip(corners, (columns, rows) * 2, strict=True))
+    with naming(light_field):
+        study = Study(pictures, camera, wavelength, box, Stages(folder, options))
+        answer = study.answer()
+    write_json(folder / "results.json", answer.to_plain())
+    write_page(folder / "report.html", study, answer)
+    for test in TESTS:
+        found = answer.ratios["fitted"][test]
+        typer.echo(f"withheld {test}: residual over noise {found.waves:.2f} by waves, {found.rays:.2f} by rays")
+    stray = " and ".join(f"{answer.stray[light]:.1%} by {light}" for light in LIGHTS)
+    typer.echo(f"stray light within lenses: {stray}")
+    typer.echo(answer.verdict)
+    typer.echo(f"{folder / 'report.html'}: open it in a browser")
+
+
+def _corners(part: str) -> tuple[float, float, float, float]:
+    """Return the corners of a part as fractions of the picture."""
+    rule = f"part = {part}: it must be LEFT,TOP,RIGHT,BOTTOM in parts of the picture, such as {PART}"
+    with refusing(rule, ValueError):
+        left, top, right, bottom = map(float, part.split(","))
+    refuse_if(not (0 <= left < right <= 1 and 0 <= top < bottom <= 1), rule)
+    return left, top, right, bottom

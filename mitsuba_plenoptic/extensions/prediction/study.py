@@ -1,0 +1,351 @@
+"""Do waves predict the pixels of a real light field better than rays? The runs that answer it, and the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache, cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from ...camera import PlenopticCamera
+from ...errors import refuse_if
+from ...io.checkpoints import digest
+from ...report.stage_store import Progress, Stages
+from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
+from ..calibrate.white_fit import fit_white
+from ..calibrate.white_frames import WhiteFrame, single_channel
+from .array_part import ArrayPart, CameraModel
+from .point_patterns import depths_of, plane_of
+from .projector import Projector
+from .volume_fit import VolumeFit, fit_volume
+from .withheld import TESTS, Ratio, Withheld, by_lens, misfit
+
+LIGHTS = ("waves", "rays")
+CAMERAS = ("fitted", "known")
+
+STRENGTHS = (0.001, 0.005, 0.02)
+"""Strengths of the prior, of which pixels that are withheld for it choose."""
+
+SEEDS = 3
+"""Draws of withheld pixels."""
+
+ITERATIONS = 30
+"""Steps of each fit."""
+
+BAND = 15.0
+"""Nanometres by which the wavelength is changed."""
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of a real camera, of one size: a light field, something evenly white, and no light."""
+
+    light_field: np.ndarray
+    white: np.ndarray
+    dark: np.ndarray | None
+
+    @cached_property
+    def noise(self) -> PhotonTransfer:
+        """Gain and noise of the sensor."""
+        dark = np.zeros_like(self.white) if self.dark is None else self.dark
+        return photon_transfer(self.white, dark)
+
+    @cached_property
+    def electrons(self) -> np.ndarray:
+        """Electrons of the light field's pixels, flat."""
+        light = single_channel("light field", self.light_field)
+        refuse_if(
+            light.shape != self.white.shape[:2],
+            f"light field of shape {light.shape}: it must have the pixels of the white picture, {self.white.shape}",
+        )
+        below = 0.0 if self.dark is None else self.dark
+        return np.asarray(((light - below) / self.noise.gain).ravel())
+
+    @cached_property
+    def good(self) -> np.ndarray:
+        """Pixels, flat, that are neither saturated nor defective."""
+        light = self.light_field
+        return np.asarray((WhiteFrame.of(self.white, self.dark).good & (light < light.max())).ravel())
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Results of a study.
+
+    Attributes
+    ----------
+    ratios : dict
+        By camera (fitted, known) and test (pixels, lenses): residuals by waves and by rays, see `Ratio`.
+    relative : dict
+        By camera, light and test: root mean square of differences over that of the recorded pixels.
+    strengths : dict
+        By light and test: the strength that withheld pixels chose.
+    stray : dict
+        By light: part of a lens's mean light that is spread over the lens, of the fitted camera.
+    controls : dict
+        By the light that simulated the picture: residuals of withheld pixels.
+    wavelengths : dict
+        Residual of withheld pixels by waves, by wavelength in nanometres.
+    """
+
+    ratios: dict[str, dict[str, Ratio]]
+    relative: dict[str, dict[str, dict[str, float]]]
+    strengths: dict[str, dict[str, float]]
+    stray: dict[str, float]
+    controls: dict[str, Ratio]
+    wavelengths: dict[float, float]
+
+    @property
+    def sound(self) -> bool:
+        """Whether the test tells pictures simulated by waves from those simulated by rays."""
+        return all(ratio.better == light for light, ratio in self.controls.items())
+
+    @property
+    def verdict(self) -> str:
+        """A sentence that says which light predicts better, and by how much, or that the test cannot tell."""
+        if not self.sound:
+            return "The test cannot tell simulated pictures by rays from those by waves: it says nothing."
+        said = []
+        for test in TESTS:
+            found = self.ratios["fitted"][test]
+            by = f"{found.ratio:.3f} times (95 %: {found.low:.3f} to {found.high:.3f})"
+            better = {"neither": "neither is better"}.get(found.better, f"{found.better} are better")
+            said.append(f"of withheld {test}, {better}: the residual by rays is {by} that by waves")
+        return "In predictions " + "; ".join(said) + "."
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return all as plain values, with the verdict."""
+        ratios = {camera: {test: asdict(one) for test, one in some.items()} for camera, some in self.ratios.items()}
+        plain = {"ratios": ratios, "relative": self.relative, "strengths": self.strengths, "stray": self.stray}
+        controls = {light: asdict(ratio) for light, ratio in self.controls.items()}
+        wavelengths = {f"{value:g}": residual for value, residual in self.wavelengths.items()}
+        return plain | {"controls": controls, "wavelengths": wavelengths, "verdict": self.verdict}
+
+
+class Study:
+    """The runs of a study, each a stage on disk.
+
+    Parameters
+    ----------
+    pictures : Pictures
+        The pictures.
+    camera : PlenopticCamera
+        The camera as it is known.
+    wavelength : float
+        Wavelength in nanometres.
+    box : (float, float, float, float)
+        Left, top, right and bottom of the part of the picture, in pixels.
+    stages : Stages
+        Where runs are stored.
+    """
+
+    def __init__(
+        self,
+        pictures: Pictures,
+        camera: PlenopticCamera,
+        wavelength: float,
+        box: tuple[float, float, float, float],
+        stages: Stages,
+    ) -> None:
+        self.pictures, self.camera, self.wavelength, self.box, self.stages = pictures, camera, wavelength, box, stages
+        # What is found once serves all runs; a projection takes so much memory that the last one alone is kept.
+        self.model, self.part, self.withheld = cache(self._model), cache(self._part), cache(self._withheld)
+        self.predicted, self.simulated, self.strength = (
+            cache(self._predicted),
+            cache(self._simulated),
+            cache(self._strength),
+        )
+        self.projector = lru_cache(1)(self._projector)
+
+    # -- cameras ---------------------------------------------------------------------------------
+
+    def _model(self, camera: str, light: str, wavelength: float | None = None) -> CameraModel:
+        """Return a camera's model, fitted to the white picture or as it is known."""
+        if camera == "known":
+            return self.model("fitted", light).as_known(self.camera)
+        length = None if light == "rays" else wavelength or self.wavelength
+
+        def fitted(progress: Progress) -> dict[str, Any]:
+            pictures = self.pictures
+            found = fit_white(pictures.white, self.camera, dark=pictures.dark, wavelength=length, progress=progress)
+            return CameraModel.fitted(found).to_plain()
+
+        name = f"camera_{light}" if wavelength is None else f"camera_{light}_{wavelength:g}"
+        return CameraModel.of(self.stages.facts(name, [self._given, length], fitted))
+
+    @cached_property
+    def _given(self) -> list[Any]:
+        """What all stages depend on."""
+        dark = np.zeros(0) if self.pictures.dark is None else self.pictures.dark
+        return [digest(self.pictures.light_field, self.pictures.white, dark), self.camera.to_dict(), list(self.box)]
+
+    def _part(self, camera: str, light: str, wavelength: float | None = None) -> ArrayPart:
+        """Return the part of the array."""
+        return ArrayPart(self.model(camera, light, wavelength), self.box)
+
+    def _projector(self, camera: str, light: str, wavelength: float | None = None) -> Projector:
+        """Return the projection of a volume on the part."""
+        part = self.part(camera, light, wavelength)
+        return Projector(part, [plane_of(part, depth) for depth in depths_of(part.model.camera)])
+
+    # -- runs ------------------------------------------------------------------------------------
+
+    def _predicted(
+        self,
+        camera: str,
+        light: str,
+        seed: int,
+        strength: float,
+        simulated: str | None = None,
+        wavelength: float | None = None,
+    ) -> np.ndarray:
+        """Return the light of all pixels of the part (m,) that a fit to those not withheld predicts.
+
+        `simulated` names the light by which the picture is simulated instead of recorded, `wavelength` another one.
+        """
+        part = self.part(camera, light, wavelength)
+        electrons, withheld = self.electrons(part, simulated), self.withheld(part, seed)
+
+        def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+            fit = self._fit(camera, light, wavelength, electrons, withheld.used, strength, progress)
+            return fit.predicted[None], {"stray_light": fit.stray}
+
+        words = [camera, light, f"seed_{seed}", f"{strength:g}"]
+        words += [f"of_{simulated}"] if simulated else []
+        words += [f"{wavelength:g}nm"] if wavelength else []
+        inputs = [self._given, self.wavelength, ITERATIONS, words]
+        return self.stages.image("_".join(words), inputs, fitted)[0].ravel()
+
+    def volume(self, light: str) -> tuple[np.ndarray, float]:
+        """Return the volume that all pixels together give with the fitted camera, and the stray light."""
+
+        def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+            part = self.part("fitted", light)
+            used, strength = self.pictures.good[part.pixel], self.strength(light, "pixels")
+            fit = self._fit("fitted", light, None, self.electrons(part), used, strength, progress)
+            return np.append(fit.volume.ravel(), np.float32(fit.stray))[None], {}
+
+        flat = self.stages.image(f"volume_{light}", [self._given, self.wavelength, ITERATIONS], fitted)[0].ravel()
+        return flat[:-1].reshape(self.projector("fitted", light).shape), float(flat[-1])
+
+    def _fit(
+        self,
+        camera: str,
+        light: str,
+        wavelength: float | None,
+        electrons: np.ndarray,
+        used: np.ndarray,
+        strength: float,
+        progress: Callable[[int, int], None],
+    ) -> VolumeFit:
+        return fit_volume(
+            self.projector(camera, light, wavelength),
+            electrons,
+            used,
+            dark_variance=self.dark_variance,
+            strength=strength,
+            iterations=ITERATIONS,
+            progress=progress,
+        )
+
+    @property
+    def dark_variance(self) -> float:
+        """Variance of a dark pixel in electrons squared, with that of rounding."""
+        noise = self.pictures.noise
+        return noise.read_noise**2 + 1 / (12 * noise.gain**2)
+
+    def electrons(self, part: ArrayPart, simulated: str | None = None) -> np.ndarray:
+        """Return the electrons of a part's pixels, recorded or simulated."""
+        recorded = self.pictures.electrons[part.pixel]
+        return np.asarray(recorded if simulated is None else self.simulated(simulated), np.float32)
+
+    def _simulated(self, light: str) -> np.ndarray:
+        """Return the electrons of a picture of the volume that rays or waves find, simulated with noise."""
+        volume, stray = self.volume(light)
+        projector = self.projector("fitted", light)
+        cells = projector.cells(volume)
+        cells = cells + np.float32(stray) * cells.mean(1, keepdims=True)
+        expected = np.maximum(projector.record(cells), 0).astype(np.float64)
+        generator = np.random.default_rng(0)
+        noisy = generator.poisson(expected) + generator.normal(0, self.dark_variance**0.5, len(expected))
+        return np.asarray(noisy, np.float32)
+
+    def _withheld(self, part: ArrayPart, seed: int) -> Withheld:
+        """Return the pixels that a seed withholds."""
+        return Withheld.drawn(part, self.pictures.good[part.pixel], seed)
+
+    def _strength(self, light: str, test: str) -> float:
+        """Return the strength that the pixels withheld for it choose, with the fitted camera."""
+        part = self.part("fitted", light)
+        chosen, electrons = self.withheld(part, 0).choosing[test], self.electrons(part)
+
+        def residual(strength: float) -> float:
+            predicted = self.predicted("fitted", light, 0, strength)
+            return float(misfit(electrons, predicted, self.dark_variance)[chosen].sum())
+
+        return min(STRENGTHS, key=residual)
+
+    # -- the answer ------------------------------------------------------------------------------
+
+    def squares(
+        self,
+        camera: str,
+        light: str,
+        test: str,
+        seed: int,
+        simulated: str | None = None,
+        wavelength: float | None = None,
+    ) -> np.ndarray:
+        """Return sums by lens of squared differences over noise of withheld pixels, and the pixels' number."""
+        part = self.part(camera, light, wavelength)
+        predicted = self.predicted(camera, light, seed, self.strength(light, test), simulated, wavelength)
+        values = misfit(self.electrons(part, simulated), predicted, self.dark_variance)
+        return by_lens(values, self.withheld(part, seed).tested[test], part)
+
+    def relative(self, camera: str, light: str, test: str) -> float:
+        """Return the root mean square of withheld differences over that of the recorded pixels."""
+        part = self.part(camera, light)
+        electrons, totals = self.electrons(part), np.zeros(2)
+        for seed in range(SEEDS):
+            chosen = self.withheld(part, seed).tested[test]
+            away = electrons - self.predicted(camera, light, seed, self.strength(light, test))
+            totals += [float((some[chosen] ** 2).sum(dtype=np.float64)) for some in (away, electrons)]
+        return float(np.sqrt(totals[0] / totals[1]))
+
+    def answer(self) -> Answer:
+        """Run what has not been run, and return the answer."""
+        squares: dict[tuple[str, str, str], np.ndarray] = {}
+        strengths, volumes = {}, {}
+        # All runs of one projection follow each other.
+        for light in LIGHTS:
+            strengths[light] = {test: self.strength(light, test) for test in TESTS}
+            volumes[light] = self.volume(light)
+            self.simulated(light)
+            for camera in CAMERAS:
+                for test in TESTS:
+                    each = [self.squares(camera, light, test, seed) for seed in range(SEEDS)]
+                    squares[camera, light, test] = np.sum(each, axis=0)
+        relative = {
+            camera: {light: {test: self.relative(camera, light, test) for test in TESTS} for light in LIGHTS}
+            for camera in CAMERAS
+        }
+        ratios = {
+            camera: {test: Ratio.of(*(squares[camera, light, test] for light in LIGHTS)) for test in TESTS}
+            for camera in CAMERAS
+        }
+        control = {(light, of): self.squares("fitted", light, "pixels", 0, of) for light in LIGHTS for of in LIGHTS}
+        near = {}
+        for length in (self.wavelength - BAND, self.wavelength, self.wavelength + BAND):
+            other = None if length == self.wavelength else length
+            sums = self.squares("fitted", "waves", "pixels", 0, None, other)
+            near[length] = float(np.sqrt(sums[0].sum() / sums[1].sum()))
+        return Answer(
+            ratios=ratios,
+            relative=relative,
+            strengths=strengths,
+            stray={light: stray for light, (_, stray) in volumes.items()},
+            controls={of: Ratio.of(*(control[light, of] for light in LIGHTS)) for of in LIGHTS},
+            wavelengths=near,
+        )

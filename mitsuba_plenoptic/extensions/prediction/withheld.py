@@ -1,0 +1,102 @@
+"""Pixels and lenses of a part of the array that a fit does not see, and how well their light is predicted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .array_part import ArrayPart
+
+TESTS = ("pixels", "lenses")
+"""Single pixels, and all pixels of single lenses."""
+
+_TESTED = {"pixels": 0.2, "lenses": 0.1}
+"""Parts of the pixels, and of the lenses, that are predicted."""
+
+_CHOOSING = 0.05
+"""Part of the pixels, and of the lenses, that choose the strength of the prior."""
+
+_BORDER = 2
+"""Lenses from the part's border that are not judged: they see what lies outside."""
+
+_DRAWS, _LEVEL = 1000, 0.95
+"""Draws of lenses that give an interval, and its level."""
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """Pixels that a fit sees, and, by the names of `TESTS`, those that are predicted and those that choose a prior."""
+
+    used: np.ndarray
+    tested: dict[str, np.ndarray]
+    choosing: dict[str, np.ndarray]
+
+    @classmethod
+    def drawn(cls, part: ArrayPart, good: np.ndarray, seed: int) -> Withheld:
+        """Draw pixels of a part at random, of those that are good."""
+        generator = np.random.default_rng(seed)
+        columns, rows = part.lenses
+        column, row = part.lens_of % columns, part.lens_of // columns
+        inner = np.minimum(np.minimum(column, columns - 1 - column), np.minimum(row, rows - 1 - row)) >= _BORDER
+        draw = {
+            "pixels": generator.random(len(part.pixel)),
+            "lenses": generator.random(columns * rows)[part.lens_of],
+        }
+        test = {name: draw[name] < _TESTED[name] for name in TESTS}
+        third = {name: (draw[name] > 1 - _CHOOSING) & ~test[name] for name in TESTS}
+        used = good & ~test["pixels"] & ~test["lenses"] & ~third["pixels"] & ~third["lenses"]
+        # Pixels of lenses that are withheld belong to their lens alone.
+        alone = test["lenses"] | third["lenses"]
+        kinds = {"pixels": ~alone & good & inner, "lenses": good & inner}
+        return cls(used, *({name: some[name] & kinds[name] for name in TESTS} for some in (test, third)))
+
+
+def misfit(electrons: np.ndarray, predicted: np.ndarray, dark_variance: float) -> np.ndarray:
+    """Return the squared difference of each pixel over the variance of its noise, estimated from the pixel."""
+    return np.asarray((electrons - predicted) ** 2 / (np.maximum(electrons, 1) + dark_variance))
+
+
+def by_lens(values: np.ndarray, chosen: np.ndarray, part: ArrayPart) -> np.ndarray:
+    """Return sums of chosen pixels' values, and their number, for each lens: (2, lenses)."""
+    count = len(part.place)
+    lens = part.lens_of[chosen]
+    return np.stack([np.bincount(lens, values[chosen], count), np.bincount(lens, minlength=count)])
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Residual by rays over that by waves, with the interval that lenses drawn again give.
+
+    Attributes
+    ----------
+    waves, rays : float
+        Root mean square of differences over the noise.
+    low, high : float
+        Ends of the interval of the ratio.
+    """
+
+    waves: float
+    rays: float
+    low: float
+    high: float
+
+    @property
+    def ratio(self) -> float:
+        """Residual by rays over that by waves."""
+        return self.rays / self.waves
+
+    @property
+    def better(self) -> str:
+        """``waves`` or ``rays``, whichever predicts better, or ``neither`` where the interval holds 1."""
+        return "waves" if self.low > 1 else "rays" if self.high < 1 else "neither"
+
+    @classmethod
+    def of(cls, waves: np.ndarray, rays: np.ndarray) -> Ratio:
+        """Return the ratio of squared differences by lens (2, lenses), as `by_lens` sums them over all seeds."""
+        generator, count = np.random.default_rng(0), waves.shape[1]
+        drawn = generator.multinomial(count, np.full(count, 1 / count), _DRAWS)
+        ratios = np.sqrt((drawn @ rays[0]) / (drawn @ waves[0]))
+        low, high = np.quantile(ratios, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]).tolist()
+        by_waves, by_rays = (float(np.sqrt(some[0].sum() / some[1].sum())) for some in (waves, rays))
+        return cls(by_waves, by_rays, low, high)
