@@ -131,10 +131,10 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
 
 def _by_waves(camera: PlenopticCamera, points: np.ndarray, wavelength: float) -> np.ndarray:
     """Return the pictures of voxels, each of several points (voxels, points, 3)."""
-    voxels, count, _ = points.shape
-    operator = CaptureOperator(camera, points.reshape(-1, 3), wavelength=wavelength, accuracy=0)
-    weights = np.repeat(np.eye(voxels, dtype=np.float32) / count, count, axis=0)
-    return operator.forward(weights)
+    weights = np.full(points.shape[1], 1 / points.shape[1])
+    # Voxel by voxel, so that memory is that of a few patches.
+    pictures = [CaptureOperator(camera, some, wavelength=wavelength, accuracy=0).forward(weights) for some in points]
+    return np.stack(pictures, axis=-1)
 
 
 def _by_rays(camera: PlenopticCamera, points: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...errors import refuse_if
+from ...errors import put, refuse_if
 from ...io.checkpoints import digest
 from ...report.stage_store import Progress, Stages
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
@@ -52,16 +52,20 @@ class Pictures:
         dark = np.zeros_like(self.white) if self.dark is None else self.dark
         return photon_transfer(self.white, dark)
 
+    def __post_init__(self) -> None:
+        light, white = single_channel("light field", self.light_field), single_channel("white", self.white)
+        put(self, light_field=light, white=white)
+        refuse_if(
+            self.light_field.shape != self.white.shape,
+            f"light field of shape {self.light_field.shape}: it must have the pixels of the white picture, "
+            f"{self.white.shape}",
+        )
+
     @cached_property
     def electrons(self) -> np.ndarray:
         """Electrons of the light field's pixels, flat."""
-        light = single_channel("light field", self.light_field)
-        refuse_if(
-            light.shape != self.white.shape[:2],
-            f"light field of shape {light.shape}: it must have the pixels of the white picture, {self.white.shape}",
-        )
         below = 0.0 if self.dark is None else self.dark
-        return np.asarray(((light - below) / self.noise.gain).ravel())
+        return np.asarray(((self.light_field - below) / self.noise.gain).ravel())
 
     @cached_property
     def good(self) -> np.ndarray:

@@ -1,0 +1,98 @@
+"""The command that compares a real light field with simulated ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import scipy.ndimage
+from PIL import Image
+
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.extensions.prediction import point_patterns, study
+from mitsuba_plenoptic.views import white_image
+
+CAMERA = PlenopticCamera(
+    main_lens={"magnification": 20, "numerical_aperture": 0.4, "immersion": 1.33},
+    mla_pitch=0.125, mla_focal_length=2.5, detector_distance=2.5, mla_rotation=0.2, mla_offset=(0.02, -0.03),
+    detector_width=2.0, resolution=(192, 192),
+)  # fmt: skip
+
+
+def write(path, light, photons, generator):
+    """A picture of 16 bits, of two numbers an electron, with a dark level of 100."""
+    values = generator.poisson(photons * light.clip(0)) * 2.0 + generator.normal(100, 2, light.shape)
+    Image.fromarray(values.round().clip(0, 65535).astype(np.uint16)).save(path)
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    generator = np.random.default_rng(0)
+    white = scipy.ndimage.gaussian_filter(white_image(CAMERA), 0.6)
+    points = np.column_stack([generator.uniform(-0.04, 0.04, (60, 2)), generator.uniform(-0.01, 0.01, 60)])
+    light = CaptureOperator(CAMERA, points, wavelength=550.0).forward(generator.exponential(size=60))
+    light = light / light.max() + 0.02 * white
+    dark = np.zeros_like(light)
+    for name, image, photons in (("white", white, 8000), ("light", light, 8000), ("dark", dark, 0)):
+        write(tmp_path / f"{name}.tif", image, photons, generator)
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA.replace(mla_offset=(0, 0)).to_dict()))
+    return tmp_path
+
+
+def command(folder, *others):
+    files = {"--real": "light.tif", "--white": "white.tif", "--dark": "dark.tif", "--camera": "camera.json"}
+    given = [word for option, name in files.items() for word in (option, str(folder / name))]
+    return ["compare", *given, "--wavelength", "550", "-o", str(folder / "out"), *others]
+
+
+@pytest.mark.slow
+def test_a_picture_by_waves_is_predicted_better_by_waves(pictures, monkeypatch, capsys):
+    monkeypatch.setattr(point_patterns, "_WIDEST", 2.5)
+    monkeypatch.setattr(study, "SEEDS", 2)
+    monkeypatch.setattr(study, "ITERATIONS", 15)
+    assert main(command(pictures, "--part", "0.1,0.1,0.9,0.9")) == 0
+    out = capsys.readouterr().out
+    assert "of withheld pixels, waves are better" in out
+    results = json.loads((pictures / "out" / "results.json").read_text())
+    assert results["ratios"]["fitted"]["pixels"]["low"] > 1
+    assert results["verdict"] in out
+    assert "<img" in (pictures / "out" / "report.html").read_text()
+    # Finished runs are not repeated.
+    monkeypatch.setattr(study, "fit_volume", None)
+    assert main(command(pictures, "--part", "0.1,0.1,0.9,0.9", "--resume")) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["chart"], "scene = chart: --real takes its place"),
+        (["--distance", "200"], "--distance, --against, -D: they are not for --real"),
+        (["--part", "0.5,0.5,0.2,1"], "part = 0.5,0.5,0.2,1: it must be LEFT,TOP,RIGHT,BOTTOM"),
+        (["--part", "half"], "part = half: it must be"),
+    ],
+)
+def test_wrong_options_get_one_line(tmp_path, words, line, capsys):
+    for name in ("light.tif", "white.tif", "dark.tif"):
+        (tmp_path / name).touch()
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA.to_dict()))
+    assert main(command(tmp_path, *words)) == 2
+    error = capsys.readouterr().err
+    assert line in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_or_a_light_field_is_needed(tmp_path, capsys):
+    assert main(["compare", "-o", str(tmp_path / "out")]) == 2
+    assert "give a scene and a distance, or --real" in capsys.readouterr().err
+    assert main(["compare", "chart", "--distance", "200", "--part", "0,0,1,1", "-o", str(tmp_path / "out")]) == 2
+    assert "they are for --real" in capsys.readouterr().err
+
+
+def test_pictures_of_other_sizes_are_refused(pictures, capsys):
+    image = np.asarray(Image.open(pictures / "light.tif"))
+    Image.fromarray(image[:-1]).save(pictures / "light.tif")
+    assert main(command(pictures)) == 2
+    assert "light field of shape (191, 192): it must have the pixels of the white picture" in capsys.readouterr().err

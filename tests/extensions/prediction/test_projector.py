@@ -1,0 +1,165 @@
+"""Volumes projected on an array, against captures of points through the whole camera, and fits of such volumes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
+from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array, places
+from mitsuba_plenoptic.extensions.calibrate.field_fit import FieldNumbers
+from mitsuba_plenoptic.extensions.calibrate.micro_image import PupilNumbers
+from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel
+from mitsuba_plenoptic.extensions.prediction.point_patterns import depths_of, plane_of
+from mitsuba_plenoptic.extensions.prediction.projector import Projector
+from mitsuba_plenoptic.extensions.prediction.volume_fit import fit_volume
+from mitsuba_plenoptic.extensions.prediction.withheld import Ratio, Withheld, by_lens, misfit
+
+CAMERA = PlenopticCamera(
+    main_lens={"magnification": 20, "numerical_aperture": 0.4, "immersion": 1.33},
+    mla_pitch=0.125, mla_focal_length=2.5, detector_distance=2.5, mla_rotation=0.3, mla_offset=(0.0625, 0.0625),
+    detector_width=1.875, resolution=(180, 180), detector_blur=0.007,
+)  # fmt: skip
+"""Fifteen lenses of twelve pixels along a side, turned."""
+
+
+def model_of(camera, wavelength=550.0):
+    """The model of a camera that is known, with a round and even pupil."""
+    index = np.stack(np.meshgrid(np.arange(-8, 7), np.arange(-8, 7)), axis=-1).reshape(-1, 2).astype(float)
+    centre = np.stack(camera.lattice.centre(*index.T), axis=-1)
+    place = centre * camera.image_growth / camera.pixel_size + (np.array(camera.resolution) - 1) / 2
+    array = fit_array(place, index, camera)
+    pupil = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=camera.detector_blur / camera.pixel_size)
+    field = FieldNumbers(camera.resolution, 0, pupil)
+    return CameraModel(camera, wavelength, array, field, index, np.ones(len(index)))
+
+
+MODEL = model_of(CAMERA)
+PART = ArrayPart(MODEL, (20, 20, 160, 160))
+FINE, MIDDLE, FAR = (plane_of(PART, depth) for depth in (0.0, 0.012, -0.03))
+PROJECTOR = Projector(PART, [FINE, MIDDLE, FAR])
+
+
+def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
+    assert PART.lenses == (11, 11)
+    assert len(np.unique(PART.pixel)) == len(PART.pixel)
+    assert len(PART.pixel) == pytest.approx(11 * 11 * 12 * 12, rel=0.02)
+    rows, columns = np.divmod(PART.pixel, 180)
+    away = np.stack([columns, rows], axis=-1) - places(MODEL.array, MODEL.lens, CAMERA)[:, None]
+    assert (np.hypot(*away.T).min(1) <= np.hypot(*(PART.within.T * 12)) + 1e-6).all()
+
+
+@pytest.mark.parametrize("plane", [FINE, MIDDLE, FAR], ids=["focus", "near", "far"])
+def test_voxels_are_recorded_as_their_points_are(plane):
+    """Fine points of one voxel of the middle lens, through the whole turned camera."""
+    projector, across = Projector(PART, [plane]), plane.across
+    volume = np.zeros(projector.shape, np.float32)
+    row, column = projector.shape[0] // 2, projector.shape[1] // 2
+    voxel = across + 2
+    volume[row, column, voxel] = 1
+    lens = PART.place[(PART.lenses[1] // 2) * PART.lenses[0] + PART.lenses[0] // 2]
+    angle = np.deg2rad(CAMERA.mla_rotation)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    centre = (lens - 89.5) * CAMERA.pixel_size / CAMERA.image_growth
+    step = (np.arange(6) + 0.5) / 6
+    at = (
+        np.stack(np.meshgrid((2 + step) / across - 0.5, (1 + step) / across - 0.5), -1).reshape(-1, 2) * 0.125
+    ) @ turn.T
+    points = np.column_stack([-(centre + at) / 20, np.full(36, plane.depth)])
+    operator = CaptureOperator(CAMERA, points, wavelength=550.0, accuracy=0)
+    exact = operator.forward(np.full(36, 1 / 36)).ravel()[PART.pixel]
+    found = projector.direct(volume)
+    # The white picture, by which pixels are weighted, has an even pupil; points radiate evenly over angles.
+    assert np.linalg.norm(found - exact) < 0.04 * np.linalg.norm(exact)
+    assert found.sum() == pytest.approx(exact.sum(), rel=0.03)
+
+
+def test_the_adjoint_is_the_transpose():
+    generator = np.random.default_rng(0)
+    volume, pixels = generator.random(PROJECTOR.shape, np.float32), generator.random(len(PART.pixel), np.float32)
+    cells = PROJECTOR.cells(volume)
+    forward = PROJECTOR.record(cells + np.float32(0.1) * cells.mean(1, keepdims=True))
+    back = PROJECTOR.adjoint(pixels, 0.1)
+    assert np.vdot(forward, pixels) == pytest.approx(np.vdot(volume, back), rel=1e-5)
+    assert (PROJECTOR.join(PROJECTOR.split(volume)) == volume).all()
+
+
+@pytest.mark.slow
+def test_rays_are_waves_without_diffraction():
+    """Behind lenses twice as large, at 250 nm, pictures by rays and by waves are alike; by light here they differ."""
+
+    def pictures(wavelength, scale):
+        lengths = {"mla_pitch": 0.125, "mla_focal_length": 2.5, "detector_distance": 2.5, "detector_width": 1.875}
+        camera = CAMERA.replace(
+            **{name: scale * length for name, length in lengths.items()},
+            mla_offset=(scale * 0.0625,) * 2,
+            detector_blur=scale * 0.007,
+        )
+        return plane_of(ArrayPart(model_of(camera, wavelength), (20, 20, 160, 160)), scale * 0.012).pictures
+
+    def off(wavelength, scale):
+        rays, waves = pictures(None, scale), pictures(wavelength, scale)
+        return np.linalg.norm(rays - waves) / np.linalg.norm(waves)
+
+    assert off(250.0, 2) < 0.07 < 0.15 < off(550.0, 1)
+
+
+def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
+    """Mean square of the lit lenses' distance, of a source that radiates evenly within the half angle alpha:
+
+    the mean of the squared tangent is (1 / cos(alpha) + cos(alpha) - 2) / (1 - cos(alpha)).
+    """
+    depth = -0.05
+    plane = plane_of(ArrayPart(model_of(CAMERA, None), (20, 20, 160, 160)), depth)
+    lenses = plane.pictures.shape[0] // 12
+    light = plane.pictures.sum(2).reshape(lenses, 12, lenses, 12).sum((1, 3)) / plane.across**2
+    place = (np.arange(lenses) - lenses // 2) * 0.125
+    cosine = np.cos(CAMERA.objective.half_angle)
+    tangents = (1 / cosine + cosine - 2) / (1 - cosine)
+    found = (light * (place**2 + place[:, None] ** 2)).sum()
+    # Voxels and lenses are squares of one pitch.
+    assert light.sum() == pytest.approx(1, abs=1e-3)
+    assert found == pytest.approx((20 * depth) ** 2 * tangents + 2 * 2 * 0.125**2 / 12, rel=0.02)
+
+
+def test_withheld_pixels_of_a_simulated_volume_are_predicted():
+    """A volume with structure, noise of photons: the residual of pixels that the fit has not seen is that of noise."""
+    generator = np.random.default_rng(1)
+    volume = (generator.random(PROJECTOR.shape) ** 8).astype(np.float32)
+    expected = PROJECTOR.direct(volume)
+    electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
+    withheld = Withheld.drawn(PART, np.ones(len(PART.pixel), bool), 0)
+    fit = fit_volume(
+        PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60, progress=lambda *_: None
+    )
+    over_noise = misfit(electrons, fit.predicted, 1.0)
+    tested = withheld.tested["pixels"]
+    assert fit.stray < 0.02
+    assert over_noise[tested].mean() < 1.5
+    # An even volume predicts far worse, and lenses that are not seen at all worse than pixels.
+    even = electrons[withheld.used].mean() * PART.white / PART.white[withheld.used].mean()
+    assert misfit(electrons, even, 1.0)[tested].mean() > 10
+    sums = by_lens(over_noise, withheld.tested["lenses"], PART)
+    assert 1.5 < sums[0].sum() / sums[1].sum() < 50
+
+
+def test_verdicts_can_come_out_either_way():
+    generator = np.random.default_rng(0)
+    small, large = (np.stack([generator.chisquare(100, 400) * factor, np.full(400, 100)]) for factor in (1.0, 1.3))
+    assert Ratio.of(small, large).better == "waves"
+    assert Ratio.of(large, small).better == "rays"
+    assert Ratio.of(small, small[:, ::-1]).better == "neither"
+    found = Ratio.of(small, large)
+    assert found.low < found.ratio < found.high
+    assert found.ratio == pytest.approx(np.sqrt(1.3), rel=0.02)
+
+
+def test_planes_grow_apart_and_thin_lenses_are_refused():
+    depths = np.array(depths_of(CAMERA))
+    assert depths[len(depths) // 2] == 0
+    assert depths == pytest.approx(-depths[::-1])
+    assert (np.diff(depths[depths >= 0], 2) > 0).all()
+    with pytest.raises(InputError, match="microscopes"):
+        depths_of(PlenopticCamera())
+    with pytest.raises(InputError, match="lenses lie in it"):
+        ArrayPart(MODEL, (80, 80, 130, 130))
