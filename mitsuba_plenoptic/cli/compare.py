@@ -33,7 +33,7 @@ def compare(
         typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", show_default=False),
         SCENE,
     ] = None,
-    distance: PositiveDistances | None = None,
+    distance: PositiveDistances = None,
     wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
     against: Annotated[

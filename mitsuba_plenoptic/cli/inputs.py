@@ -59,7 +59,7 @@ _DISTANCE = numeric("Distance from the main lens to focus on, beyond its focal l
 
 # Depths before an objective may be negative, and only the capture tells whether there is one.
 Distances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, finite=False))]
-PositiveDistances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, positive=True))]
+PositiveDistances = Annotated[list[float] | None, _DISTANCE, Judged(partial(require_number, positive=True))]
 
 Variant = Annotated[
     str | None,

@@ -11,7 +11,7 @@ from ...errors import naming, refuse_if, refusing
 from ...io.checkpoints import write_json
 from ...report.stage_store import StageOptions, Stages
 from ..calibrate.white_command import sensor_values
-from .page import write_page
+from .real_page import write_page
 from .study import LIGHTS, Pictures, Study
 from .withheld import TESTS
 

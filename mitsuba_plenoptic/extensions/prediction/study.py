@@ -190,9 +190,9 @@ class Study:
         return ArrayPart(self.model(camera, light, wavelength), self.box)
 
     def _projector(self, camera: str, light: str, wavelength: float | None = None) -> Projector:
-        """Return the projection of a volume on the part."""
+        """Return the projection of a volume, whose planes are those of the known camera, on the part."""
         part = self.part(camera, light, wavelength)
-        return Projector(part, [plane_of(part, depth) for depth in depths_of(part.model.camera)])
+        return Projector(part, [plane_of(part, depth) for depth in depths_of(self.camera)])
 
     # -- runs ------------------------------------------------------------------------------------
 
