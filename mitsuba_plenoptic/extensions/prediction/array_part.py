@@ -62,7 +62,7 @@ class CameraModel:
         """
         size = self.camera.resolution
         camera = of_size(camera, size)
-        array = fit_array(places(self.array, self.lens, self.camera), self.lens, camera, degree=1)
+        array = fit_array(self.places(self.lens), self.lens, camera, degree=1)
         camera = camera.replace(**array.lattice_parameters())
         even = FieldNumbers(size, 0, PupilNumbers(camera.pupil_radius / camera.pupil_step))
         return replace(self, camera=camera, array=array, field=even, brightness=np.ones(len(self.lens)))
@@ -105,70 +105,100 @@ class CameraModel:
         pitches = np.array([lattice.pitches[0], lattice.row_distance])
         return np.asarray(pitches * self.camera.image_growth / self.camera.pixel_size)
 
+    def places(self, lens: np.ndarray) -> np.ndarray:
+        """Return the places (n, 2) in pixels of the micro-images of lenses with indices (n, 2)."""
+        return places(self.array, lens.astype(np.float64), self.camera)
+
+    def within(self, offset: np.ndarray) -> np.ndarray:
+        """Return places in cells, in pitches along and across the rows, of offsets in pixels from lenses' places."""
+        angle = np.deg2rad(self.camera.mla_rotation)
+        along = np.cos(angle) * offset[:, 0] + np.sin(angle) * offset[:, 1]
+        across = np.cos(angle) * offset[:, 1] - np.sin(angle) * offset[:, 0]
+        return np.stack([along, across], axis=-1) / self.pitch
+
+
+@dataclass(frozen=True, eq=False)
+class PartPixels:
+    """Lenses whose micro-images lie in a rectangle of a picture, in rows and columns, and their pixels.
+
+    Attributes
+    ----------
+    lens : (n, 2) array
+        Indices along and across the rows of all lenses, row by row.
+    lenses : (int, int)
+        Lenses along and across the rows.
+    pixel : (m,) array
+        Numbers of the pixels in the flat picture.
+    lens_of : (m,) array
+        The lens in whose cell each pixel is.
+    """
+
+    lens: np.ndarray
+    lenses: tuple[int, int]
+    pixel: np.ndarray
+    lens_of: np.ndarray
+
+    @classmethod
+    def of(cls, model: CameraModel, box: tuple[float, float, float, float]) -> PartPixels:
+        """Return the pixels of a camera's lenses within left, top, right and bottom, in pixels."""
+        refuse_if(
+            not model.camera.lattice.rectangular,
+            f"mla_lattice = {model.camera.mla_lattice}: light fields are predicted behind square arrays",
+        )
+        place = model.places(model.lens)
+        inside = ((place > box[:2]) & (place < box[2:])).all(1)
+        refuse_if(not inside.any(), "part: no micro-image lies in it")
+        first, last = (np.rint(find(model.lens[inside], axis=0)).astype(int) for find in (np.min, np.max))
+        across, down = (last - first + 1).tolist()
+        refuse_if(
+            min(across, down) < _FEWEST,
+            f"part: {across} x {down} lenses lie in it: at least {_FEWEST} along a side are needed",
+        )
+        rows, columns = (index.ravel() for index in np.mgrid[:down, :across])
+        lens = first + np.stack([columns, rows], axis=-1)
+        size, half = model.camera.resolution, int(np.ceil(model.pitch.max() / np.sqrt(2))) + 1
+        base, window = np.rint(model.places(lens)).astype(int), np.arange(-half, half + 1)
+        column, row, which = np.broadcast_arrays(
+            base[:, 0, None, None] + window,
+            base[:, 1, None, None] + window[:, None],
+            np.arange(len(lens))[:, None, None],
+        )
+        on_picture = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
+        column, row, which = column[on_picture], row[on_picture], which[on_picture]
+        near = abs(model.within(np.stack([column, row], axis=-1) - model.places(lens)[which])).max(1) < 0.5
+        # Cells of a warped array overlap by parts of a pixel.
+        pixel, only = np.unique((row * size[0] + column)[near], return_index=True)
+        return cls(lens, (across, down), pixel, which[near][only])
+
 
 class ArrayPart:
-    """Lenses whose micro-images lie in a rectangle of a picture, in rows and columns, and their pixels.
+    """A camera's view of a part: places of its pixels in the cells of lenses, and their white light.
 
     Parameters
     ----------
     model : CameraModel
         The camera and the places of its micro-images.
-    box : (left, top, right, bottom)
-        The rectangle, in pixels.
+    pixels : PartPixels
+        The pixels, the same for all cameras that are compared.
 
     Attributes
     ----------
-    lenses : (int, int)
-        Lenses along and across the rows.
     place : (n, 2) array
         Places of all lenses in pixels, row by row.
-    pixel : (m,) array
-        Numbers of the pixels in the flat picture.
-    lens_of : (m,) array
-        The lens in whose cell each pixel is.
     within : (m, 2) array
         Place of each pixel in its cell, from -1/2 to 1/2 along and across the rows.
     """
 
-    def __init__(self, model: CameraModel, box: tuple[float, float, float, float]) -> None:
-        refuse_if(
-            not model.camera.lattice.rectangular,
-            f"mla_lattice = {model.camera.mla_lattice}: light fields are predicted behind square arrays",
-        )
-        self.model = model
-        place = places(model.array, model.lens, model.camera)
-        inside = ((place > box[:2]) & (place < box[2:])).all(1)
-        refuse_if(not inside.any(), "part: no micro-image lies in it")
-        first = np.rint(model.lens[inside].min(0)).astype(int)
-        self.lenses = tuple((np.rint(model.lens[inside].max(0)).astype(int) - first + 1).tolist())
-        refuse_if(
-            min(self.lenses) < _FEWEST,
-            f"part: {self.lenses[0]} x {self.lenses[1]} lenses lie in it: at least {_FEWEST} along a side are needed",
-        )
-        rows, columns = (index.ravel() for index in np.mgrid[: self.lenses[1], : self.lenses[0]])
-        lens = first + np.stack([columns, rows], axis=-1)
-        self.place = places(model.array, lens.astype(np.float64), model.camera)
+    def __init__(self, model: CameraModel, pixels: PartPixels) -> None:
+        self.model, self.pixels = model, pixels
+        self.lenses, self.pixel, self.lens_of = pixels.lenses, pixels.pixel, pixels.lens_of
+        self.place = model.places(pixels.lens)
+        row, column = np.divmod(self.pixel, model.camera.resolution[0])
+        self._offset = np.stack([column, row], axis=-1) - self.place[self.lens_of]
+        self.within = model.within(self._offset)
         index = np.rint(model.lens).astype(int).tolist()
         known = {tuple(one): light for one, light in zip(index, model.brightness, strict=True)}
-        self._bright = np.array([known.get(tuple(one), 1.0) for one in lens.tolist()])
-        self.pixel, self.lens_of, self._offset, self.within = self._pixels()
-
-    def _pixels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return numbers, lenses, offsets in pixels from the lenses' places, and places in cells of all pixels."""
-        angle, size = np.deg2rad(self.model.camera.mla_rotation), self.model.camera.resolution
-        half = int(np.ceil(0.5 * self.model.pitch.max() * (abs(np.cos(angle)) + abs(np.sin(angle))))) + 1
-        window, base = np.arange(-half, half + 1), np.rint(self.place).astype(int)
-        column, row = np.broadcast_arrays(base[:, 0, None, None] + window, base[:, 1, None, None] + window[:, None])
-        x, y = column - self.place[:, 0, None, None], row - self.place[:, 1, None, None]
-        along = (np.cos(angle) * x + np.sin(angle) * y) / self.model.pitch[0]
-        across = (np.cos(angle) * y - np.sin(angle) * x) / self.model.pitch[1]
-        inside = (np.maximum(abs(along), abs(across)) < 0.5) & (column >= 0) & (column < size[0])
-        inside &= (row >= 0) & (row < size[1])
-        # Cells of a warped array overlap by parts of a pixel.
-        number, first = np.unique((row * size[0] + column)[inside], return_index=True)
-        lens = np.broadcast_to(np.arange(len(self.place))[:, None, None], x.shape)[inside][first]
-        offset, within = (np.stack([a[inside][first], b[inside][first]], -1) for a, b in ((x, y), (along, across)))
-        return number, lens, offset, within
+        self._bright = np.array([known.get(tuple(one), 1.0) for one in pixels.lens.tolist()])
 
     @property
     def middle(self) -> tuple[float, float]:

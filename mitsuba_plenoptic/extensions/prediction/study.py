@@ -16,7 +16,7 @@ from ...report.stage_store import Progress, Stages
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, single_channel
-from .array_part import ArrayPart, CameraModel
+from .array_part import ArrayPart, CameraModel, PartPixels
 from .point_patterns import depths_of, plane_of
 from .projector import Projector
 from .volume_fit import VolumeFit, fit_volume
@@ -187,7 +187,12 @@ class Study:
 
     def _part(self, camera: str, light: str, wavelength: float | None = None) -> ArrayPart:
         """Return the part of the array."""
-        return ArrayPart(self.model(camera, light, wavelength), self.box)
+        return ArrayPart(self.model(camera, light, wavelength), self._pixels)
+
+    @cached_property
+    def _pixels(self) -> PartPixels:
+        """The pixels of the part, by the lattice that waves find."""
+        return PartPixels.of(self.model("fitted", "waves"), self.box)
 
     def _projector(self, camera: str, light: str, wavelength: float | None = None) -> Projector:
         """Return the projection of a volume, whose planes are those of the known camera, on the part."""

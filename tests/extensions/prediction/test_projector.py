@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
-from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array, places
+from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array
 from mitsuba_plenoptic.extensions.calibrate.field_fit import FieldNumbers
 from mitsuba_plenoptic.extensions.calibrate.micro_image import PupilNumbers
-from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel
+from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel, PartPixels
 from mitsuba_plenoptic.extensions.prediction.point_patterns import depths_of, plane_of
 from mitsuba_plenoptic.extensions.prediction.projector import Projector
 from mitsuba_plenoptic.extensions.prediction.volume_fit import fit_volume
@@ -34,8 +34,13 @@ def model_of(camera, wavelength=550.0):
     return CameraModel(camera, wavelength, array, field, index, np.ones(len(index)))
 
 
+def part_of(model):
+    """The part of eleven lenses along a side."""
+    return ArrayPart(model, PartPixels.of(model, (20, 20, 160, 160)))
+
+
 MODEL = model_of(CAMERA)
-PART = ArrayPart(MODEL, (20, 20, 160, 160))
+PART = part_of(MODEL)
 FINE, MIDDLE, FAR = (plane_of(PART, depth) for depth in (0.0, 0.012, -0.03))
 PROJECTOR = Projector(PART, [FINE, MIDDLE, FAR])
 
@@ -45,7 +50,7 @@ def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
     assert len(np.unique(PART.pixel)) == len(PART.pixel)
     assert len(PART.pixel) == pytest.approx(11 * 11 * 12 * 12, rel=0.02)
     rows, columns = np.divmod(PART.pixel, 180)
-    away = np.stack([columns, rows], axis=-1) - places(MODEL.array, MODEL.lens, CAMERA)[:, None]
+    away = np.stack([columns, rows], axis=-1) - MODEL.places(MODEL.lens)[:, None]
     assert (np.hypot(*away.T).min(1) <= np.hypot(*(PART.within.T * 12)) + 1e-6).all()
 
 
@@ -95,7 +100,7 @@ def test_rays_are_waves_without_diffraction():
             mla_offset=(scale * 0.0625,) * 2,
             detector_blur=scale * 0.007,
         )
-        return plane_of(ArrayPart(model_of(camera, wavelength), (20, 20, 160, 160)), scale * 0.012).pictures
+        return plane_of(part_of(model_of(camera, wavelength)), scale * 0.012).pictures
 
     def off(wavelength, scale):
         rays, waves = pictures(None, scale), pictures(wavelength, scale)
@@ -110,7 +115,7 @@ def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
     the mean of the squared tangent is (1 / cos(alpha) + cos(alpha) - 2) / (1 - cos(alpha)).
     """
     depth = -0.05
-    plane = plane_of(ArrayPart(model_of(CAMERA, None), (20, 20, 160, 160)), depth)
+    plane = plane_of(part_of(model_of(CAMERA, None)), depth)
     lenses = plane.pictures.shape[0] // 12
     light = plane.pictures.sum(2).reshape(lenses, 12, lenses, 12).sum((1, 3)) / plane.across**2
     place = (np.arange(lenses) - lenses // 2) * 0.125
@@ -162,4 +167,4 @@ def test_planes_grow_apart_and_thin_lenses_are_refused():
     with pytest.raises(InputError, match="microscopes"):
         depths_of(PlenopticCamera())
     with pytest.raises(InputError, match="lenses lie in it"):
-        ArrayPart(MODEL, (80, 80, 130, 130))
+        PartPixels.of(MODEL, (80, 80, 130, 130))
