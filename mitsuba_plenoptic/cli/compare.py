@@ -95,7 +95,7 @@ def compare(
         refuse_if(scene is not None, f"scene = {scene}: --real takes its place")
         refuse_if(bool(distance or against or define), "--distance, --against, -D: they are not for --real")
         known = named_camera(camera)
-        refuse_if(white is None or known is None, "--real: give --white and --camera, too")
+        refuse_if(white is None or dark is None or known is None, "--real: give --white, --dark and --camera, too")
         with stage_lines(resume) as stages:
             entry_of("comparisons", "real", "--real")(
                 real, output, known, white=white, dark=dark, wavelength=wavelength, part=part, options=stages

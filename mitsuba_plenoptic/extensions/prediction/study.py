@@ -44,28 +44,28 @@ class Pictures:
 
     light_field: np.ndarray
     white: np.ndarray
-    dark: np.ndarray | None
+    dark: np.ndarray
 
     @cached_property
     def noise(self) -> PhotonTransfer:
         """Gain and noise of the sensor."""
-        dark = np.zeros_like(self.white) if self.dark is None else self.dark
-        return photon_transfer(self.white, dark)
+        return photon_transfer(self.white, self.dark)
 
     def __post_init__(self) -> None:
-        light, white = single_channel("light field", self.light_field), single_channel("white", self.white)
-        put(self, light_field=light, white=white)
-        refuse_if(
-            self.light_field.shape != self.white.shape,
-            f"light field of shape {self.light_field.shape}: it must have the pixels of the white picture, "
-            f"{self.white.shape}",
-        )
+        shape = single_channel("white", self.white).shape
+        for name in ("light_field", "white", "dark"):
+            label = name.replace("_", " ")
+            picture = single_channel(label, getattr(self, name))
+            refuse_if(
+                picture.shape != shape,
+                f"{label} of shape {picture.shape}: it must have the pixels of the white picture, {shape}",
+            )
+            put(self, **{name: picture})
 
     @cached_property
     def electrons(self) -> np.ndarray:
         """Electrons of the light field's pixels, flat."""
-        below = 0.0 if self.dark is None else self.dark
-        return np.asarray(((self.light_field - below) / self.noise.gain).ravel())
+        return np.asarray(((self.light_field - self.dark) / self.noise.gain).ravel())
 
     @cached_property
     def good(self) -> np.ndarray:
@@ -182,8 +182,8 @@ class Study:
     @cached_property
     def _given(self) -> list[Any]:
         """What all stages depend on."""
-        dark = np.zeros(0) if self.pictures.dark is None else self.pictures.dark
-        return [digest(self.pictures.light_field, self.pictures.white, dark), self.camera.to_dict(), list(self.box)]
+        pictures = self.pictures
+        return [digest(pictures.light_field, pictures.white, pictures.dark), self.camera.to_dict(), list(self.box)]
 
     def _part(self, camera: str, light: str, wavelength: float | None = None) -> ArrayPart:
         """Return the part of the array."""
