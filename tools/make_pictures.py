@@ -14,7 +14,6 @@ import argparse
 import base64
 import io
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import real_pictures
 from check_release import page_code, page_files
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -34,12 +34,9 @@ from PIL import Image, ImageChops, ImageOps
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
-from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.errors import require_choice
-from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
 from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
 from mitsuba_plenoptic.fitting import View
-from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
@@ -204,10 +201,19 @@ def ordinary() -> Image.Image:
 @picture
 def real_camera() -> Image.Image:
     """Show the white picture of a real microscope beside that of the camera fitted to it."""
-    folder = Path(os.environ["MITSUBA_PLENOPTIC_DATA"]) / "antleg"
-    white, dark = (read_picture(folder / name, linear=True) for name in ("radiometry_frame.png", "dark_frame.tif"))
-    found = fit_white(white, mp.PlenopticCamera.preset("lfm_water"), dark=dark, wavelength=510.0)
-    return narrowed(drawn(white_figure(found)), 820)
+    return narrowed(drawn(real_pictures.white()), 820)
+
+
+@picture
+def real_light_field() -> Image.Image:
+    """Show the light field of a real microscope beside those by waves and by rays."""
+    return narrowed(drawn(real_pictures.light_field()), 820)
+
+
+@picture
+def real_volume() -> Image.Image:
+    """Show slices of the volumes that waves and rays find in a real light field."""
+    return narrowed(drawn(real_pictures.volume()), 820)
 
 
 @picture
