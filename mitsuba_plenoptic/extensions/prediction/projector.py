@@ -46,8 +46,9 @@ class Projector:
         self._to_pixels = self._interpolation()
         self._to_cells = self._to_pixels.T.tocsr()
         self._weight = np.ones(len(part.pixel), np.float32)
-        even = self.direct(np.ones(self.shape, np.float32))
-        white = part.white * (even.mean() / part.white.mean())
+        # Interpolation at sharp borders goes below 0.
+        even = np.maximum(self.direct(np.ones(self.shape, np.float32)), 0)
+        white = np.maximum(part.white, 0) * (even.mean() / part.white.mean())
         dim = _DIM * np.quantile(even, 0.99)
         self._weight = ((white + dim) / (even + dim)).astype(np.float32)
 

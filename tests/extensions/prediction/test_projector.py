@@ -79,6 +79,17 @@ def test_voxels_are_recorded_as_their_points_are(plane):
     assert found.sum() == pytest.approx(exact.sum(), rel=0.03)
 
 
+def test_pictures_with_sharp_borders_are_weighted_evenly():
+    """Without a blur rays of an even volume end within a pixel, beyond which nothing may be amplified."""
+    model = model_of(CAMERA.replace(detector_blur=0.0), None)
+    part = part_of(model)
+    projector = Projector(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
+    even = projector.direct(np.ones(projector.shape, np.float32))
+    white = part.white * (even.sum() / part.white.sum())
+    assert np.abs(even - white).max() < 0.15 * white.max()
+    assert np.linalg.norm(even - white) < 0.03 * np.linalg.norm(white)
+
+
 def test_the_adjoint_is_the_transpose():
     generator = np.random.default_rng(0)
     volume, pixels = generator.random(PROJECTOR.shape, np.float32), generator.random(len(PART.pixel), np.float32)
