@@ -12,7 +12,7 @@ from ...report.images import data_url
 from ...report.page import template
 from ...runtime.files import write_text
 from .array_part import ArrayPart
-from .study import CAMERAS, LIGHTS, Answer, Study
+from .study import CAMERAS, LIGHTS, Answer, Setup, Study
 from .withheld import TESTS
 
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -58,12 +58,11 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
 
 def pictures(study: Study) -> Canvas:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
-    part = study.part("fitted", "waves")
-    recorded = _picture(study, part, study.electrons(part))
-    predicted = {}
+    part = study.part(Setup("fitted", "waves"))
+    recorded, predicted = _picture(study, part, study.electrons(None)), {}
     for light in LIGHTS:
-        own = study.part("fitted", light)
-        predicted[light] = _picture(study, own, study.predicted("fitted", light, 0, study.strength(light, "pixels")))
+        found = study.predicted(Setup("fitted", light), 0, study.strength(light, "pixels"), None)
+        predicted[light] = _picture(study, part, found)
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
     canvas = Canvas(3 * _SIDE + 1.2, 2 * _SIDE + 1.1)
@@ -123,7 +122,8 @@ def slices(study: Study) -> Canvas:
     volumes = {light: _planes(study, light) for light in LIGHTS}
     depths = sorted(volumes["waves"], key=lambda depth: -float(np.ptp(volumes["waves"][depth])))
     chosen = sorted(depths[:_SLICES])
-    tall = 2.1 * study.part("fitted", "waves").lenses[1] / study.part("fitted", "waves").lenses[0]
+    across, down = study.part(Setup("fitted", "waves")).lenses
+    tall = 2.1 * down / across
     canvas = Canvas(_SLICES * 2.2 + 0.3, 2 * (tall + 0.4) + 0.2)
     for row, light in enumerate(LIGHTS):
         for column, depth in enumerate(chosen):
@@ -137,7 +137,7 @@ def slices(study: Study) -> Canvas:
 def _planes(study: Study, light: str) -> dict[float, np.ndarray]:
     """Return the planes of a volume by depth, within the part, in voxels per area of the finest."""
     volume, _ = study.volume(light)
-    projector = study.projector("fitted", light)
+    projector = study.projector(Setup("fitted", light))
     planes = {}
     for plane, image in zip(projector.planes, projector.split(volume), strict=True):
         edge = projector.reach * plane.across

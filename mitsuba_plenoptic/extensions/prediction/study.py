@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -128,6 +128,14 @@ class Answer:
         return plain | {"controls": controls, "wavelengths": wavelengths, "verdict": self.verdict}
 
 
+class Setup(NamedTuple):
+    """A camera, fitted or as it is known, and its light: waves, of the study's wavelength or another one, or rays."""
+
+    camera: str
+    light: str
+    wavelength: float | None = None
+
+
 class Study:
     """The runs of a study, each a stage on disk.
 
@@ -156,27 +164,28 @@ class Study:
         self.pictures, self.camera, self.wavelength, self.box, self.stages = pictures, camera, wavelength, box, stages
         # What is found once serves all runs; a projection takes so much memory that the last one alone is kept.
         self.model, self.part, self.withheld = cache(self._model), cache(self._part), cache(self._withheld)
-        self.predicted, self.simulated, self.strength = (
+        self.predicted, self.volume, self.simulated = (
             cache(self._predicted),
+            cache(self._volume),
             cache(self._simulated),
-            cache(self._strength),
         )
+        self.strength = cache(self._strength)
         self.projector = lru_cache(1)(self._projector)
 
     # -- cameras ---------------------------------------------------------------------------------
 
-    def _model(self, camera: str, light: str, wavelength: float | None = None) -> CameraModel:
+    def _model(self, setup: Setup) -> CameraModel:
         """Return a camera's model, fitted to the white picture or as it is known."""
-        if camera == "known":
-            return self.model("fitted", light).as_known(self.camera)
-        length = None if light == "rays" else wavelength or self.wavelength
+        if setup.camera == "known":
+            return self.model(setup._replace(camera="fitted")).as_known(self.camera)
+        length = None if setup.light == "rays" else setup.wavelength or self.wavelength
 
         def fitted(progress: Progress) -> dict[str, Any]:
             pictures = self.pictures
             found = fit_white(pictures.white, self.camera, dark=pictures.dark, wavelength=length, progress=progress)
             return CameraModel.fitted(found).to_plain()
 
-        name = f"camera_{light}" if wavelength is None else f"camera_{light}_{wavelength:g}"
+        name = "_".join(["camera", setup.light, *([] if setup.wavelength is None else [f"{setup.wavelength:g}nm"])])
         return CameraModel.of(self.stages.facts(name, [self._given, length], fitted))
 
     @cached_property
@@ -185,72 +194,62 @@ class Study:
         pictures = self.pictures
         return [digest(pictures.light_field, pictures.white, pictures.dark), self.camera.to_dict(), list(self.box)]
 
-    def _part(self, camera: str, light: str, wavelength: float | None = None) -> ArrayPart:
+    def _part(self, setup: Setup) -> ArrayPart:
         """Return the part of the array."""
-        return ArrayPart(self.model(camera, light, wavelength), self._pixels)
+        return ArrayPart(self.model(setup), self._pixels)
 
     @cached_property
     def _pixels(self) -> PartPixels:
         """The pixels of the part, by the lattice that waves find."""
-        return PartPixels.of(self.model("fitted", "waves"), self.box)
+        return PartPixels.of(self.model(Setup("fitted", "waves")), self.box)
 
-    def _projector(self, camera: str, light: str, wavelength: float | None = None) -> Projector:
+    def _projector(self, setup: Setup) -> Projector:
         """Return the projection of a volume, whose planes are those of the known camera, on the part."""
-        part = self.part(camera, light, wavelength)
+        part = self.part(setup)
         return Projector(part, [plane_of(part, depth) for depth in depths_of(self.camera)])
 
     # -- runs ------------------------------------------------------------------------------------
 
-    def _predicted(
-        self,
-        camera: str,
-        light: str,
-        seed: int,
-        strength: float,
-        simulated: str | None = None,
-        wavelength: float | None = None,
-    ) -> np.ndarray:
+    def _predicted(self, setup: Setup, seed: int, strength: float, simulated: str | None) -> np.ndarray:
         """Return the light of all pixels of the part (m,) that a fit to those not withheld predicts.
 
-        `simulated` names the light by which the picture is simulated instead of recorded, `wavelength` another one.
+        `simulated` names the light by which the picture is simulated instead of recorded.
         """
-        part = self.part(camera, light, wavelength)
-        electrons, withheld = self.electrons(part, simulated), self.withheld(part, seed)
+        used = self.withheld(seed).used
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            fit = self._fit(camera, light, wavelength, electrons, withheld.used, strength, progress)
+            fit = self._fit(setup, self.electrons(simulated), used, strength, progress)
             return fit.predicted[None], {"stray_light": fit.stray}
 
-        words = [camera, light, f"seed_{seed}", f"{strength:g}"]
+        words = [setup.camera, setup.light, f"seed_{seed}", f"{strength:g}"]
         words += [f"of_{simulated}"] if simulated else []
-        words += [f"{wavelength:g}nm"] if wavelength else []
+        words += [f"{setup.wavelength:g}nm"] if setup.wavelength else []
         inputs = [self._given, self.wavelength, ITERATIONS, words]
         return self.stages.image("_".join(words), inputs, fitted)[0].ravel()
 
-    def volume(self, light: str) -> tuple[np.ndarray, float]:
+    def _volume(self, light: str) -> tuple[np.ndarray, float]:
         """Return the volume that all pixels together give with the fitted camera, and the stray light."""
+        setup = Setup("fitted", light)
 
         def fitted(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-            part = self.part("fitted", light)
-            used, strength = self.pictures.good[part.pixel], self.strength(light, "pixels")
-            fit = self._fit("fitted", light, None, self.electrons(part), used, strength, progress)
+            used, strength = self.pictures.good[self._pixels.pixel], self.strength(light, "pixels")
+            fit = self._fit(setup, self.electrons(None), used, strength, progress)
             return np.append(fit.volume.ravel(), np.float32(fit.stray))[None], {}
 
-        flat = self.stages.image(f"volume_{light}", [self._given, self.wavelength, ITERATIONS], fitted)[0].ravel()
-        return flat[:-1].reshape(self.projector("fitted", light).shape), float(flat[-1])
+        inputs = [self._given, self.wavelength, ITERATIONS]
+        flat = self.stages.image(f"volume_{light}", inputs, fitted)[0].ravel()
+        return flat[:-1].reshape(self.projector(setup).shape), float(flat[-1])
 
     def _fit(
         self,
-        camera: str,
-        light: str,
-        wavelength: float | None,
+        setup: Setup,
         electrons: np.ndarray,
         used: np.ndarray,
         strength: float,
         progress: Callable[[int, int], None],
     ) -> VolumeFit:
         return fit_volume(
-            self.projector(camera, light, wavelength),
+            self.projector(setup),
             electrons,
             used,
             dark_variance=self.dark_variance,
@@ -265,15 +264,15 @@ class Study:
         noise = self.pictures.noise
         return noise.read_noise**2 + 1 / (12 * noise.gain**2)
 
-    def electrons(self, part: ArrayPart, simulated: str | None = None) -> np.ndarray:
-        """Return the electrons of a part's pixels, recorded or simulated."""
-        recorded = self.pictures.electrons[part.pixel]
+    def electrons(self, simulated: str | None) -> np.ndarray:
+        """Return the electrons of the part's pixels, recorded, or simulated by a light."""
+        recorded = self.pictures.electrons[self._pixels.pixel]
         return np.asarray(recorded if simulated is None else self.simulated(simulated), np.float32)
 
     def _simulated(self, light: str) -> np.ndarray:
         """Return the electrons of a picture of the volume that rays or waves find, simulated with noise."""
         volume, stray = self.volume(light)
-        projector = self.projector("fitted", light)
+        projector = self.projector(Setup("fitted", light))
         cells = projector.cells(volume)
         cells = cells + np.float32(stray) * cells.mean(1, keepdims=True)
         expected = np.maximum(projector.record(cells), 0).astype(np.float64)
@@ -281,45 +280,34 @@ class Study:
         noisy = generator.poisson(expected) + generator.normal(0, self.dark_variance**0.5, len(expected))
         return np.asarray(noisy, np.float32)
 
-    def _withheld(self, part: ArrayPart, seed: int) -> Withheld:
+    def _withheld(self, seed: int) -> Withheld:
         """Return the pixels that a seed withholds."""
-        return Withheld.drawn(part, self.pictures.good[part.pixel], seed)
+        return Withheld.drawn(self._pixels, self.pictures.good[self._pixels.pixel], seed)
 
     def _strength(self, light: str, test: str) -> float:
         """Return the strength that the pixels withheld for it choose, with the fitted camera."""
-        part = self.part("fitted", light)
-        chosen, electrons = self.withheld(part, 0).choosing[test], self.electrons(part)
+        chosen, electrons = self.withheld(0).choosing[test], self.electrons(None)
 
         def residual(strength: float) -> float:
-            predicted = self.predicted("fitted", light, 0, strength)
+            predicted = self.predicted(Setup("fitted", light), 0, strength, None)
             return float(misfit(electrons, predicted, self.dark_variance)[chosen].sum())
 
         return min(STRENGTHS, key=residual)
 
     # -- the answer ------------------------------------------------------------------------------
 
-    def squares(
-        self,
-        camera: str,
-        light: str,
-        test: str,
-        seed: int,
-        simulated: str | None = None,
-        wavelength: float | None = None,
-    ) -> np.ndarray:
+    def squares(self, setup: Setup, test: str, seed: int, simulated: str | None = None) -> np.ndarray:
         """Return sums by lens of squared differences over noise of withheld pixels, and the pixels' number."""
-        part = self.part(camera, light, wavelength)
-        predicted = self.predicted(camera, light, seed, self.strength(light, test), simulated, wavelength)
-        values = misfit(self.electrons(part, simulated), predicted, self.dark_variance)
-        return by_lens(values, self.withheld(part, seed).tested[test], part)
+        predicted = self.predicted(setup, seed, self.strength(setup.light, test), simulated)
+        values = misfit(self.electrons(simulated), predicted, self.dark_variance)
+        return by_lens(values, self.withheld(seed).tested[test], self._pixels)
 
-    def relative(self, camera: str, light: str, test: str) -> float:
+    def relative(self, setup: Setup, test: str) -> float:
         """Return the root mean square of withheld differences over that of the recorded pixels."""
-        part = self.part(camera, light)
-        electrons, totals = self.electrons(part), np.zeros(2)
+        electrons, totals = self.electrons(None), np.zeros(2)
         for seed in range(SEEDS):
-            chosen = self.withheld(part, seed).tested[test]
-            away = electrons - self.predicted(camera, light, seed, self.strength(light, test))
+            chosen = self.withheld(seed).tested[test]
+            away = electrons - self.predicted(setup, seed, self.strength(setup.light, test), None)
             totals += [float((some[chosen] ** 2).sum(dtype=np.float64)) for some in (away, electrons)]
         return float(np.sqrt(totals[0] / totals[1]))
 
@@ -334,21 +322,23 @@ class Study:
             self.simulated(light)
             for camera in CAMERAS:
                 for test in TESTS:
-                    each = [self.squares(camera, light, test, seed) for seed in range(SEEDS)]
+                    each = [self.squares(Setup(camera, light), test, seed) for seed in range(SEEDS)]
                     squares[camera, light, test] = np.sum(each, axis=0)
         relative = {
-            camera: {light: {test: self.relative(camera, light, test) for test in TESTS} for light in LIGHTS}
+            camera: {light: {test: self.relative(Setup(camera, light), test) for test in TESTS} for light in LIGHTS}
             for camera in CAMERAS
         }
         ratios = {
             camera: {test: Ratio.of(*(squares[camera, light, test] for light in LIGHTS)) for test in TESTS}
             for camera in CAMERAS
         }
-        control = {(light, of): self.squares("fitted", light, "pixels", 0, of) for light in LIGHTS for of in LIGHTS}
+        control = {
+            (light, of): self.squares(Setup("fitted", light), "pixels", 0, of) for light in LIGHTS for of in LIGHTS
+        }
         near = {}
         for length in (self.wavelength - BAND, self.wavelength, self.wavelength + BAND):
             other = None if length == self.wavelength else length
-            sums = self.squares("fitted", "waves", "pixels", 0, None, other)
+            sums = self.squares(Setup("fitted", "waves", other), "pixels", 0)
             near[length] = float(np.sqrt(sums[0].sum() / sums[1].sum()))
         return Answer(
             ratios=ratios,

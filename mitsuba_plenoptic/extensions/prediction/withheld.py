@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .array_part import ArrayPart
+from .array_part import PartPixels
 
 TESTS = ("pixels", "lenses")
 """Single pixels, and all pixels of single lenses."""
@@ -33,7 +33,7 @@ class Withheld:
     choosing: dict[str, np.ndarray]
 
     @classmethod
-    def drawn(cls, part: ArrayPart, good: np.ndarray, seed: int) -> Withheld:
+    def drawn(cls, part: PartPixels, good: np.ndarray, seed: int) -> Withheld:
         """Draw pixels of a part at random, of those that are good."""
         generator = np.random.default_rng(seed)
         columns, rows = part.lenses
@@ -57,9 +57,9 @@ def misfit(electrons: np.ndarray, predicted: np.ndarray, dark_variance: float) -
     return np.asarray((electrons - predicted) ** 2 / (np.maximum(electrons, 1) + dark_variance))
 
 
-def by_lens(values: np.ndarray, chosen: np.ndarray, part: ArrayPart) -> np.ndarray:
+def by_lens(values: np.ndarray, chosen: np.ndarray, part: PartPixels) -> np.ndarray:
     """Return sums of chosen pixels' values, and their number, for each lens: (2, lenses)."""
-    count = len(part.place)
+    count = len(part.lens)
     lens = part.lens_of[chosen]
     return np.stack([np.bincount(lens, values[chosen], count), np.bincount(lens, minlength=count)])
 

@@ -144,7 +144,7 @@ def test_withheld_pixels_of_a_simulated_volume_are_predicted():
     volume = (generator.random(PROJECTOR.shape) ** 8).astype(np.float32)
     expected = PROJECTOR.direct(volume)
     electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
-    withheld = Withheld.drawn(PART, np.ones(len(PART.pixel), bool), 0)
+    withheld = Withheld.drawn(PART.pixels, np.ones(len(PART.pixel), bool), 0)
     fit = fit_volume(
         PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60, progress=lambda *_: None
     )
@@ -155,7 +155,7 @@ def test_withheld_pixels_of_a_simulated_volume_are_predicted():
     # An even volume predicts far worse, and lenses that are not seen at all worse than pixels.
     even = electrons[withheld.used].mean() * PART.white / PART.white[withheld.used].mean()
     assert misfit(electrons, even, 1.0)[tested].mean() > 10
-    sums = by_lens(over_noise, withheld.tested["lenses"], PART)
+    sums = by_lens(over_noise, withheld.tested["lenses"], PART.pixels)
     assert 1.5 < sums[0].sum() / sums[1].sum() < 50
 
 
