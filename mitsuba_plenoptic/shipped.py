@@ -62,6 +62,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     "parameters": {"photodiode_response": "onchip"},
     "presets": {"full_frame_dual": "onchip", "phone_quad": "onchip", "phone_quad_bayer": "onchip"},
     "captures": {"small lenses": "onchip"},
+    "comparisons": {"real": "prediction"},
     "cameras": {"libpleno": "calibrate"},
     "generators": {"particles": "particles"},
     "formats": {

@@ -23,6 +23,7 @@ KINDS = (
     "parameters",
     "presets",
     "captures",
+    "comparisons",
     "cameras",
     "generators",
     "formats",

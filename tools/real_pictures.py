@@ -9,13 +9,15 @@ import os
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
-from mitsuba_plenoptic.extensions.prediction.real_page import pictures, slices
-from mitsuba_plenoptic.extensions.prediction.study import Pictures, Study
-from mitsuba_plenoptic.report.framing import Canvas
+from mitsuba_plenoptic.extensions.prediction.real_page import pictures, planes_of
+from mitsuba_plenoptic.extensions.prediction.study import LIGHTS, Pictures, Study
+from mitsuba_plenoptic.report.framing import Canvas, show
 from mitsuba_plenoptic.report.stage_store import Stages
 
 FOLDER = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "")) / "antleg"
@@ -23,6 +25,11 @@ PART = 0.65, 0.6, 0.95, 0.87
 """Left, top, right and bottom of the part of the light field, over the picture's size."""
 
 STORED = Path(__file__).resolve().parents[1] / "build" / "pictures" / "real"
+PEER = STORED / "pyolaf.npz"
+"""Volume by another program, with arrays depth_um and volume."""
+
+DEPTHS = -0.036, -0.027, -0.012, 0.012, 0.027
+"""Depths of slices in millimetres, positive away from the objective."""
 
 
 def white() -> Canvas:
@@ -48,5 +55,16 @@ def light_field() -> Canvas:
 
 
 def volume() -> Canvas:
-    """Return slices of the volumes."""
-    return slices(study())
+    """Return slices of the volumes by waves and by rays, and, if it is stored, of pyolaf's from the same pixels."""
+    volumes = {f"by {light}": planes_of(study(), light) for light in LIGHTS}
+    if PEER.exists():
+        with np.load(PEER) as peer:
+            volumes["by pyolaf"] = dict(zip((peer["depth_um"] / 1000).tolist(), peer["volume"], strict=True))
+    canvas = Canvas(len(DEPTHS) * 2.2 + 0.2, len(volumes) * 1.95 + 0.1)
+    for row, (name, planes) in enumerate(volumes.items()):
+        for column, wanted in enumerate(DEPTHS):
+            depth = min(planes, key=lambda depth, wanted=wanted: abs(depth - wanted))
+            image = planes[depth]
+            axes = canvas.axes(0.1 + column * 2.2, 0.3 + row * 1.95, 2.1, 1.6)
+            show(axes, image, f"{1000 * depth:+.0f} µm {name}", peak=float(np.quantile(image, 0.995)), size=8)
+    return canvas

@@ -15,10 +15,11 @@ from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera
 from ...camera.vignetting import Vignetting
-from ...errors import refuse_if
+from ...errors import InputError
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
 from ...points.operator import CaptureOperator
+from ...prescription.objective import Objective
 from .array_part import ArrayPart
 
 _FIRST, _GROWTH, _WIDEST = 0.75, 1.12, 14.0
@@ -62,20 +63,23 @@ class Plane:
 
 def depths_of(camera: PlenopticCamera) -> list[float]:
     """Return the depths of planes in millimetres, in the steps in which a light field resolves them."""
-    refuse_if(
-        camera.objective is None or camera.objective.arrangement != "image",
-        "camera: light fields are predicted of microscopes, with the array in the image of an objective",
-    )
     count = int(np.log(1 + (_GROWTH - 1) * _WIDEST / _FIRST) / np.log(_GROWTH))
     blurs = _FIRST * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
     behind = (blurs / _blur_rate(camera)).tolist()
     return [*(-depth for depth in behind[::-1]), 0.0, *behind]
 
 
+def _objective(camera: PlenopticCamera) -> Objective:
+    """Return the objective; refuse cameras without one, or with the array elsewhere than in the objective's image."""
+    objective = camera.objective
+    if objective is None or objective.arrangement != "image":
+        raise InputError("camera: light fields are predicted of microscopes, with the array in an objective's image")
+    return objective
+
+
 def _blur_rate(camera: PlenopticCamera) -> float:
     """Return the diameter of a point's blur on the array, in pitches, per millimetre of depth."""
-    objective = camera.objective
-    assert objective is not None
+    objective = _objective(camera)
     return float(2 * np.tan(objective.half_angle) * objective.magnification / camera.mla_pitch)
 
 
@@ -91,8 +95,7 @@ def plane_of(part: ArrayPart, depth: float) -> Plane:
     # A voxel may be half a pitch from the middle of its lens.
     lenses = 2 * int(np.ceil(blur / 2 + 0.5 + _DIFFRACTED)) + 1
     camera = _regular(part, lenses)
-    assert camera.objective is not None
-    pitch = camera.mla_pitch / camera.objective.magnification
+    pitch = camera.mla_pitch / _objective(camera).magnification
     step = ((np.arange(across * _PARTS) + 0.5) / (across * _PARTS) - 0.5) * pitch
     # The objective's image is upside down.
     y, x = np.meshgrid(-step, -step, indexing="ij")

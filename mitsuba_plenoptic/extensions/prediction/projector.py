@@ -24,7 +24,7 @@ _DIM = 0.02
 """Light that is added to both white pictures before they are divided, over that of bright pixels."""
 
 
-class Projector:
+class VolumeProjection:
     """Linear function from voxels (rows, columns, voxels of a lens) to the pixels of a part of the array.
 
     Lenses beyond the part's border by `reach` have voxels, too, as their light falls into the part.

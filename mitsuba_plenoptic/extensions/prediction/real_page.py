@@ -119,7 +119,7 @@ def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
 
 def slices(study: Study) -> Canvas:
     """Return a figure of the volume's planes, by waves and by rays, from all pixels."""
-    volumes = {light: _planes(study, light) for light in LIGHTS}
+    volumes = {light: planes_of(study, light) for light in LIGHTS}
     depths = sorted(volumes["waves"], key=lambda depth: -float(np.ptp(volumes["waves"][depth])))
     chosen = sorted(depths[:_SLICES])
     across, down = study.part(Setup("fitted", "waves")).lenses
@@ -134,7 +134,7 @@ def slices(study: Study) -> Canvas:
     return canvas
 
 
-def _planes(study: Study, light: str) -> dict[float, np.ndarray]:
+def planes_of(study: Study, light: str) -> dict[float, np.ndarray]:
     """Return the planes of a volume by depth, within the part, in voxels per area of the finest."""
     volume, _ = study.volume(light)
     projector = study.projector(Setup("fitted", light))

@@ -18,7 +18,7 @@ from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, single_channel
 from .array_part import ArrayPart, CameraModel, PartPixels
 from .point_patterns import depths_of, plane_of
-from .projector import Projector
+from .projector import VolumeProjection
 from .volume_fit import VolumeFit, fit_volume
 from .withheld import TESTS, Ratio, Withheld, by_lens, misfit
 
@@ -203,10 +203,10 @@ class Study:
         """The pixels of the part, by the lattice that waves find."""
         return PartPixels.of(self.model(Setup("fitted", "waves")), self.box)
 
-    def _projector(self, setup: Setup) -> Projector:
+    def _projector(self, setup: Setup) -> VolumeProjection:
         """Return the projection of a volume, whose planes are those of the known camera, on the part."""
         part = self.part(setup)
-        return Projector(part, [plane_of(part, depth) for depth in depths_of(self.camera)])
+        return VolumeProjection(part, [plane_of(part, depth) for depth in depths_of(self.camera)])
 
     # -- runs ------------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from .projector import Projector
+from .projector import VolumeProjection
 
 _NEAR = 0.7
 """Standard deviation, in pitches, of the mean nearby."""
@@ -32,7 +32,7 @@ _STRAY_STEPS, _MOST_STRAY = frozenset((2, 5, 9, 14, 19)), 0.5
 
 @dataclass(frozen=True)
 class VolumeFit:
-    """A volume of voxels (see `Projector`), the stray light, and the pixels' light that they predict."""
+    """A volume of voxels (see `VolumeProjection`), the stray light, and the pixels' light that they predict."""
 
     volume: np.ndarray
     stray: float
@@ -42,7 +42,7 @@ class VolumeFit:
 class _Near:
     """Mean of voxels nearby, over those that are seen."""
 
-    def __init__(self, projector: Projector, seen: np.ndarray) -> None:
+    def __init__(self, projector: VolumeProjection, seen: np.ndarray) -> None:
         self._projector, self._seen = projector, seen
         self._whole = np.maximum(self._blurred(seen.astype(np.float32)), 1e-6)
 
@@ -56,7 +56,7 @@ class _Near:
 
 
 def fit_volume(
-    projector: Projector,
+    projector: VolumeProjection,
     electrons: np.ndarray,
     used: np.ndarray,
     *,
@@ -69,7 +69,7 @@ def fit_volume(
 
     Parameters
     ----------
-    projector : Projector
+    projector : VolumeProjection
         The volume and its part of the array.
     electrons : (m,) array
         Recorded electrons of the pixels.
@@ -113,7 +113,7 @@ def fit_volume(
     return VolumeFit(found, stray, direct + np.float32(stray) * glow)
 
 
-def _recorded(projector: Projector, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _recorded(projector: VolumeProjection, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels' direct light, and the mean light of their lenses."""
     cells = projector.cells(volume)
     even = np.broadcast_to(cells.mean(1, keepdims=True), cells.shape)

@@ -9,7 +9,7 @@ import pytest
 import scipy.ndimage
 from PIL import Image
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, extension
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.prediction import point_patterns, study
 from mitsuba_plenoptic.views import white_image
@@ -38,6 +38,15 @@ def pictures(tmp_path):
     for name, image, photons in (("white", white, 8000), ("light", light, 8000), ("dark", dark, 0)):
         write(tmp_path / f"{name}.tif", image, photons, generator)
     (tmp_path / "camera.json").write_text(json.dumps(CAMERA.replace(mla_offset=(0, 0)).to_dict()))
+    return tmp_path
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """Files without content, for what is refused before they are read."""
+    for name in ("light.tif", "white.tif", "dark.tif"):
+        (tmp_path / name).touch()
+    (tmp_path / "camera.json").write_text(json.dumps(CAMERA.to_dict()))
     return tmp_path
 
 
@@ -73,15 +82,12 @@ def test_a_picture_by_waves_is_predicted_better_by_waves(pictures, monkeypatch, 
         (["--part", "half"], "part = half: it must be"),
     ],
 )
-def test_wrong_options_get_one_line(tmp_path, words, line, capsys):
-    for name in ("light.tif", "white.tif", "dark.tif"):
-        (tmp_path / name).touch()
-    (tmp_path / "camera.json").write_text(json.dumps(CAMERA.to_dict()))
-    assert main(command(tmp_path, *words)) == 2
+def test_wrong_options_get_one_line(empty, words, line, capsys):
+    assert main(command(empty, *words)) == 2
     error = capsys.readouterr().err
     assert line in error
     assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    assert not (empty / "out").exists()
 
 
 def test_a_scene_or_a_light_field_is_needed(tmp_path, capsys):
@@ -96,3 +102,10 @@ def test_pictures_of_other_sizes_are_refused(pictures, capsys):
     Image.fromarray(image[:-1]).save(pictures / "light.tif")
     assert main(command(pictures)) == 2
     assert "light field of shape (191, 192): it must have the pixels of the white picture" in capsys.readouterr().err
+
+
+def test_without_the_extension_one_line_says_so(empty, monkeypatch, capsys):
+    records = {name: record for name, record in extension.installed().items() if not name.endswith("prediction")}
+    monkeypatch.setattr(extension, "installed", lambda: records)
+    assert main(command(empty)) == 2
+    assert "extension prediction is not installed" in capsys.readouterr().err

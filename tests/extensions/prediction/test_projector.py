@@ -11,7 +11,7 @@ from mitsuba_plenoptic.extensions.calibrate.field_fit import FieldNumbers
 from mitsuba_plenoptic.extensions.calibrate.micro_image import PupilNumbers
 from mitsuba_plenoptic.extensions.prediction.array_part import ArrayPart, CameraModel, PartPixels
 from mitsuba_plenoptic.extensions.prediction.point_patterns import depths_of, plane_of
-from mitsuba_plenoptic.extensions.prediction.projector import Projector
+from mitsuba_plenoptic.extensions.prediction.projector import VolumeProjection
 from mitsuba_plenoptic.extensions.prediction.volume_fit import fit_volume
 from mitsuba_plenoptic.extensions.prediction.withheld import Ratio, Withheld, by_lens, misfit
 
@@ -42,7 +42,7 @@ def part_of(model):
 MODEL = model_of(CAMERA)
 PART = part_of(MODEL)
 FINE, MIDDLE, FAR = (plane_of(PART, depth) for depth in (0.0, 0.012, -0.03))
-PROJECTOR = Projector(PART, [FINE, MIDDLE, FAR])
+PROJECTOR = VolumeProjection(PART, [FINE, MIDDLE, FAR])
 
 
 def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
@@ -57,7 +57,7 @@ def test_every_pixel_belongs_to_one_lens_whose_micro_image_is_near():
 @pytest.mark.parametrize("plane", [FINE, MIDDLE, FAR], ids=["focus", "near", "far"])
 def test_voxels_are_recorded_as_their_points_are(plane):
     """Fine points of one voxel of the middle lens, through the whole turned camera."""
-    projector, across = Projector(PART, [plane]), plane.across
+    projector, across = VolumeProjection(PART, [plane]), plane.across
     volume = np.zeros(projector.shape, np.float32)
     row, column = projector.shape[0] // 2, projector.shape[1] // 2
     voxel = across + 2
@@ -83,7 +83,7 @@ def test_pictures_with_sharp_borders_are_weighted_evenly():
     """Without a blur rays of an even volume end within a pixel, beyond which nothing may be amplified."""
     model = model_of(CAMERA.replace(detector_blur=0.0), None)
     part = part_of(model)
-    projector = Projector(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
+    projector = VolumeProjection(part, [plane_of(part, 0.0), plane_of(part, 0.012)])
     even = projector.direct(np.ones(projector.shape, np.float32))
     white = part.white * (even.sum() / part.white.sum())
     assert np.abs(even - white).max() < 0.15 * white.max()
