@@ -163,13 +163,10 @@ class Study:
     ) -> None:
         self.pictures, self.camera, self.wavelength, self.box, self.stages = pictures, camera, wavelength, box, stages
         # What is found once serves all runs; a projection takes so much memory that the last one alone is kept.
-        self.model, self.part, self.withheld = cache(self._model), cache(self._part), cache(self._withheld)
-        self.predicted, self.volume, self.simulated = (
-            cache(self._predicted),
-            cache(self._volume),
-            cache(self._simulated),
-        )
-        self.strength = cache(self._strength)
+        self.model, self.predicted, self.volume = cache(self._model), cache(self._predicted), cache(self._volume)
+        self.simulated, self.strength = cache(self._simulated), cache(self._strength)
+        self.part = cache(lambda setup: ArrayPart(self.model(setup), self._pixels))
+        self.withheld = cache(lambda seed: Withheld.drawn(self._pixels, self.pictures.good[self._pixels.pixel], seed))
         self.projector = lru_cache(1)(self._projector)
 
     # -- cameras ---------------------------------------------------------------------------------
@@ -193,10 +190,6 @@ class Study:
         """What all stages depend on."""
         pictures = self.pictures
         return [digest(pictures.light_field, pictures.white, pictures.dark), self.camera.to_dict(), list(self.box)]
-
-    def _part(self, setup: Setup) -> ArrayPart:
-        """Return the part of the array."""
-        return ArrayPart(self.model(setup), self._pixels)
 
     @cached_property
     def _pixels(self) -> PartPixels:
@@ -279,10 +272,6 @@ class Study:
         generator = np.random.default_rng(0)
         noisy = generator.poisson(expected) + generator.normal(0, self.dark_variance**0.5, len(expected))
         return np.asarray(noisy, np.float32)
-
-    def _withheld(self, seed: int) -> Withheld:
-        """Return the pixels that a seed withholds."""
-        return Withheld.drawn(self._pixels, self.pictures.good[self._pixels.pixel], seed)
 
     def _strength(self, light: str, test: str) -> float:
         """Return the strength that the pixels withheld for it choose, with the fitted camera."""
