@@ -357,12 +357,15 @@ class RoundMap:
     ----------
     field : float
         Distance of the last field from the axis, on the array; the first is at 0.
+    closed : float
+        Distance from the axis, on the array, from which the lens lights nothing; infinity if the last field is lit.
     half : float
         Largest coordinate of the nodes in the plane of the pupil, along x and y.
     points : array
-        Corresponding point of each node, (fields, rows, columns, 2).
+        Corresponding point of each node, and its distance from the centre, (fields, rows, columns, 3).
     """
 
     field: float
+    closed: float
     half: float
     points: NDArray[np.float32]

@@ -39,45 +39,48 @@ def round_map(lens: LensSystem, reach: float, corner: float) -> RoundMap:
     from scipy.spatial import cKDTree
 
     radius, half, last = float(lens.pupil_radius), _MAP_WIDER * reach, _MAP_WIDER * corner
+    x, y = np.meshgrid(*[np.linspace(-half, half, _TRIED)] * 2)
+    closed = math.inf
+    if not _is_open(lens, last, x, y).any():
+        # Between an open and a closed field the map would transmit light that the lens blocks.
+        last, closed = 0.0, last
+        for _ in range(_BISECTIONS):
+            between = (last + closed) / 2
+            last, closed = (between, closed) if _is_open(lens, between, x, y).any() else (last, between)
     heights = np.linspace(0, last, _FIELDS)
     axis = np.linspace(-half, half, _MAP_NODES)
     nodes = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-    # The initial value is a point outside the round pupil.
-    result = np.full((_FIELDS, len(nodes), 2), 2 * radius, np.float32)
+    # The initial values are points outside the round pupil.
+    result = np.full((_FIELDS, len(nodes), 3), 2 * radius, np.float32)
     for index, height in enumerate(heights):
-        edge = _edge(lens, height, half)
-        if edge is None:
+        passed = _is_open(lens, height, x, y)
+        if not passed.any():
             continue
+        edge = _edge(lens, height, half, (float(x[passed].mean()), float(y[passed].mean())))
         along = np.roll(edge, -1, 0) - np.roll(edge, 1, 0)
         normals = np.stack([along[:, 1], -along[:, 0]], -1) / np.hypot(*along.T)[:, None]
-        _, nearest = cKDTree(edge).query(nodes)
-        outward = normals[nearest]
-        inside = ((edge[nearest] - nodes) * outward).sum(1)
-        result[index] = outward * (radius - inside)[:, None]
+        distance, nearest = cKDTree(edge).query(nodes)
+        # Beyond a pupil's corner normals do not tell on which side of the edge a node lies.
+        inside = np.where(_is_open(lens, height, *nodes.T), distance, -distance)
         # The round pupil has no points farther from its edge than its centre.
-        result[index][inside > radius] = 0
-    refuse_if(
-        not (np.hypot(*result[0].T) <= radius).any(), "main_lens: no ray gets through it to the middle of the array"
-    )
-    return RoundMap(last, half, result.reshape(_FIELDS, _MAP_NODES, _MAP_NODES, 2))
+        away = np.maximum(radius - inside, 0)
+        result[index] = np.column_stack([normals[nearest] * away[:, None], away])
+    refuse_if(not (result[0, :, 2] <= radius).any(), "main_lens: no ray gets through it to the middle of the array")
+    return RoundMap(last, closed, half, result.reshape(_FIELDS, _MAP_NODES, _MAP_NODES, 3))
 
 
-def _edge(lens: LensSystem, height: float, reach: float) -> NDArray[np.float64] | None:
-    """Return points of the pupil's edge, as seen from a position on the array's x axis; None for a closed pupil."""
+def _is_open(lens: LensSystem, height: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether points of the pupil transmit light to a position on the array's x axis."""
+    return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
 
-    def is_open(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
 
-    x, y = np.meshgrid(*[np.linspace(-reach, reach, _TRIED)] * 2)
-    passed = is_open(x, y)
-    if not passed.any():
-        return None
-    middle = float(x[passed].mean()), float(y[passed].mean())
+def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, float]) -> NDArray[np.float64]:
+    """Return points of the pupil's edge around its middle, as seen from a position on the array's x axis."""
     angle = 2 * math.pi * np.arange(_ANGLES) / _ANGLES
     low, high = np.zeros(_ANGLES), np.full(_ANGLES, 2 * reach)
     for _ in range(_BISECTIONS):
         between = (low + high) / 2
-        within = is_open(middle[0] + between * np.cos(angle), middle[1] + between * np.sin(angle))
+        within = _is_open(lens, height, middle[0] + between * np.cos(angle), middle[1] + between * np.sin(angle))
         low, high = np.where(within, between, low), np.where(within, high, between)
     dense = 2 * math.pi * np.arange(_DENSE) / _DENSE
     distance = np.interp(dense, angle, low, period=2 * math.pi)

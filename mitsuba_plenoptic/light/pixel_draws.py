@@ -95,9 +95,6 @@ class PixelDraws(DetectorGrid):
         pupil = x * self.walk.lens.reach, y * self.walk.lens.reach
         inner = self.walk.inner(pupil, start)
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= self._camera.pupil_radius**2
-        if self.walk.lens.round_map is not None:
-            # The map ends less sharply than the field that the lens lights.
-            is_open &= self.walk.through_pupil(pupil, start)[2]
         chance = chances_of(pixel, seed ^ (sample << 4))
         return Drawn(
             pupil, inner, start, start, start, 0.0, aims.kind, dr.ones(mi.Float, dr.width(own)), chance, is_open

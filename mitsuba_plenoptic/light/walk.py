@@ -75,8 +75,13 @@ class PupilWalk:
         u, v = x * c + y * s, y * c - x * s
         at = [(value / found.half + 1) * ((across - 1) / (2 * across)) + 0.5 / across for value in (u, v)]
         # Outside its border the map continues with the border's values, which lie outside the pupil.
-        u, v = self._round_pupil.eval(mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields))
-        return u * c - v * s, u * s + v * c
+        u, v, away = self._round_pupil.eval(
+            mi.Point3f(*at, field / found.field * ((fields - 1) / fields) + 0.5 / fields)
+        )
+        # Between fields, points in opposite directions would average to one near the centre.
+        u, v = (value * away * dr.rsqrt(dr.maximum(u * u + v * v, dr.smallest(mi.Float))) for value in (u, v))
+        lit, outside = field < found.closed, 2 * self.lens.pupil_radius
+        return dr.select(lit, u * c - v * s, outside), dr.select(lit, u * s + v * c, outside)
 
     def passed(self, position: Pair, slope: Pair, height: Any = 0.0) -> Any:
         """Return the part of the power of rays from array positions that passes an uneven or vignetted aperture."""

@@ -60,6 +60,25 @@ def test_rays_and_waves_agree_in_energy_over_the_field(middle):
     assert waves.mean() == pytest.approx(rays.mean(), rel=0.015)
 
 
+@pytest.mark.parametrize(
+    "array", [{"mla_pitch": 0.4, "mla_focal_length": 2.08}, {"mla_lattice": "none"}], ids=["array", "ordinary"]
+)
+def test_light_ends_where_the_field_of_the_lens_ends(array):
+    """Along a radius of a film wider than the field, of 18.3 mm; the pupil closes to a sliver there."""
+    wide = {"focal_length": 50, "aperture_radius": 5, "focus_distance": 1000, "detector_width": 52}
+    wide |= {"resolution": (650, 650), "crop_offset": (450, 315), "crop_size": (200, 20)}
+    camera = PlenopticCamera(main_lens="double_gauss", **wide, **array)
+    scene = scene_of(camera, {"type": "constant"})
+    # Means over five lenses, 2 mm.
+    rays, waves = (
+        render_capture(scene, spp=64, **options).image.mean(0).reshape(8, 25).mean(1)
+        for options in ({}, {"model": "wave", "wavelength": WAVELENGTH})
+    )
+    assert rays[0] > 0.7 and 0 < rays[4] < 0.02 < rays[3] and rays[5:].max() == 0
+    assert np.abs(waves - rays).max() < 0.02
+    assert np.abs(waves[5:]).max() < 1e-4
+
+
 def test_white_is_one_where_surfaces_take_half_of_the_light():
     """Bins of a corner by rays: the traced white divides what is missing."""
     camera = PlenopticCamera(
