@@ -230,7 +230,8 @@ def make_class() -> type:
             rays, light, passage, width = self._rays, None, None, self.detector_width / self.film().size()[0]
             if rays.dispersion is not None:
                 light, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
-                rays, weight = light.of(rays), weight * share
+                # In polarized variants weights are Mueller matrices.
+                rays, weight = light.of(rays), weight * mi.Spectrum(share)
             px, py = self._on_detector(film_sample)
             if self.detector_blur:
                 px, py = self._blurred((px, py), film_sample, lens_sample)
@@ -245,7 +246,7 @@ def make_class() -> type:
                 response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
                 response *= rays.passed(position, slope) * bright
                 point, slope, open_ = rays.lens.trace(position, slope)
-                weight = weight * response
+                weight = weight * mi.Spectrum(response)
             else:
                 passage, (point, slope, open_), share, path = rays.draw((px, py), lens_sample, light)
                 weight = weight * share

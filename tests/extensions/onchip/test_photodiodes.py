@@ -168,6 +168,17 @@ def test_the_table_of_ideal_lenses_gives_the_ideal_capture():
     assert np.linalg.norm(tabled - plain) < 0.06 * np.linalg.norm(plain)
 
 
+def test_polarized_variants_record_the_same_light_by_tables():
+    """Their weights are Mueller matrices, by which a response of one channel could not be multiplied."""
+    images = []
+    for variant in ("llvm_ad_mono", "llvm_ad_mono_polarized"):
+        mi.set_variant(variant)
+        camera = CAMERA.replace(photodiode_response=halves_of(CAMERA))
+        images.append(render_capture(scene_of(camera, {"type": "constant"}), spp=2).image)
+    assert images[0].max() > 0
+    np.testing.assert_allclose(images[1], images[0], rtol=1e-5)
+
+
 def test_responses_by_angle_and_wavelength():
     """White light of three channels through a photodiode of four pixels, against the mean over the pupil."""
     mi.set_variant("llvm_ad_rgb")
