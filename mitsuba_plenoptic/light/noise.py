@@ -1,7 +1,8 @@
 """Noise of captures: its estimate from samples, its compensation, and means of radiance that reduce it.
 
 The estimate uses the spread of at most sixteen passes, so the value of each pixel has a relative error of
-1/sqrt(32) = 18 % or more. Means over many pixels are more accurate.
+1/sqrt(32) = 18 % or more. Means over many pixels are more accurate. Wave captures compensate negative pixels, to first
+order by a factor for each pixel; it reduces the estimate as well.
 """
 
 from __future__ import annotations
@@ -98,6 +99,12 @@ class Mended:
             self._kept = np.divide(self._squares.image, self._sum, out=np.ones_like(self._sum), where=self._sum > 0)
             self.image = _times(self._light, self._kept)
 
+    @property
+    def remaining(self) -> NDArray[np.float64]:
+        """The part of each value of the image that remains: 0 for negative values, at most 1 for the others."""
+        positive = self._positive.astype(np.float64)
+        return positive if self._squares is None else _times(positive, self._kept)
+
     def forward(self, change: NDArray[Any]) -> NDArray[Any]:
         """Return the change of the result for a change of the image."""
         light = np.where(self._positive, change, 0)
@@ -119,6 +126,16 @@ class Mended:
     def _over_sum(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return values of squares divided by the light of the squares, 0 for squares without light."""
         return np.divide(values, self._sum, out=np.zeros_like(values), where=self._sum > 0)
+
+
+def variance_left(mended: Mended, variance: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float64]:
+    """Return the part of each pixel's variance that compensation leaves, for variances after `mix_pixels`.
+
+    The factors of compensation count as constants. Mixed pixels have the mean of their neighbours' parts, weighted by
+    variance.
+    """
+    every, left = (mix_pixels(variance * part, camera) for part in (np.float64(1), mended.remaining**2))
+    return np.divide(left, every, out=np.zeros_like(left), where=every > 0).clip(0, 1)
 
 
 def _times(image: NDArray[Any], factors: NDArray[np.float64]) -> NDArray[Any]:

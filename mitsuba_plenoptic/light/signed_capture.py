@@ -28,7 +28,7 @@ from ..camera.vector import Values
 from ..errors import warn
 from ..io.checkpoints import digest
 from ..runtime.batches import Cost, Job, SumTask
-from .noise import PARTS, Mended, halves, keep_spread, with_spread
+from .noise import PARTS, Mended, halves, keep_spread, variance_left, with_spread
 from .phase_space import FINE
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
@@ -115,10 +115,12 @@ class SignedCapture:
             )
         if noise:
             image = with_spread(image, runs)
-        np.maximum(image[..., channels:], 0, out=image[..., channels:])
-        np.sqrt(image[..., channels:], out=image[..., channels:])
         for channel, mended in self.mended(image).items():
             image[..., channel] = mended.image
+            if noise:
+                image[..., channels + channel] *= variance_left(mended, image[..., channels + channel], self.camera)
+        np.maximum(image[..., channels:], 0, out=image[..., channels:])
+        np.sqrt(image[..., channels:], out=image[..., channels:])
         return image
 
     def mended(self, image: NDArray[np.float32]) -> dict[int, Mended]:

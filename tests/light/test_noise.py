@@ -5,8 +5,18 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from scene_cases import letters
 
-from mitsuba_plenoptic import Capture, Detector, InputError, expose, read_capture, render_capture, write_capture
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    InputError,
+    expose,
+    load_scene,
+    read_capture,
+    render_capture,
+    write_capture,
+)
 
 
 def lit_wall(sensor):
@@ -51,6 +61,21 @@ def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options)
     spread = rms(np.std([capture.image for capture in captures], axis=0, ddof=1))
     np.testing.assert_allclose(noise, spread, rtol=0.1)
     assert captures[0].noise.shape == captures[0].image.shape
+
+
+@pytest.mark.parametrize("blur", [0.0, 0.001])
+def test_the_noise_of_waves_is_that_of_compensated_pixels(blur):
+    """Letters on black with few samples: many pixels in the dark are negative before their compensation."""
+    scene = load_scene("letters", variant="llvm_ad_mono", parameters=letters(6))
+    camera = scene.sensors()[0].camera.replace(detector_blur=blur)
+    sensor = mi.load_dict(camera.to_sensor())
+    captures = [render_capture(scene, sensor=sensor, model="wave", spp=4, seed=seed, noise=True) for seed in range(8)]
+    images, deviations = (np.stack([getattr(each, name) for each in captures]) for name in ("image", "noise"))
+    assert (images == 0).mean() > 0.3 or blur
+    dark = images.mean(0) < 0.02
+    for part in (dark, ~dark):
+        spread, noise = images.var(0, ddof=1)[part].mean(), np.square(deviations)[:, part].mean()
+        assert np.sqrt(noise) == pytest.approx(np.sqrt(spread), rel=0.1)
 
 
 def test_what_does_not_vary_has_no_noise_and_one_sample_tells_none(camera_dict):
