@@ -393,7 +393,7 @@ class ArrayKernels(LensWaves):
             axis=0,
         )
         # Their period is shorter, but not the border of their windows.
-        small = self._placed(transfer, every * _COARSER, step, count // _COARSER + _BORDER // 2, kind)
+        small = self._placed(transfer, every * _COARSER, step, min(count, count // _COARSER + _BORDER // 2), kind)
         aside = (kernels.shape[1] - small.shape[1]) // 2
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
@@ -406,7 +406,8 @@ class ArrayKernels(LensWaves):
         farthest = transfer.shape[1] // 2
         place, lags = np.arange(-count, count + 1) * step, np.arange(-farthest, farthest + 1) * apart
         # All repetitions of the window add up to 1, so that a kernel has the transfer function at each lag.
-        beyond = (np.abs(place) - scale / (2 * apart)) / (_BORDER * step)
+        period = scale / apart
+        beyond = (np.abs(place) - period / 2) / min(_BORDER * step, period)
         window = (1 - np.sin(np.pi * np.clip(beyond, -0.5, 0.5))) / 2
         waves = window[:, None] * np.exp(-2j * np.pi * np.outer(place, lags) / scale) * (apart * step / scale)
         return np.einsum("yb,nba,xa->nyx", waves, transfer, waves, optimize=True).real
@@ -441,7 +442,9 @@ class ArrayKernels(LensWaves):
         inside = lattice.in_aperture(x, y)
         functions = self.functions
         u, v = (place / functions.scale for place in lattice.to_frame(x, y))
-        waves = np.exp(-2j * np.pi * np.outer(np.arange(-far, far + 1) * fine, along) / scale)
+        # The transforms of samples repeat; behind large lenses they do so within the kernels' reach.
+        within = min(far, int(scale / (2 * spacing * fine)))
+        waves = np.exp(-2j * np.pi * np.outer(np.arange(-within, within + 1) * fine, along) / scale)
         fields = {(a, b): waves @ np.where(inside, u**a * v**b, 0) @ waves.T for a, b in functions.exponents}
         products = []
         for i, j in functions.exponents:
@@ -451,6 +454,7 @@ class ArrayKernels(LensWaves):
                 both += weight * (fields[a, b] * fields[i - a, j - b].conj()).real
             products.append(both)
         kernels = np.einsum("mn,myx->nyx", functions.combined, products) * (spacing * fine / scale) ** 2 / inside.sum()
+        kernels = np.pad(kernels, [(0, 0), *[(far - within,) * 2] * 2])
         tent = np.convolve(np.ones(parts), np.ones(parts)) / parts
         for axis in (1, 2):
             kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")

@@ -198,3 +198,22 @@ def test_wavelengths_find_coefficients_at_the_same_places(monkeypatch):
         assert dr.all(alone.places(*ray)[0] == together[0].places(*ray)[0])
         assert np.array_equal(alone(*ray), own(*ray))
         assert np.abs(own(*ray)).max() > 0.1
+
+
+@pytest.mark.parametrize(("pitch", "pixels", "tolerance"), [(0.5, 16, 0.01), (0.4, 4, 0.02), (0.4, 2, 0.04)])
+def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
+    """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""
+    focal_length = 5.2 * pitch
+    camera = PlenopticCamera(
+        focal_length=50,
+        aperture_radius=5,
+        focus_distance=1000,
+        mla_pitch=pitch,
+        mla_focal_length=focal_length,
+        detector_width=8 * pitch,
+        resolution=(8 * pixels,) * 2,
+    )
+    plan = PhaseSpace(camera, 633.0)
+    assert plan.by_points == (pitch == 0.5)
+    step = camera.pixel_size / plan.parts(False)
+    assert plan.kernels(step, 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)
