@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_count, require_number, require_numbers, suggest_keywords
 from ...runtime.batches import Progress, counted
+from .voxels import values_of
 
 MEDIAN_LIMIT, MEDIAN_FLOOR = 2.0, 0.1
 """Residual over that of the neighbours above which a vector is an outlier, and voxels that are added to the latter."""
@@ -55,22 +56,19 @@ def correlate_volumes(
     -------
     xarray.Dataset
         ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by the
-        median of its neighbours; ``correlation``, the correlation coefficient of the windows then.
+        median of its neighbours, as those of empty windows are, and NaN if these are empty, too; ``correlation``, the
+        correlation coefficient of the windows then.
 
     Raises
     ------
     InputError
         If the volumes differ in their grid, are empty, or are smaller than a window.
     """
-    grids = [[each[axis].values for axis in "zyx"] for each in (first, second)]
-    refuse_if(
-        any(a.shape != b.shape or not np.allclose(a, b) for a, b in zip(*grids, strict=True)),
-        "second: it must be on the voxels of the first volume",
-    )
+    one, other = values_of(first, second)
+    axes = [first[axis].values for axis in "zyx"]
     size = np.array([require_count("window", n, minimum=4) for n in require_numbers("window", window, count=3)])
     overlap = require_number("overlap", overlap, minimum=0, maximum=0.9)
     passes = require_count("passes", passes, maximum=10)
-    one, other = first.values.astype(np.float64), second.values.astype(np.float64)
     refuse_if((size > one.shape).any(), f"window = {tuple(size.tolist())}: the volumes have {one.shape} voxels")
     for name, values in (("first", one), ("second", other)):
         refuse_if(not values.any(), f"{name}: the volume is empty")
@@ -82,7 +80,7 @@ def correlate_volumes(
     corners = list(itertools.product(*starts))
     indices = list(np.ndindex(counts))
     for number in range(passes):
-        guess = np.rint(found).astype(int)
+        guess = np.rint(np.nan_to_num(found)).astype(int)
         shown = None if progress is None else _part_of(progress, number, passes)
         for index, corner in zip(indices, counted(corners, shown), strict=False):
             start = np.array(corner)
@@ -95,10 +93,10 @@ def correlate_volumes(
             found[index] = moved - start + shift
         outlier = is_outlier(found)
         found = np.where(outlier[..., None], _median(found), found)
-    voxel = np.array([axis[1] - axis[0] if len(axis) > 1 else 1.0 for axis in grids[0]])
+    voxel = np.array([axis[1] - axis[0] for axis in axes])
     centres = {
         name: axis[0] + (start + (width - 1) / 2) * spacing
-        for name, axis, start, width, spacing in zip("zyx", grids[0], starts, size, voxel, strict=True)
+        for name, axis, start, width, spacing in zip("zyx", axes, starts, size, voxel, strict=True)
     }
     return xr.Dataset(
         {
@@ -116,18 +114,23 @@ def _part_of(progress: Progress, number: int, passes: int) -> Progress:
 
 
 def _displacement(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the displacement in voxels of one window's content in the other, and their correlation coefficient."""
+    """Return the displacement in voxels of one window's content in the other, and their correlation coefficient.
+
+    If a window is empty, they are NaN and 0.
+    """
     size = np.array(one.shape)
     shape = [scipy.fft.next_fast_len(int(2 * n), real=True) for n in size]
     a, b = one - one.mean(), other - other.mean()
+    whole = float(np.linalg.norm(a) * np.linalg.norm(b))
+    if not whole:
+        return np.full(3, np.nan), 0.0
     spectrum = np.conj(scipy.fft.rfftn(a, shape)) * scipy.fft.rfftn(b, shape)
     products = scipy.fft.irfftn(spectrum, shape)
     reach = ((1 - _LEAST_OVERLAP) * size).astype(int)
     lags = [np.arange(-most, most + 1) for most in reach]
     products = products[np.ix_(*lags)]
     peak = np.array(np.unravel_index(int(products.argmax()), products.shape))
-    whole = float(np.linalg.norm(a) * np.linalg.norm(b))
-    coefficient = float(products[tuple(peak)]) / whole if whole else 0.0
+    coefficient = float(products[tuple(peak)]) / whole
     # Fewer voxels meet at a displacement, which draws the peak towards 0.
     for axis, (lag, n) in enumerate(zip(lags, size, strict=True)):
         products = products / np.expand_dims(1 - np.abs(lag) / n, [i for i in range(3) if i != axis])
@@ -156,15 +159,17 @@ def _neighbours(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _median(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median of each vector's neighbours, or the vector where it is alone."""
-    if vectors[..., 0].size == 1:
-        return vectors
-    return np.asarray(np.nanmedian(_neighbours(vectors), axis=0))
+    around = _neighbours(vectors)
+    alone = np.isnan(around).all(0)
+    return np.where(alone, vectors, np.nanmedian(np.where(alone, 0, around), axis=0))
 
 
 def is_outlier(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which vectors (z, y, x, axis), in voxels, differ from their neighbours (Westerweel and Scarano 2005)."""
-    if vectors[..., 0].size == 1:
-        return np.zeros(vectors.shape[:3], bool)
+    """Return which vectors (z, y, x, axis), in voxels, differ from their neighbours (Westerweel and Scarano 2005).
+
+    Vectors that are NaN do, too; what has no neighbours differs from none.
+    """
     around, middle = _neighbours(vectors), _median(vectors)
-    typical = np.nanmedian(np.abs(around - middle), axis=0) + MEDIAN_FLOOR
-    return np.asarray(np.linalg.norm((vectors - middle) / typical, axis=-1) > MEDIAN_LIMIT)
+    away = np.where(np.isnan(around).all(0), 0, np.abs(around - middle))
+    typical = np.nanmedian(away, axis=0) + MEDIAN_FLOOR
+    return ~(np.linalg.norm((vectors - middle) / typical, axis=-1) <= MEDIAN_LIMIT)

@@ -279,7 +279,7 @@ class ImportedFlow(Flow):
     """A velocity field on a regular grid, linear between its nodes.
 
     The NetCDF file, or `xarray.Dataset`, has the variables u, v and w, in mm/s along x, y and z of the camera frame, on
-    the dimensions x, y and z in mm.
+    the dimensions x, y and z in mm. Attributes ``units`` that say otherwise are refused.
 
     Parameters
     ----------
@@ -306,6 +306,10 @@ class ImportedFlow(Flow):
             parts = [np.asarray(data[part].transpose(*_AXES), np.float64) for part in "uvw"]
         except ValueError:
             raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
+        for part in (*"uvw", *_AXES):
+            unit, expected = data[part].attrs.get("units"), "mm/s" if part in "uvw" else "mm"
+            known = (None, expected, "mm s-1") if part in "uvw" else (None, expected)
+            refuse_if(unit not in known, f"{name}: {part} is in {unit}: convert it to {expected}")
         for axis, values in zip(_AXES, axes, strict=True):
             refuse_if(len(values) < 2 or not (np.diff(values) > 0).all(), f"{name}: {axis} must rise, over two values")
         values = np.stack(parts, -1)

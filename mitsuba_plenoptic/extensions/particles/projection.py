@@ -1,4 +1,4 @@
-r"""Voxels onto pixels by waves: a volume's planes on points that share point spreads from lens to lens.
+r"""Voxels onto pixels: by waves on points that share point spreads from lens to lens, and by rays.
 
 Point spreads repeat from lens to lens of the array (see `points.accuracy`), but the voxels of a rectangular grid are
 imaged to other places of the lenses in each plane, and hardly any two share one. So the point spread of a voxel is
@@ -13,11 +13,13 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ...camera import PlenopticCamera
-from ...errors import require_accuracy, require_count, require_wavelength, suggest_keywords
+from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
-from ...runtime.batches import Job
+from ...runtime.batches import Job, Progress, counted
+from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
+from .seeding import ParticleVolume
 from .voxels import VoxelGrid
 
 
@@ -44,7 +46,7 @@ class VoxelProjector:
     Raises
     ------
     InputError
-        If an argument is out of range, or a voxel is not before the camera.
+        If an argument is out of range, or a voxel is not beyond the focus of the main lens.
 
     Examples
     --------
@@ -69,6 +71,7 @@ class VoxelProjector:
         budget: float | None = None,
     ) -> None:
         wavelength, per_lens = require_wavelength(wavelength), require_count("per_lens", per_lens, maximum=32)
+        ParticleVolume(grid.lower, grid.upper).before(camera)
         points = grid.points
         lens = OpticalSystem(camera, wavelength).waves_of(points)
         basis = np.array(camera.lattice.basis)
@@ -101,3 +104,60 @@ class VoxelProjector:
     def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> NDArray[np.float64]:
         """Return each voxel's inner product with an image, (n,)."""
         return np.asarray(self._spread.T @ self.points.adjoint(image, job=job))
+
+
+@suggest_keywords
+class RayProjector:
+    """The image that a camera records of a volume's voxels by rays, without diffraction, as a stored matrix.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        The camera.
+    grid : VoxelGrid
+        The voxels, each a point at its centre.
+    wavelength : float
+        Wavelength in nanometres.
+    budget : float
+        Memory in GiB that the matrix may take.
+    progress : callable, optional
+        Called with the numbers of voxels done and of all.
+
+    Raises
+    ------
+    InputError
+        If the budget is too small, an argument is out of range, or a voxel is not beyond the main lens's focus.
+    """
+
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        grid: VoxelGrid,
+        *,
+        wavelength: float,
+        budget: float = 4.0,
+        progress: Progress | None = None,
+    ) -> None:
+        wavelength, budget = require_wavelength(wavelength), require_number("budget", budget, positive=True)
+        ParticleVolume(grid.lower, grid.upper).before(camera)
+        self._shape, system, points = camera.shape, OpticalSystem(camera, wavelength), grid.points
+        pixels, values, size = [], [], 0
+        for place in counted(np.split(points, len(points)), progress):
+            spread = PointRays(camera, place, wavelength).image(system, np.ones(1)).ravel()
+            pixels.append(np.flatnonzero(spread).astype(np.int32))
+            values.append(spread[pixels[-1]].astype(np.float32))
+            size += pixels[-1].nbytes + values[-1].nbytes
+            # Joined, they take as much again.
+            refuse_if(2 * size > budget * 2**30, f"budget = {budget:g} GiB: the matrix takes more; take fewer voxels")
+        entries = np.concatenate(values), np.concatenate(pixels), np.cumsum([0, *map(len, pixels)])
+        self._matrix = scipy.sparse.csc_array(entries, shape=(camera.shape[0] * camera.shape[1], len(points)))
+
+    def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
+        """Return the image (rows, columns) of voxels with the given light, (n,)."""
+        return np.asarray(self._matrix @ np.asarray(weights, np.float32)).reshape(self._shape)
+
+    def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
+        """Return each voxel's inner product with an image, (n,)."""
+        image = np.asarray(image, np.float32)
+        refuse_if(image.shape != self._shape, f"image of shape {image.shape}: the camera has {self._shape}")
+        return np.asarray(self._matrix.T @ image.ravel())

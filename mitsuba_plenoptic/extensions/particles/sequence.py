@@ -15,7 +15,7 @@ from ...camera.plenoptic_camera import require_camera
 from ...errors import refuse_if, require_count, require_number, suggest_keywords
 from ...io.versions import stamped
 from .flows import Flow
-from .seeding import LightSheet, ParticleVolume, Seeding
+from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 
 MOST_FRAMES = 10000
 
@@ -79,7 +79,11 @@ def particle_sequence(
     sheet, density = sheet or LightSheet(), seeding.density(volume, camera)
     random = np.random.default_rng(require_count("seed", seed, minimum=0))
     low, high = _reached(volume, flow, interval, frames)
-    count = int(random.poisson(density * float((high - low).prod())))
+    expected = density * float((high - low).prod())
+    refuse_if(
+        expected > MOST, f"frames = {frames}: {expected:.3g} particles pass through the volume; {MOST:.0e} at most"
+    )
+    count = int(random.poisson(expected))
     paths = [random.uniform(low, high, (count, 3))]
     diameters = seeding.diameters(count, random)
     for _ in range(frames):
@@ -88,6 +92,7 @@ def particle_sequence(
     moved = np.stack([after - before for before, after in itertools.pairwise(paths)])
     inside = volume.contains(position)
     used = inside.any(0)
+    _within(volume, interval, moved[:-1][inside[:-1]])
     position, inside = position[:, used], inside[:, used]
     settings = {
         "camera": camera.to_dict(),
@@ -124,17 +129,21 @@ def _reached(
     places = [nodes]
     for _ in range(frames - 1):
         places.append(flow.advected(places[-1], -interval))
-    moves = np.abs(np.diff(places[:2], axis=0)).max((0, 1), initial=0)
-    for axis, move, size in zip("xyz", moves, volume.size, strict=True):
+    _within(volume, interval, np.diff(places[:2], axis=0).reshape(-1, 3))
+    low, high = np.min(places, axis=(0, 1)), np.max(places, axis=(0, 1))
+    # Paths between the nodes may come from a little farther.
+    margin = _MARGIN * np.maximum(high - volume.upper, volume.lower - low)
+    return low - margin, high + margin
+
+
+def _within(volume: ParticleVolume, interval: float, moves: NDArray[np.float64]) -> None:
+    """Refuse displacements (n, 3) of particles in the volume that are as long as this."""
+    for axis, move, size in zip("xyz", np.abs(moves).max(0, initial=0), volume.size, strict=True):
         refuse_if(
             move >= size,
             f"interval = {interval:g}: particles move by {move:.3g} mm along {axis} from frame to frame, beyond the "
             f"volume, which has {size:.3g} mm",
         )
-    low, high = np.min(places, axis=(0, 1)), np.max(places, axis=(0, 1))
-    # Paths between the nodes may come from a little farther.
-    margin = _MARGIN * np.maximum(high - volume.upper, volume.lower - low)
-    return low - margin, high + margin
 
 
 def settings_of(truth: xr.Dataset) -> dict[str, Any]:

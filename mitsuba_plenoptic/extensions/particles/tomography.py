@@ -129,13 +129,14 @@ def reconstruct_volume(
     Raises
     ------
     InputError
-        If the image is empty or has another shape, or an argument is out of range.
+        If the image is empty, not finite or has another shape, or an argument is out of range.
     """
     require_choice("method", method, METHODS)
     iterations = require_count("iterations", iterations)
     relaxation = require_number("relaxation", relaxation, positive=True, maximum=2)
     tolerance = require_number("tolerance", tolerance, minimum=0, maximum=1)
     image = np.asarray(capture.image if isinstance(capture, Capture) else capture, np.float64)
+    refuse_if(not np.isfinite(image).all(), "capture: its pixels must be finite")
     image = np.maximum(image, 0)
     scale = math.sqrt(float((image**2).mean()))
     refuse_if(scale == 0, "capture: it is dark everywhere, so that there is nothing to reconstruct")

@@ -17,7 +17,7 @@ from ...errors import refuse_if, require_count, require_number, require_numbers,
 from ...io.captures import Capture
 from ...runtime.batches import Progress
 from ..inverse.stored import StoredOperator
-from .voxels import elongation
+from .voxels import elongation, values_of
 
 _STEP = 0.02
 """Lateral step of derivatives, over the width of a lens imaged to the particle; along the axis by the elongation."""
@@ -52,7 +52,7 @@ def locate_particles(
     InputError
         If the volume is empty.
     """
-    values = np.maximum(volume.values.astype(np.float64), 0)
+    values = np.maximum(values_of(volume)[0], 0)
     refuse_if(not values.any(), "volume: it is empty")
     box = tuple(int(n) // 2 * 2 + 1 for n in require_numbers("apart", apart, count=3, minimum=1))
     threshold = require_number("threshold", threshold, minimum=0, maximum=1)
@@ -121,6 +121,7 @@ def refine_particles(
     iterations, count = require_count("iterations", iterations), len(positions)
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
+    refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
     camera, damping = capture.camera, _DAMPING
     levels = [level for level in bins for _ in range(iterations)]
     for step, level in enumerate(levels):

@@ -10,7 +10,7 @@ from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, Tayl
 from .labelled_files import read_netcdf, write_netcdf
 from .mie import cross_sections
 from .particle_images import ParticleImages
-from .projection import VoxelProjector
+from .projection import RayProjector, VoxelProjector
 from .seeding import LightSheet, ParticleVolume, Seeding
 from .sequence import particle_sequence
 from .tomography import reconstruct_volume
@@ -26,6 +26,7 @@ __all__ = [
     "LightSheet",
     "ParticleImages",
     "ParticleVolume",
+    "RayProjector",
     "Seeding",
     "Shear",
     "TaylorGreen",

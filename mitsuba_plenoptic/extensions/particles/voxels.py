@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
-from ...errors import put, refuse_if, require_numbers, suggest_keywords
+from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
 
 MOST_VOXELS = 10**8
 
 _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
+
+_NARROWEST = 0.5
+"""Standard deviation of a drawn particle at least, in voxels: sums over narrower curves depend on where they are."""
 
 
 @suggest_keywords
@@ -46,7 +49,7 @@ class VoxelGrid:
     def __post_init__(self) -> None:
         for name in ("lower", "upper"):
             put(self, **{name: require_numbers(name, getattr(self, name), count=3, minimum=-1e9, maximum=1e9)})
-        put(self, shape=tuple(int(n) for n in require_numbers("shape", self.shape, count=3, minimum=1)))
+        put(self, shape=tuple(require_count("shape", n) for n in require_numbers("shape", self.shape, count=3)))
         refuse_if(
             any(low >= high for low, high in zip(self.lower, self.upper, strict=True)),
             f"lower = {self.lower}, upper = {self.upper}: the volume is empty; upper must be beyond lower",
@@ -78,6 +81,17 @@ class VoxelGrid:
         )
 
 
+def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
+    """Return the values of volumes along z, y and x, whatever the order of dimensions; refuse different voxels."""
+    for axis in "zyx":
+        here = [each[axis].values for each in volumes]
+        refuse_if(
+            any(places.shape != here[0].shape or not np.allclose(places, here[0]) for places in here),
+            f"volumes: they must be on the same voxels, but differ in {axis}",
+        )
+    return [each.transpose(*"zyx").values.astype(np.float64) for each in volumes]
+
+
 def drawn_particles(
     grid: VoxelGrid, positions: NDArray[np.float64], weights: NDArray[np.float64], width: Sequence[float]
 ) -> xr.DataArray:
@@ -92,9 +106,18 @@ def drawn_particles(
     weights : float64 array (n,)
         Light of each particle.
     width : (float, float, float)
-        Standard deviations along x, y and z in mm.
+        Standard deviations along x, y and z in mm, half a voxel at least.
+
+    Raises
+    ------
+    InputError
+        If curves are narrower.
     """
     values, axes, deviations = np.zeros(grid.shape), grid.axes, require_numbers("width", width, count=3, minimum=1e-9)
+    refuse_if(
+        (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
+        f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
+    )
     for position, weight in zip(positions, weights, strict=True):
         spans, curves = [], []
         for centre, axis, size, deviation in zip(position, axes, grid.voxel, deviations, strict=True):
@@ -116,10 +139,9 @@ def quality(volume: xr.DataArray, reference: xr.DataArray) -> float:
     Parameters
     ----------
     volume, reference : xarray.DataArray (z, y, x)
-        The volumes, of the same shape.
+        The volumes, on the same voxels.
     """
-    one, other = volume.values.astype(np.float64), reference.values.astype(np.float64)
-    refuse_if(one.shape != other.shape, f"reference of shape {other.shape}: the volume has {one.shape}")
+    one, other = values_of(volume, reference)
     size = math.sqrt(float((one**2).sum()) * float((other**2).sum()))
     return float((one * other).sum()) / size if size else 0.0
 
@@ -136,7 +158,10 @@ def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: 
     reach : (float, float, float)
         Semi-axes along x, y and z, in mm, of the ellipsoid around a particle that is its own.
     """
-    values, semi_axes = np.maximum(volume.values, 0), np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
+    values, semi_axes = (
+        np.maximum(values_of(volume)[0], 0),
+        np.array(require_numbers("reach", reach, count=3, minimum=1e-9)),
+    )
     whole = float(values.sum())
     if not whole:
         return 0.0

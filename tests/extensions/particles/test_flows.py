@@ -97,9 +97,21 @@ def test_a_field_in_a_file_is_followed_as_the_flow_it_was_sampled_from(tmp_path,
         (lambda: pt.HillVortex(radius=0), "radius = 0: it must be greater than 0"),
         (lambda: pt.TaylorGreen(axis="w"), "axis = 'w': it must be one of x, y, z"),
         (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\): it must be 3 numbers"),
+        (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s: convert it to mm/s"),
+        (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m: convert it to mm"),
         (lambda: pt.ImportedFlow(xr.Dataset()), "field: it must be a data set with u, v and w on x, y and z"),
     ],
 )
 def test_bad_flows_are_refused_in_one_line(build, line):
     with pytest.raises(mp.InputError, match=line):
         build()
+
+
+def still(**units):
+    axes = {axis: (axis, [0.0, 1.0], {"units": units.get(axis, "mm")}) for axis in "xyz"}
+    parts = {part: (tuple("xyz"), np.zeros((2, 2, 2)), {"units": units.get(part, "mm s-1")}) for part in "uvw"}
+    return xr.Dataset(parts, axes)
+
+
+def test_units_that_are_as_expected_are_accepted():
+    assert (pt.ImportedFlow(still()).velocity(np.full((1, 3), 0.5)) == 0).all()

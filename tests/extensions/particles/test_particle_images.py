@@ -139,6 +139,13 @@ def test_files_hold_sequences(tmp_path):
         (lambda: sequence(volume=pt.ParticleVolume((0, 0, 80), (1, 1, 90))), "beyond its focus at 80 only"),
         (lambda: pt.ParticleVolume((0, 0, 240), (1, 0, 250)), "the volume is empty; upper must be beyond lower"),
         (lambda: sequence(pt.Uniform((20, 0, 0))), "particles move by 2 mm along x .* beyond the volume, .* 1.4 mm"),
+        (
+            lambda: sequence(Jet(), count=3000.0, diameter=1.0),
+            "particles move by .* mm along x .* beyond the volume",
+        ),
+        (lambda: sequence(count=1e6, diameter=0.1, frames=300), "frames = 300: 2.*e.07 particles pass through"),
+        (lambda: pt.Seeding(count=0), "count = 0: it must be greater than 0"),
+        (lambda: images_of(None, count=1e-9), "no particle is lit within it; raise the density"),
         (lambda: sequence(count=1e4, diameter=200.0), "they cover 1.6e4% of the view|they cover 16029% of the view"),
         (lambda: pt.Seeding(count=3, per_lens=1), "per_lens, per_volume, count: give one of them, not 2"),
         (lambda: pt.Seeding(count=1, index=1.333), "as that of the medium, so that nothing is scattered"),
@@ -154,8 +161,15 @@ def test_bad_input_is_refused_in_one_line(build, line):
         build()
 
 
-def images_of(sheet):
-    return pt.ParticleImages(sequence(sheet=sheet), wavelength=550)
+def images_of(sheet, **given):
+    return pt.ParticleImages(sequence(sheet=sheet, **given), wavelength=550)
+
+
+class Jet(pt.Flow):
+    """Narrower than the distance of the places at which flows are tried."""
+
+    def velocity(self, points):
+        return np.where(np.abs(points[:, 1:2] - 0.0875) < 0.05, [[20.0, 0, 0]], 0)
 
 
 def test_data_sets_hold_pairs(tmp_path):

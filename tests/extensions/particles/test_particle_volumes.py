@@ -8,6 +8,8 @@ from numpy.testing import assert_allclose
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 GRID = pt.VoxelGrid((-0.2, -0.2, 236), (0.2, 0.2, 246), (2, 3, 3))
@@ -102,6 +104,17 @@ def test_voxels_have_point_spreads_between_those_of_regular_points():
     assert_allclose(stored.forward(light), image, atol=1e-4 * image.max())
 
 
+def test_voxels_by_rays_are_points_by_rays():
+    light = np.random.default_rng(2).random(18)
+    projector = pt.RayProjector(CAMERA, GRID, wavelength=550)
+    image = projector.forward(light)
+    exact = PointRays(CAMERA, GRID.points, 550.0).image(OpticalSystem(CAMERA, 550.0), light)
+    assert_allclose(image, exact, atol=1e-5 * exact.max())
+    assert_allclose(image.sum(dtype=float), light.sum(), rtol=1e-3)
+    other = np.random.default_rng(3).random(image.shape).astype(np.float32)
+    assert_allclose((image * other).sum(dtype=float), projector.adjoint(other) @ light, rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     "camera",
     [CAMERA.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02)), CAMERA.replace(mla_lattice="hexagonal")],
@@ -176,6 +189,22 @@ def test_outliers_are_replaced():
     assert np.abs(found["displacement"].values[1, 1, 1] - [0.1, 0, 0]).max() < 0.05
 
 
+def test_empty_windows_have_no_displacement_of_their_own():
+    first, second = shifted_pair(lambda places: np.array([0.1, 0, 0]))
+    for volume in (first, second):
+        volume[8:16, 16:32, 16:32] = 0
+    found = pt.correlate_volumes(first, second.transpose("x", "z", "y"), window=(8, 16, 16), overlap=0)
+    assert found["outlier"].values[1, 1, 1] and found["correlation"].values[1, 1, 1] == 0
+    assert np.abs(found["displacement"].values - [0.1, 0, 0]).max() < 0.1
+    # One particle that leaves its window, and nothing else.
+    one, other = (first.copy(data=np.zeros(first.shape)) for _ in range(2))
+    one[4, 8, 8] = other[20, 40, 40] = 1
+    found = pt.correlate_volumes(one, other, window=(8, 16, 16), overlap=0)
+    assert np.isnan(found["displacement"]).all()
+    found = pt.correlate_volumes(one, one, window=(32, 48, 48))
+    assert_allclose(found["displacement"].values.ravel(), 0, atol=1e-9)
+
+
 def test_particles_are_located_and_matched():
     grid = pt.VoxelGrid((-1, -1, 99), (1, 1, 101), (20, 40, 40))
     places = np.array([[0.21, 0.1, 100.03], [-0.51, 0.42, 99.7], [0.62, -0.63, 100.4]])
@@ -207,6 +236,19 @@ def test_least_squares_find_positions_and_light():
     [
         (lambda: pt.VoxelGrid((0, 0, 1), (1, 1, 1), (2, 2, 2)), "the volume is empty"),
         (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (0, 2, 2)), "shape = 0: it must be at least 1"),
+        (lambda: pt.VoxelGrid((0, 0, 0), (1, 1, 1), (2.7, 2, 2)), "shape = 2.7: it must be a whole number"),
+        (
+            lambda: pt.RayProjector(CAMERA, GRID, wavelength=550, budget=1e-9),
+            "budget = 1e-09 GiB: the matrix takes more",
+        ),
+        (lambda: pt.RayProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
+        (lambda: pt.VoxelProjector(CAMERA, NEAR, wavelength=550), "beyond its focus at 80 only"),
+        (
+            lambda: pt.drawn_particles(GRID, np.zeros((1, 3)), np.ones(1), (0.1, 0.1, 1)),
+            "it must be half a voxel at least",
+        ),
+        (lambda: pt.quality(EMPTY, EMPTY[:3]), "volumes: they must be on the same voxels, but differ in z"),
+        (lambda: pt.reconstruct_volume(dense_case()[0], np.full((10, 6), np.nan), GRID), "its pixels must be finite"),
         (lambda: pt.reconstruct_volume(dense_case()[0], np.zeros((10, 6)), GRID), "dark everywhere"),
         (lambda: pt.reconstruct_volume(dense_case(7)[0], np.ones((10, 6)), GRID), "grid of 18 voxels: the operator's"),
         (lambda: pt.reconstruct_volume(dense_case()[0], np.ones((10, 6)), GRID, method="art"), "one of mart, sirt"),
@@ -220,4 +262,5 @@ def test_bad_volumes_are_refused_in_one_line(build, line):
         build()
 
 
+NEAR = pt.VoxelGrid((0, 0, 60), (1, 1, 90), (2, 2, 2))
 EMPTY = pt.VoxelGrid((0, 0, 0), (1, 1, 1), (4, 4, 4)).labelled(np.zeros(64))
