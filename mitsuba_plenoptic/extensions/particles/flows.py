@@ -30,6 +30,9 @@ _FASTEST = 1e9
 
 _AXES = "xyz"
 
+_UNITS = {"u": ("mm/s", "mm s-1", "mm s^-1", "mm.s-1"), "x": ("mm", "millimeter", "millimetre")}
+"""Units of velocities and of positions, as files write them."""
+
 
 def _cylinder(axis: str) -> list[int]:
     """Return the indices of two axes and of the one that they turn about, in this order."""
@@ -307,9 +310,8 @@ class ImportedFlow(Flow):
         except ValueError:
             raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
         for part in (*"uvw", *_AXES):
-            unit, expected = data[part].attrs.get("units"), "mm/s" if part in "uvw" else "mm"
-            known = (None, expected, "mm s-1") if part in "uvw" else (None, expected)
-            refuse_if(unit not in known, f"{name}: {part} is in {unit}: convert it to {expected}")
+            known, unit = _UNITS["u" if part in "uvw" else "x"], data[part].attrs.get("units")
+            refuse_if(unit not in (None, *known), f"{name}: {part} is in {unit}: it must be in {known[0]}")
         for axis, values in zip(_AXES, axes, strict=True):
             refuse_if(len(values) < 2 or not (np.diff(values) > 0).all(), f"{name}: {axis} must rise, over two values")
         values = np.stack(parts, -1)

@@ -158,10 +158,8 @@ def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: 
     reach : (float, float, float)
         Semi-axes along x, y and z, in mm, of the ellipsoid around a particle that is its own.
     """
-    values, semi_axes = (
-        np.maximum(values_of(volume)[0], 0),
-        np.array(require_numbers("reach", reach, count=3, minimum=1e-9)),
-    )
+    semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
+    values = np.maximum(values_of(volume)[0], 0)
     whole = float(values.sum())
     if not whole:
         return 0.0
