@@ -87,10 +87,15 @@ def fit_volume(
     mask, shift = used.astype(np.float32), np.float32(dark_variance)
     given = np.maximum(electrons * mask + shift, 0).astype(np.float32)
     stray = 0.0
-    all_light = projector.adjoint(np.ones_like(mask), stray)
+
+    def spread(pixels: np.ndarray) -> np.ndarray:
+        # Interpolation at sharp borders of micro-images goes below 0, where steps would multiply without bounds.
+        return np.maximum(projector.adjoint(pixels, stray), 0)
+
+    all_light = spread(np.ones_like(mask))
     seen = all_light > _UNSEEN * all_light.max(axis=(0, 1), keepdims=True)
     near = _Near(projector, seen)
-    light = projector.adjoint(mask, stray)
+    light = spread(mask)
     level = np.float32((electrons * mask).sum(dtype=np.float64) / light.sum(where=seen, dtype=np.float64))
     found = np.where(seen, level, np.float32(0))
     last, momentum = found, 0
@@ -102,8 +107,8 @@ def fit_volume(
         direct, glow = _recorded(projector, point)
         if step in _STRAY_STEPS:
             stray = _stray(electrons, mask, direct, glow)
-            light, all_light = projector.adjoint(mask, stray), projector.adjoint(np.ones_like(mask), stray)
-        back = projector.adjoint(mask * given / (np.maximum(direct + stray * glow, 0) + shift), stray)
+            light, all_light = spread(mask), spread(np.ones_like(mask))
+        back = spread(mask * given / (np.maximum(direct + stray * glow, 0) + shift))
         prior = np.float32(strength) * all_light
         new = np.where(seen, (point * back + prior * near.of(point)) / (light + prior + np.float32(1e-20)), 0)
         momentum = 0 if float(np.vdot(new - point, new - found)) < 0 else momentum + 1
