@@ -65,7 +65,7 @@ def pictures(study: Study) -> Canvas:
         predicted[light] = _picture(study, part, found)
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
-    canvas = Canvas(3 * _SIDE + 1.2, 2 * _SIDE + 1.1)
+    canvas = Canvas(3 * _SIDE + 1.5, 2 * _SIDE + 1.1)
     show(canvas.axes(0.2, 0.4, _SIDE, _SIDE), recorded[rows, columns], "Recorded", peak=peak)
     for number, light in enumerate(LIGHTS, 1):
         axes = canvas.axes(0.2 + number * (_SIDE + 0.1), 0.4, _SIDE, _SIDE)
@@ -88,7 +88,7 @@ def pictures(study: Study) -> Canvas:
     ):
         style = "o" if name == "recorded" else "-"
         axes.plot(across[shown], image[row, columns][shown] / peak, style, color=colour, markersize=3, label=name)
-    axes.set(xticks=[0, 50, 100], yticks=[0, 0.5, 1], ylim=(0, None))
+    axes.set(xticks=np.arange(0, across[shown][-1] + 1, 25), yticks=[0, 0.5, 1], ylim=(0, None))
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
     annotate(axes, title="A line of pixels", foot="pixels")
@@ -130,7 +130,7 @@ def slices(study: Study) -> Canvas:
             axes = canvas.axes(0.2 + column * 2.2, 0.35 + row * (tall + 0.4), 2.1, tall)
             image = volumes[light][depth]
             peak = float(np.quantile(image, _BRIGHT))
-            show(axes, image, f"{1000 * depth:+.0f} µm by {light}", peak=peak, size=8)
+            show(axes, image, f"{1000 * depth:+.1f} µm by {light}", peak=peak, size=8)
     return canvas
 
 
