@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ...cli.choices import MODELS
 from ...cli.inputs import CameraFile, OutputFolder, Seed, named_camera, numeric
 from ...cli.judging import COUNTED, WAVELENGTH, one_of
 from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_known, short_repr
-from ...io.captures import MODELS
 from ...runtime.progress import progress_bar
 
 if TYPE_CHECKING:
