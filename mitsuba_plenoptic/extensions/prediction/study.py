@@ -19,7 +19,7 @@ from ..calibrate.white_frames import WhiteFrame, single_channel
 from .array_part import ArrayPart, CameraModel, PartPixels
 from .point_patterns import depths_of, plane_of
 from .projector import VolumeProjection
-from .volume_fit import VolumeFit, fit_volume
+from .volume_fit import VolumeFit, fit_volume, recorded
 from .withheld import TESTS, Ratio, Withheld, by_lens, misfit
 
 LIGHTS = ("waves", "rays")
@@ -46,11 +46,6 @@ class Pictures:
     white: np.ndarray
     dark: np.ndarray
 
-    @cached_property
-    def noise(self) -> PhotonTransfer:
-        """Gain and noise of the sensor."""
-        return photon_transfer(self.white, self.dark)
-
     def __post_init__(self) -> None:
         shape = single_channel("white", self.white).shape
         for name in ("light_field", "white", "dark"):
@@ -61,6 +56,11 @@ class Pictures:
                 f"{label} of shape {picture.shape}: it must have the pixels of the white picture, {shape}",
             )
             put(self, **{name: picture})
+
+    @cached_property
+    def noise(self) -> PhotonTransfer:
+        """Gain and noise of the sensor."""
+        return photon_transfer(self.white, self.dark)
 
     @cached_property
     def electrons(self) -> np.ndarray:
@@ -183,7 +183,9 @@ class Study:
             return CameraModel.fitted(found).to_plain()
 
         name = "_".join(["camera", setup.light, *([] if setup.wavelength is None else [f"{setup.wavelength:g}nm"])])
-        return CameraModel.of(self.stages.facts(name, [self._given, length], fitted))
+        # A fit serves all parts of the picture.
+        given = [digest(self.pictures.white, self.pictures.dark), self.camera.to_dict()]
+        return CameraModel.of(self.stages.facts(name, [given, length], fitted))
 
     @cached_property
     def _given(self) -> list[Any]:
@@ -259,16 +261,16 @@ class Study:
 
     def electrons(self, simulated: str | None) -> np.ndarray:
         """Return the electrons of the part's pixels, recorded, or simulated by a light."""
-        recorded = self.pictures.electrons[self._pixels.pixel]
-        return np.asarray(recorded if simulated is None else self.simulated(simulated), np.float32)
+        if simulated is not None:
+            return self.simulated(simulated)
+        return np.asarray(self.pictures.electrons[self._pixels.pixel], np.float32)
 
     def _simulated(self, light: str) -> np.ndarray:
         """Return the electrons of a picture of the volume that rays or waves find, simulated with noise."""
         volume, stray = self.volume(light)
         projector = self.projector(Setup("fitted", light))
-        cells = projector.cells(volume)
-        cells = cells + np.float32(stray) * cells.mean(1, keepdims=True)
-        expected = np.maximum(projector.record(cells), 0).astype(np.float64)
+        direct, glow = recorded(projector, volume)
+        expected = np.maximum(direct + stray * glow, 0).astype(np.float64)
         generator = np.random.default_rng(0)
         noisy = generator.poisson(expected) + generator.normal(0, self.dark_variance**0.5, len(expected))
         return np.asarray(noisy, np.float32)

@@ -104,7 +104,7 @@ def fit_volume(
         point = found
         if momentum:
             point = np.maximum(found + np.float32(momentum / (momentum + 3)) * (found - last), np.float32(0.5) * found)
-        direct, glow = _recorded(projector, point)
+        direct, glow = recorded(projector, point)
         if step in _STRAY_STEPS:
             stray = _stray(electrons, mask, direct, glow)
             light, all_light = spread(mask), spread(np.ones_like(mask))
@@ -113,12 +113,12 @@ def fit_volume(
         new = np.where(seen, (point * back + prior * near.of(point)) / (light + prior + np.float32(1e-20)), 0)
         momentum = 0 if float(np.vdot(new - point, new - found)) < 0 else momentum + 1
         last, found = found, new.astype(np.float32)
-    direct, glow = _recorded(projector, found)
+    direct, glow = recorded(projector, found)
     progress(iterations, iterations)
     return VolumeFit(found, stray, direct + np.float32(stray) * glow)
 
 
-def _recorded(projector: VolumeProjection, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def recorded(projector: VolumeProjection, volume: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels' direct light, and the mean light of their lenses."""
     cells = projector.cells(volume)
     even = np.broadcast_to(cells.mean(1, keepdims=True), cells.shape)
