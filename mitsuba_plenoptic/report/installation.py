@@ -162,7 +162,7 @@ def _gpu(cuda: bool, faults: Mapping[str, str]) -> list[tuple[str, str]]:
     return [
         ("device", device),
         ("CUDA", "found" if cuda else "not found"),
-        *([("OptiX", f"fails; {OPTIX}" if any(optix) else "works")] if optix else []),
+        *([("OptiX", f"fails; {OPTIX}" if all(optix) else "works")] if optix else []),
         (
             "CuPy",
             cupy or f"{_MISSING}; for waves on CUDA: pip install cupy-cuda12x, or cupy-cuda13x by the driver's CUDA",

@@ -2,8 +2,9 @@
 
 It follows CuPy where it differs from NumPy: it has CuPy's functions and methods alone, by the names of CuPy 14.2 in
 ``cupy_names.txt``; nothing is converted implicitly; what would be a scalar stays on the device; a transform takes no
-`workers`, gives a fresh array for a view, and leaves nothing of use in what it may overwrite. Every way to the host is
-counted, that of a single number, as in ``float(x)`` and ``if x:``, too; and so is every call that starts a kernel.
+`workers`, gives a fresh array for a view, and leaves nothing of use in what it may overwrite; along an axis that is not
+the last, its result lies in memory as if that axis were the last. Every way to the host is counted, that of a single
+number, as in ``float(x)`` and ``if x:``, too; and so is every call that starts a kernel.
 """
 
 import functools
@@ -153,7 +154,9 @@ def _transform(function):
             raise TypeError("a transform on the device takes no workers")
         DeviceArray.launches += 1
         host = _unwrap(x)
-        result = np.ascontiguousarray(function(host.copy(), *args, **options))
+        axis = options.get("axes", [options.get("axis", -1)])[-1]
+        result = function(host.copy(), *args, **options)
+        result = np.ascontiguousarray(result.swapaxes(axis, -1)).swapaxes(axis, -1)
         if overwrite_x and np.iscomplexobj(host):
             host[...] = np.nan
         return DeviceArray(result)
