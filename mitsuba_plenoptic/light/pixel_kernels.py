@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime.backend import backend_of
+from ..runtime.backend import backend_of, on_cuda
 from ..runtime.limits import single_threaded_blas
 from .oblique import Oblique, moved
 
@@ -30,8 +30,8 @@ _PRODUCTS = 2.0
 """Part of images of random light, over the tolerance, that products of terms and coefficients may lack. Much less is
 missing, because terms are below 1."""
 
-_TOGETHER = 2**19
-"""Count of coefficients that are combined at a time."""
+_TOGETHER, _ON_CUDA = 2**19, 2**25
+"""Count of coefficients that are combined at a time, by a processor with caches and by a device."""
 
 
 class PixelKernels:
@@ -119,8 +119,8 @@ class PixelKernels:
         return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
 
     def portions(self, ends: Sequence[int]) -> list[slice]:
-        """Return slices of pixels, from one of the ends to the next, whose coefficients fit into caches."""
-        size = max(1, _TOGETHER // max(self._factors.shape))
+        """Return slices of pixels, from one of the ends to the next, whose coefficients fit into caches or memory."""
+        size = max(1, (_ON_CUDA if on_cuda() else _TOGETHER) // max(self._factors.shape))
         return [
             slice(start, min(start + size, last))
             for first, last in itertools.pairwise(ends)

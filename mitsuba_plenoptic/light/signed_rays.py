@@ -253,11 +253,13 @@ class SignedRaySum:
                 values = [part.reshape(shape) for part in values]
                 for few in kernels[0].portions(ends):
                     own = arrays.moveaxis(arrays.stack([v[few] for v in values], axis=1), 0, 2)
-                    if not libraries.is_cuda and not own.any():
-                        continue
-                    # Row by row, which takes a fraction of the time of a sum with columns of a matrix.
-                    for row, part in zip(total, self._combined(kernels, own, cosines[:, few], number), strict=True):
-                        arrays.add.at(row, some[few], part)
+                    if libraries.is_cuda:
+                        given = self._combined(kernels, own, cosines[:, few], number)
+                        arrays.add.at(total, (slice(None), some[few]), given)
+                    elif own.any():
+                        # Row by row, which takes a fraction of the time of a sum with columns of a matrix.
+                        for row, part in zip(total, self._combined(kernels, own, cosines[:, few], number), strict=True):
+                            arrays.add.at(row, some[few], part)
 
     def _combined(
         self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..lenses.thin import ThinLens
 from ..optics.waves import in_millimetres, phasor
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, backend, backend_of, on_cuda
 from ..runtime.fft import Field, fast_length, fft
 from .arrival import blocks
 from .nonuniform import PlaneWaves
@@ -68,10 +68,10 @@ class Carrier(Protocol):
 
     shift: NDArray[np.complex128]
 
-    def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
+    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of the waves with given amplitudes (n,) on the pupil's samples."""
 
-    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
@@ -147,21 +147,23 @@ class Spheres:
         held = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
         return 8.0 * count * (grid.count + count / 2) + PlaneWaves.memory(count, min(1.0, held / 2))
 
-    def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
+    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
-        wide = np.empty((self._count, self._grid.count), np.complex64)
+        arrays = backend_of(amplitudes).arrays
+        wide = arrays.empty((self._count, self._grid.count), np.complex64)
         for rows, spectrum in self._waves.forward(amplitudes):
             spectrum *= self._kernel(rows)
             wide[rows] = _to_samples(spectrum, 1)[:, self._inner]
-        found = np.empty((self._grid.count,) * 2, np.complex64)
+        found = arrays.empty((self._grid.count,) * 2, np.complex64)
         for columns in blocks(self._grid.count):
             found[:, columns] = _to_samples(wide[:, columns], 0)[self._inner]
         for rows in blocks(self._grid.count):
             yield rows, found[rows]
 
-    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
-        wide = np.zeros((self._count, self._grid.count), np.complex64)
+        arrays = backend().arrays
+        wide = arrays.zeros((self._count, self._grid.count), np.complex64)
         for rows, block in samples:
             wide[self._inner][rows] = block
         for columns in blocks(self._grid.count):
@@ -169,7 +171,7 @@ class Spheres:
 
         def spectra() -> Iterator[tuple[slice, Field]]:
             for rows in blocks(self._count):
-                padded = np.zeros((rows.stop - rows.start, self._count), np.complex64)
+                padded = arrays.zeros((rows.stop - rows.start, self._count), np.complex64)
                 padded[:, self._inner] = wide[rows]
                 yield rows, _to_frequencies(padded, 1) * self._kernel(rows).conj()
 
@@ -199,9 +201,9 @@ class Spheres:
 
     def _kernel(self, rows: slice) -> Field:
         """Return rows of the sphere's spectrum, with zero frequency in the middle."""
-        order = np.abs(np.arange(self._count) - self._count // 2)
-        quarter = _spectrum(self._count, self._grid.pitch, self._reach, self._distance, self._wavelength)
-        return np.asarray(quarter[order[rows]][:, order])
+        quarter = _spectrum(self._count, self._grid.pitch, self._reach, self._distance, self._wavelength, on_cuda())
+        order = backend_of(quarter).arrays.asarray(np.abs(np.arange(self._count) - self._count // 2))
+        return quarter[order[rows]][:, order]
 
 
 def _sphere(square: Any, radius: float, wavelength: float) -> Any:
@@ -210,10 +212,11 @@ def _sphere(square: Any, radius: float, wavelength: float) -> Any:
 
 
 @functools.lru_cache(maxsize=1)
-def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float) -> Field:
+def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float, cuda: bool) -> Field:
     """Return the spectrum of a sphere, which is even along both axes, at frequencies that are not negative.
 
-    The sphere fades out beyond `reach` samples in its window of `count` samples. The last layer's spectrum is cached.
+    The sphere fades out beyond `reach` samples in its window of `count` samples. The last layer's spectrum is cached,
+    on CUDA there; CuPy has no cosine transform of this type.
     """
     step = np.arange(count // 2 + 1)
     # The edge is so wide that it holds no steeper light than the samples do.
@@ -225,7 +228,7 @@ def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength:
         quarter[rows] = phasor(-_sphere(square[rows, None] + square, radius, wavelength)) * (edge[rows, None] * edge)
     for part in (quarter.real, quarter.imag):
         part[...] = scipy.fft.dctn(part, type=1)
-    return quarter
+    return backend().arrays.asarray(quarter)
 
 
 def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -247,9 +250,11 @@ def _reach(images: NDArray[np.float64], grid: PupilGrid) -> float:
 
 def _to_samples(spectrum: Field, axis: int) -> Field:
     """Return the inverse transform along an axis whose zero is in the middle, without a factor."""
-    return np.fft.fftshift(fft(np.fft.ifftshift(spectrum, axis), axis=axis, inverse=True, norm="forward"), axis)
+    roll, half = backend_of(spectrum).arrays.roll, spectrum.shape[axis] // 2
+    return roll(fft(roll(spectrum, -half, axis), axis=axis, inverse=True, norm="forward"), half, axis)
 
 
 def _to_frequencies(samples: Field, axis: int) -> Field:
     """Return the adjoint of `_to_samples`."""
-    return np.fft.fftshift(fft(np.fft.ifftshift(samples, axis), axis=axis), axis)
+    roll, half = backend_of(samples).arrays.roll, samples.shape[axis] // 2
+    return roll(fft(roll(samples, -half, axis), axis=axis), half, axis)

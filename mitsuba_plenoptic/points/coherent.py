@@ -68,12 +68,12 @@ class CoherentFields:
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
-        grid = self._pupil
-        inner = np.zeros((grid.count, grid.count), np.complex64)
+        grid, arrays = self._pupil, backend().arrays
+        inner = arrays.zeros((grid.count, grid.count), np.complex64)
         for part, layer in self._layers:
-            layer.add(amplitudes[part], inner)
-        field = backend().arrays.zeros(self.shape("pupil"), np.complex64)
-        field[grid.rows, grid.columns] = backend().arrays.asarray(inner)
+            layer.add(arrays.asarray(amplitudes[part]), inner)
+        field = arrays.zeros(self.shape("pupil"), np.complex64)
+        field[grid.rows, grid.columns] = inner
         pupil = SampledField(field, self.grids.wide_origin, self._pupil_pitch)
         if plane == "pupil":
             return pupil
@@ -114,10 +114,10 @@ class CoherentFields:
             spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
             with resting_drjit():
                 field = fft2(spectrum, inverse=True)
-        field = np.ascontiguousarray(backend().to_host(field[self._pupil.rows, self._pupil.columns]))
+        field = backend().arrays.ascontiguousarray(field[self._pupil.rows, self._pupil.columns])
         result = np.empty(len(self._points), np.complex64)
         for part, layer in self._layers:
-            result[part] = layer.adjoint(field)
+            result[part] = backend().to_host(layer.adjoint(field))
         return result
 
     def shape(self, plane: str) -> tuple[int, int]:

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from ..runtime.backend import backend, backend_of
 from ..runtime.fft import Field, fast_length, fft
 from .arrival import blocks
 
@@ -36,9 +37,13 @@ POINT_BYTES = 8.0 * _WIDTH**2 + 80
 
 
 class PlaneWaves:
-    """Plane waves of frequencies (n, 2) in cycles per sample, x and y, on a grid of `count` x `count` samples."""
+    """Plane waves of frequencies (n, 2) in cycles per sample, x and y, on a grid of `count` x `count` samples.
+
+    Sums are computed by the active variant's libraries, on whose device their samples and amplitudes are.
+    """
 
     def __init__(self, frequencies: NDArray[np.float64], count: int) -> None:
+        libraries = backend()
         self.count = count
         self._length = length(count)
         place = frequencies * self._length
@@ -54,14 +59,15 @@ class PlaneWaves:
         values = weights[1][:, :, None] * weights[0][:, None, :]
         columns = index[1][:, :, None] * self._shape[1] + index[0][:, None, :]
         n = len(frequencies)
-        self._spread = scipy.sparse.csr_array(
-            (values.reshape(-1), columns.astype(np.int32).reshape(-1), np.arange(n + 1) * _WIDTH**2),
-            shape=(n, self._shape[0] * self._shape[1]),
+        spread = values.reshape(-1), columns.astype(np.int32).reshape(-1), np.arange(n + 1) * _WIDTH**2
+        self._spread = libraries.sparse.csr_matrix(
+            tuple(map(libraries.arrays.asarray, spread)), shape=(n, self._shape[0] * self._shape[1])
         )
         order = np.arange(count) - count // 2
         # The Fourier transform of the Kaiser-Bessel function.
         root = np.sqrt(_SHAPE**2 - (math.pi * _WIDTH * (order / self._length)) ** 2)
-        self._correction = (1 / (_WIDTH * np.sinh(root) / root / i0(_SHAPE))).astype(np.float32)
+        correction = (1 / (_WIDTH * np.sinh(root) / root / i0(_SHAPE))).astype(np.float32)
+        self._correction = libraries.arrays.asarray(correction)
 
     @staticmethod
     def memory(count: int, band: float = 1.0) -> float:
@@ -72,24 +78,25 @@ class PlaneWaves:
         held = band * length(count) + 2 * _WIDTH
         return 8.0 * held * (2.0 * count + held)
 
-    def forward(self, amplitudes: NDArray[np.complex64]) -> Iterator[tuple[slice, Field]]:
+    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
         """Yield blocks of rows of the sum of plane waves with given amplitudes (n,)."""
         parts = self._spread.T @ amplitudes.view(np.float32).reshape(-1, 2)
-        spread = np.ascontiguousarray(parts, np.float32).view(np.complex64).reshape(self._shape)
+        spread = backend_of(parts).arrays.ascontiguousarray(parts).view(np.complex64).reshape(self._shape)
         tall = _to_samples(spread, self._low[1], self._length, self.count, 0) * self._correction[:, None]
         for rows in blocks(self.count):
             yield rows, _to_samples(tall[rows], self._low[0], self._length, self.count, 1) * self._correction
 
-    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> NDArray[np.complex64]:
+    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
         """Return each plane wave's inner product with samples, which come in blocks of rows."""
-        tall = np.empty((self.count, self._shape[1]), np.complex64)
+        arrays = backend_of(self._correction).arrays
+        tall = arrays.empty((self.count, self._shape[1]), np.complex64)
         for rows, block in samples:
             given = block * self._correction
             tall[rows] = _to_frequencies(given, self._low[0], self._length, self._shape[1], 1)
         tall *= self._correction[:, None]
         spread = _to_frequencies(tall, self._low[1], self._length, self._shape[0], 0)
-        parts = self._spread @ np.ascontiguousarray(spread).reshape(-1).view(np.float32).reshape(-1, 2)
-        return np.ascontiguousarray(parts, np.float32).view(np.complex64).reshape(-1)
+        parts = self._spread @ arrays.ascontiguousarray(spread).reshape(-1).view(np.float32).reshape(-1, 2)
+        return arrays.ascontiguousarray(parts).view(np.complex64).reshape(-1)
 
 
 def length(count: int) -> int:
@@ -101,20 +108,26 @@ def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -
     """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
     padded = _embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
     whole = fft(padded, axis=axis, inverse=True, norm="forward")
-    return np.take(whole, (np.arange(count) - count // 2) % size, axis)
+    return _taken(whole, np.arange(count) - count // 2, axis)
 
 
 def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
     padded = _embedded(samples, np.arange(samples.shape[axis]) - samples.shape[axis] // 2, size, axis)
     whole = fft(padded, axis=axis)
-    return np.take(whole, (first + np.arange(count)) % size, axis)
+    return _taken(whole, first + np.arange(count), axis)
+
+
+def _taken(values: Field, index: NDArray[np.int64], axis: int) -> Field:
+    """Return values at an index along an axis, modulo the count of the values."""
+    arrays = backend_of(values).arrays
+    return arrays.take(values, arrays.asarray(index % values.shape[axis]), axis)
 
 
 def _embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
     """Return values placed at an index, modulo `size`, along an axis of `size` samples that are otherwise 0."""
-    shape = list(values.shape)
+    arrays, shape = backend_of(values).arrays, list(values.shape)
     shape[axis] = size
-    padded = np.zeros(shape, np.complex64)
-    padded[(slice(None),) * axis + (index % size,)] = values
+    padded = arrays.zeros(shape, np.complex64)
+    padded[(slice(None),) * axis + (arrays.asarray(index % size),)] = values
     return padded

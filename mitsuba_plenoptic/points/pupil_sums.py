@@ -28,7 +28,7 @@ from ..errors import InputError
 from ..lenses.thin import ThinLens
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres, phasor, soft_edge
-from ..runtime.backend import array_module, backend_of
+from ..runtime.backend import array_module, backend
 from ..runtime.fft import Field, as_field, pack, rows_and_columns
 from .arrival import blocks
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
@@ -78,7 +78,8 @@ class Layer:
         made: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
         self._carrier = made
         nodes = self._nodes(points)
-        self._interpolation = [_interpolation(nodes, grid.along(axis) / self._half) for axis in (0, 1)]
+        held = backend().arrays.asarray
+        self._interpolation = [held(_interpolation(nodes, grid.along(axis) / self._half)) for axis in (0, 1)]
         x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
         # Orthonormal functions that represent the factors of some points within the tolerance.
@@ -93,12 +94,13 @@ class Layer:
             basis, found = _completed(basis, factors)
             parts.append(found)
         self.rank = basis.shape[1]
-        self._on_pupil = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
+        by_nodes = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)
+        self._on_pupil = list(held(by_nodes))
         # Points before the last completion do without the products that came later.
         padded = [np.pad(part, ((0, self.rank - len(part)), (0, 0))) for part in parts]
-        self._of_points = (np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)
+        self._of_points = list(held((np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)))
 
-    def add(self, amplitudes: NDArray[np.complex64], field: Field) -> None:
+    def add(self, amplitudes: Field, field: Field) -> None:
         """Add the field of points with given amplitudes (n,) to samples of the grid."""
         common = self._common()
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
@@ -107,10 +109,10 @@ class Layer:
                 waves *= common[rows]
                 field[rows] += waves
 
-    def adjoint(self, field: Field) -> NDArray[np.complex64]:
+    def adjoint(self, field: Field) -> Field:
         """Return the inner product of each point's field with samples of the grid."""
         given = self._common().conj() * field
-        total = np.zeros(self._of_points.shape[1], np.complex64)
+        total = backend().arrays.zeros(self._of_points[0].shape, np.complex64)
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
 
             def products(on_pupil: Field = on_pupil) -> Iterator[tuple[slice, Field]]:
@@ -136,14 +138,12 @@ class Layer:
         )
         cover = types.Float(soft_edge(self._lens.inside((x, y)) / grid.pitch))
         light = phasor(self._carrier.common((x, y))) * cover
-        # Points are summed over the pupil by NumPy and SciPy, with CUDA, too.
-        packed = pack(light)
-        return backend_of(packed).to_host(as_field(packed, (grid.count, grid.count)))
+        return as_field(pack(light), (grid.count, grid.count))
 
     def _values(self, on_pupil: Field, rows: slice) -> Field:
         """Return values on the pupil at rows of the samples, interpolated from the values at the nodes."""
         along_x, along_y = self._interpolation
-        return np.asarray(along_y[rows] @ on_pupil @ along_x.T)
+        return along_y[rows] @ on_pupil @ along_x.T
 
     def _nodes(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the Chebyshev nodes between -1 and 1 that the layer needs."""

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import drjit as dr
 import numpy as np
 import scipy.fft
+import scipy.sparse
 
 from mitsuba_plenoptic.runtime.backend import Backend
 
@@ -185,6 +186,16 @@ class _Matrix:
     def __init__(self, matrix):
         self._matrix = matrix
 
+    @classmethod
+    def csr(cls, given, shape=None):
+        """Return a matrix of one of NumPy's, or of values, columns and pointers on the device."""
+        host = _unwrap(given) if isinstance(given, tuple) else given
+        return cls(scipy.sparse.csr_matrix(host, shape=shape))
+
+    @property
+    def T(self):
+        return _Matrix(self._matrix.T)
+
     def __matmul__(self, other):
         DeviceArray.launches += 1
         return DeviceArray(np.asfortranarray(self._matrix @ _unwrap(other)))
@@ -217,7 +228,7 @@ class StandIn:
             ),
         )
         transforms = _Named(scipy.fft, NAMES["transforms"], _transform)
-        self.backend = Backend(dr.llvm, arrays, transforms, SimpleNamespace(csr_matrix=_Matrix), is_cuda=True)
+        self.backend = Backend(dr.llvm, arrays, transforms, SimpleNamespace(csr_matrix=_Matrix.csr), is_cuda=True)
 
     @property
     def scalars(self):

@@ -181,9 +181,6 @@ HANDED = {
     "gradients by all parameters": 23_000,
     "gradients of copies": 23_000,
     "real lens, gradients": 7_000,
-    # Light on the pupil, where NumPy and SciPy sum the points.
-    "coherent sums": 2_200_000,
-    "coherent field": 6_900_000,
     # Pixels and bins, which NumPy takes from Dr.Jit's tensors.
     "refocusing in Dr.Jit": 11_000,
     # The bins, and the image of each step.
