@@ -31,6 +31,9 @@ _PITCH_PER_PIXEL = 1.1
 
 _FINER = 1.2
 _WIDTH_PER_BLUR = 1.2
+_TAILS = 6
+"""Width of a point's patch in focus, over the part that is kept beside light moving from the array to the detector."""
+
 _WIDTH_STEP = 1.06
 _RIM_ANGLES = 16
 _BLOCK = 4096
@@ -192,9 +195,12 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     airy = lam * b / (2 * a)
     blur = 2 * image.half_width.max(1)
     spread = grid.band.margin * airy
-    # A margin on both sides contains the light that moves sideways between MLA and detector.
-    reach = distance / medium * (grid.cosine + diffraction(camera, grid.wavelength, grid.band.orders))
-    width = np.maximum(_WIDTH_PER_BLUR * blur + max(spread / 3, 2 * reach), spread) + np.abs(aside).max(1)
+    # A margin on both sides contains the light that moves sideways between MLA and detector. The microlenses bend it:
+    # behind fast lenses it moves farther than the Airy pattern is wide.
+    steepest = grid.cosine + scattering(camera) + diffraction(camera, grid.wavelength, grid.band.orders)
+    moved = spread / _TAILS + 2 * distance / medium * steepest
+    width = np.maximum.reduce([_WIDTH_PER_BLUR * blur + spread / 3, blur + moved, np.full_like(blur, spread)])
+    width += np.abs(aside).max(1)
     check_samples(
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
         "from the axis",
