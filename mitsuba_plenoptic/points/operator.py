@@ -66,9 +66,11 @@ class CaptureOperator(CoherentPoints):
         Method of computing point spreads: each on the part of the array that its point lights, or each on the whole
         array, without shortcuts.
     accuracy : float, optional
-        Allowed relative error (L2, over the image) of the method "patch", below 1; 0.01 by default. Points of nearly
-        the same wavefront at neighbouring lenses may then share a point spread. With 0 every point has a spread of its
-        own, and most of the diffracted light is retained. The method "full_field" allows no error but 0.
+        Allowed relative error (L2, over the image of all points, against that of 0) of the method "patch", below 1;
+        0.01 by default. Points of nearly the same wavefront at neighbouring lenses may then share a point spread.
+        Single point spreads of more than 512 points, and sums of a few of them, can have larger errors. With 0 every
+        point has a spread of its own, and most of the diffracted light is retained. The method "full_field" allows no
+        error but 0.
     pupil_weights : array (n, m, m), optional
         Relative power of each point over the square around the pupil, cut into m x m cells: rows along y, columns along
         x of the camera frame; booleans mark the visible part. The power is normalised, so that each point spread still

@@ -40,6 +40,36 @@ def test_patch_against_full_field(camera, position, wavelength):
     assert error(patch, full) < 0.005
 
 
+def behind_a_fast_lens(f_number, pixels, blur, scale=1.0):
+    """A camera of few pixels a lens, and 520 points that its lenses blur."""
+    camera = PlenopticCamera.matched(
+        f_number=f_number, lenses=10, pixels_per_lens=pixels, pixel_size=0.011, focal_length=50 * scale,
+        focus_distance=320 * scale,
+    )  # fmt: skip
+    places = np.random.default_rng(1).uniform(-2, 2, (520, 2)) * camera.mla_pitch
+    return camera, point_spreads.blurred(camera, places, blur)
+
+
+@pytest.mark.parametrize("f_number, pixels", [(2.8, 5), pytest.param(2, 7, marks=pytest.mark.slow)])
+def test_fast_lenses_bend_no_light_off_the_patch(f_number, pixels):
+    """Spots lie up to a lens beside the light on the array, which is wider than the Airy pattern."""
+    camera, points = behind_a_fast_lens(f_number, pixels, 1, scale=1 / 12)
+    operator = CaptureOperator(camera, points, wavelength=550)
+    for position, weights in zip(points[:2], np.eye(520), strict=False):
+        full = point_spread_function(camera, position, wavelength=550, method="full_field")
+        assert error(operator.forward(weights), full) < 0.01
+
+
+@pytest.mark.parametrize("f_number, accuracy", [(2, 0.05), (2, 0.01), (4, 0.01)])
+def test_sums_behind_fast_lenses_keep_their_accuracy(f_number, accuracy):
+    """Of points among so many that less of the diffracted light is kept than of few."""
+    camera, points = behind_a_fast_lens(f_number, 7, 1)
+    weights = np.arange(520) < 8
+    exact = CaptureOperator(camera, points[weights], wavelength=550, accuracy=0).forward(np.ones(8))
+    image = CaptureOperator(camera, points, wavelength=550, accuracy=accuracy).forward(weights.astype(float))
+    assert error(image, exact) < accuracy
+
+
 @pytest.mark.parametrize(
     "camera, g",
     [

@@ -132,14 +132,15 @@ def convergence(*, count: int = 6, side: float = 1.4) -> Iterator[Row]:
 
 @case(
     "point-spreads.harder",
-    "Extreme cameras, gaps between microlenses and hidden parts of the pupil, against refined full fields",
+    "Extreme cameras, gaps between microlenses and hidden parts of the pupil, against refined full fields; points by "
+    "fast lenses of coarse pixels, alone and among many, against accuracy 0",
     {"case": "{name}", "error": "{error:.2%}", "limit": "{limit:.2%}"},
     (at_most("error", "limit"),),
     quick={"count": 2},
 )
-def harder(*, count: int = 36) -> Iterator[Row]:
-    """Compare both methods."""
-    found = itertools.chain(extremes(), hidden_pupils(), gapped())
+def harder(*, count: int = 510) -> Iterator[Row]:
+    """Compare both methods, then accuracies."""
+    found = itertools.chain(extremes(), hidden_pupils(), gapped(), accuracies())
     for name, error, limit in itertools.islice(found, count):
         yield {"name": name, "error": error, "limit": limit}
 
@@ -194,6 +195,48 @@ def hidden_pupils() -> Iterator[Figure]:
         patch = CaptureOperator(SMALL, [point], wavelength=633.0, accuracy=0, pupil_weights=weights).forward([1.0])
         yield f"{name} of the pupil at {g:g}, full_field", relative(full, reference), 0.002
         yield f"{name} of the pupil at {g:g}, patch", relative(patch, reference), 0.003
+
+
+FAST = [
+    *itertools.product((1.8, 2, 2.8, 4, 10), (5, 7, 10, 20), ["square"], (0, 2), [0]),
+    *itertools.product((2, 4, 10), [7], ["square"], [8], [0]),
+    *itertools.product((2, 10), (7, 20), ["square"], (0, 2), [20]),
+    *itertools.product((2, 4, 10), [7], ["hexagonal"], (0, 2), [0]),
+]
+"""F-numbers, pixels of 5 micrometres a lens, lattices, blurs and distances from the axis in lenses."""
+
+
+def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.ndarray:
+    """Return scene points (n, 3) with images about places (n, 2) on the array, blurred over some lenses."""
+    image = camera.mla_distance / (1 + lenses * camera.mla_pitch / camera.aperture_diameter)
+    g = 1 / (1 / camera.focal_length - 1 / image)
+    return np.column_stack([-places * g / camera.mla_distance, np.full(len(places), g)])
+
+
+def accuracies() -> Iterator[Figure]:
+    """Single points alone, and a hundred alone and among so many that less diffracted light is kept."""
+    rng = np.random.default_rng(1)
+    for f_number, pixels, lattice, blur, beside in FAST:
+        whole = PlenopticCamera.matched(
+            f_number=f_number, lenses=96, pixels_per_lens=pixels, pixel_size=0.005, focal_length=50,
+            focus_distance=320, mla_lattice=lattice,
+        )  # fmt: skip
+        middle = np.array(whole.resolution) // 2 + np.array([beside * pixels, 0])
+        side = round((17 + 1.6 * blur) * pixels)
+        camera = whole.replace(crop_offset=tuple((middle - side // 2).tolist()), crop_size=(side, side))
+        places = rng.uniform(-2.5, 2.5, (520, 2)) + np.array([beside, 0])
+        points, weights = blurred(camera, places * camera.mla_pitch, blur), rng.uniform(0.5, 1, 100)
+        among = np.pad(weights, (0, len(points) - 100))
+
+        def image(points: np.ndarray, weights: Any, accuracy: float, camera: Any = camera) -> np.ndarray:
+            return CaptureOperator(camera, points, wavelength=550, accuracy=accuracy).forward(weights)
+
+        single, exact = image(points[:1], [1.0], 0), image(points[:100], weights, 0)
+        for accuracy in (0.05, 0.01, 0.002):
+            name = f"f/{f_number:g}, {pixels} pixels, {lattice}, blur {blur}, {beside} lenses off axis, {accuracy:g}"
+            yield f"{name}, one", relative(image(points[:1], [1.0], accuracy), single), accuracy
+            yield f"{name}, a hundred", relative(image(points[:100], weights, accuracy), exact), accuracy
+            yield f"{name}, a hundred among many", relative(image(points, among, accuracy), exact), accuracy
 
 
 @case(
