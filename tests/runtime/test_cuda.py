@@ -248,9 +248,11 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, 
     work = (WORKS | ADJOINTS)[name]
     expected = work()
     device = request.getfixturevalue("device")
+    # Sums of gradients cancel, so that their rounding, which depends on where memory lies, is larger.
+    error = 5e-5 if "gradients" in name else 1e-5
     for ours, theirs in zip(work(), expected, strict=True):
         assert type(ours) is np.ndarray and ours.dtype == theirs.dtype
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5 * np.abs(theirs).max())
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=error * np.abs(theirs).max())
     # What depends on the camera alone is planned, partly on the host, and kept. Once it is, only results leave.
     device.to_host.clear()
     before = device.scalars
