@@ -28,7 +28,7 @@ from ..runtime.limits import check_memory
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pixel_integrals
-from .nonuniform import POINT_BYTES
+from .nonuniform import POINT_BYTES, embedded, taken
 from .pupil_sums import Layer, carrier_type, layers
 
 PLANES = ("pupil", "array", "detector")
@@ -110,7 +110,7 @@ class CoherentFields:
         if plane != "pupil":
             # Back from the array to the pupil.
             with resting_drjit():
-                spectrum = _embedded(_embedded(field, grids, axis=1), grids, axis=0)
+                spectrum = _whole_spectrum(_whole_spectrum(field, grids, axis=1), grids, axis=0)
             spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
             with resting_drjit():
                 field = fft2(spectrum, inverse=True)
@@ -146,20 +146,15 @@ def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
     return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def _embedded(field: Field, grids: FieldGrids, axis: int) -> Field:
+def _whole_spectrum(field: Field, grids: FieldGrids, axis: int) -> Field:
     """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
     arrays, count = backend().arrays, grids.wide_pupil
-    start, size = grids.offset[1 - axis], field.shape[axis]
-    positive = (count + 1) // 2
-    kept = np.r_[0:positive, grids.wide_mla - (count - positive) : grids.wide_mla]
+    index = grids.offset[1 - axis] + np.arange(field.shape[axis])
     parts = []
     for block in blocks(field.shape[1 - axis]):
-        part = field[block] if axis == 1 else field[:, block]
-        shape = list(part.shape)
-        shape[axis] = grids.wide_mla
-        padded = arrays.zeros(shape, np.complex64)
-        padded[(slice(None),) * axis + (slice(start, start + size),)] = part
-        parts.append(arrays.take(fft(padded, axis=axis), arrays.asarray(kept), axis))
+        padded = embedded(field[block] if axis == 1 else field[:, block], index, grids.wide_mla, axis)
+        # The positive and then the negative frequencies.
+        parts.append(taken(fft(padded, axis=axis), np.r_[: (count + 1) // 2, -(count // 2) : 0], axis))
     return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))
 
 

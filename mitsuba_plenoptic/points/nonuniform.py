@@ -106,25 +106,25 @@ def length(count: int) -> int:
 
 def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
-    padded = _embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
+    padded = embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
     whole = fft(padded, axis=axis, inverse=True, norm="forward")
-    return _taken(whole, np.arange(count) - count // 2, axis)
+    return taken(whole, np.arange(count) - count // 2, axis)
 
 
 def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
-    padded = _embedded(samples, np.arange(samples.shape[axis]) - samples.shape[axis] // 2, size, axis)
+    padded = embedded(samples, np.arange(samples.shape[axis]) - samples.shape[axis] // 2, size, axis)
     whole = fft(padded, axis=axis)
-    return _taken(whole, first + np.arange(count), axis)
+    return taken(whole, first + np.arange(count), axis)
 
 
-def _taken(values: Field, index: NDArray[np.int64], axis: int) -> Field:
+def taken(values: Field, index: NDArray[np.int64], axis: int) -> Field:
     """Return values at an index along an axis, modulo the count of the values."""
     arrays = backend_of(values).arrays
     return arrays.take(values, arrays.asarray(index % values.shape[axis]), axis)
 
 
-def _embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
+def embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
     """Return values placed at an index, modulo `size`, along an axis of `size` samples that are otherwise 0."""
     arrays, shape = backend_of(values).arrays, list(values.shape)
     shape[axis] = size

@@ -138,7 +138,7 @@ def convergence(*, count: int = 6, side: float = 1.4) -> Iterator[Row]:
     (at_most("error", "limit"),),
     quick={"count": 2},
 )
-def harder(*, count: int = 510) -> Iterator[Row]:
+def harder(*, count: int = 200) -> Iterator[Row]:
     """Compare both methods, then accuracies."""
     found = itertools.chain(extremes(), hidden_pupils(), gapped(), accuracies())
     for name, error, limit in itertools.islice(found, count):
@@ -198,12 +198,11 @@ def hidden_pupils() -> Iterator[Figure]:
 
 
 FAST = [
-    *itertools.product((1.8, 2, 2.8, 4, 10), (5, 7, 10, 20), ["square"], (0, 2), [0]),
-    *itertools.product((2, 4, 10), [7], ["square"], [8], [0]),
-    *itertools.product((2, 10), (7, 20), ["square"], (0, 2), [20]),
-    *itertools.product((2, 4, 10), [7], ["hexagonal"], (0, 2), [0]),
+    *itertools.product(((1.8, 5), (2, 7), (2.8, 10), (4, 7), (10, 7)), ["square"], (0, 2), [0]),
+    *itertools.product(((2, 7), (10, 7)), ["hexagonal"], [0], [0]),
+    *itertools.product(((2, 7), (10, 7)), ["square"], [2], [20]),
 ]
-"""F-numbers, pixels of 5 micrometres a lens, lattices, blurs and distances from the axis in lenses."""
+"""F-numbers and pixels of 5 micrometres a lens, lattices, blurs and distances from the axis in lenses."""
 
 
 def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.ndarray:
@@ -216,7 +215,7 @@ def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.nd
 def accuracies() -> Iterator[Figure]:
     """Single points alone, and a hundred alone and among so many that less diffracted light is kept."""
     rng = np.random.default_rng(1)
-    for f_number, pixels, lattice, blur, beside in FAST:
+    for (f_number, pixels), lattice, blur, beside in FAST:
         whole = PlenopticCamera.matched(
             f_number=f_number, lenses=96, pixels_per_lens=pixels, pixel_size=0.005, focal_length=50,
             focus_distance=320, mla_lattice=lattice,
@@ -232,7 +231,7 @@ def accuracies() -> Iterator[Figure]:
             return CaptureOperator(camera, points, wavelength=550, accuracy=accuracy).forward(weights)
 
         single, exact = image(points[:1], [1.0], 0), image(points[:100], weights, 0)
-        for accuracy in (0.05, 0.01, 0.002):
+        for accuracy in (0.05, 0.01):
             name = f"f/{f_number:g}, {pixels} pixels, {lattice}, blur {blur}, {beside} lenses off axis, {accuracy:g}"
             yield f"{name}, one", relative(image(points[:1], [1.0], accuracy), single), accuracy
             yield f"{name}, a hundred", relative(image(points[:100], weights, accuracy), exact), accuracy
