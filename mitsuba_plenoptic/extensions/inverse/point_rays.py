@@ -134,7 +134,11 @@ class PointRays:
         require_no_shape(camera, "points are followed by rays")
         require_no_warp(camera, "points are followed by rays")
         require_no_glass(camera, "points are followed at one wavelength;")
-        camera.require_no_objective("points are followed by rays")
+        refuse_if(
+            camera.lens_data.images_stop,
+            f"main_lens = {camera.lens_data.label}: points are followed by rays where the array stands in an image of "
+            "the object only; use waves",
+        )
         refuse_if(
             not camera.lattice.fills,
             f"mla_fill = {camera.mla_fill:g}, mla_aperture = {camera.mla_aperture}: points are followed by rays "

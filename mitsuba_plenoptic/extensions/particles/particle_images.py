@@ -1,9 +1,13 @@
 r"""Captures of particles by waves and by rays: incoherent points that scatter a light sheet's light.
 
 The unit of pixels is the light of a mean particle: the power through the pupil, averaged over the particles that are
-within the volume in the first frame. For irradiance 1 a particle sends :math:`\pi a^2 / g^2` times the mean of its
-differential cross-section over the pupil, which is the `reference` of a capture, in square micrometres. There is no
-speckle, as points are incoherent; no particle hides another one, and light is scattered once.
+within the volume in the first frame. For irradiance 1 a particle sends the pupil's solid angle (:math:`\pi a^2 / g^2`
+of a lens, :math:`2 \pi (1 - \cos\alpha)` of an objective) times the mean of its differential cross-section over the
+pupil, which is the `reference` of a capture, in square micrometres. There is no speckle, as points are incoherent; no
+particle hides another one, and light is scattered once.
+
+Fluorescent beads emit the same light in all directions. In the place of the cross-section they have their volume, so
+that the `reference` is in cubic micrometres, as if all of the light that a bead absorbs on a micrometre were emitted.
 """
 
 from __future__ import annotations
@@ -27,6 +31,7 @@ from ...points.operator import CaptureOperator
 from ...points.pupil_weights import PupilWeights
 from ...runtime.batches import Job, Progress
 from ..inverse.point_rays import PointRays
+from .entrance_pupil import EntrancePupil
 from .mie import cross_sections
 from .seeding import LightSheet, ParticleVolume, Seeding, from_plain
 from .sequence import settings_of
@@ -59,29 +64,37 @@ class ScatteredLight:
     seeding: Seeding
     # In vacuum, in nanometres.
     wavelength: float
-    # Place and radius of the entrance pupil.
-    pupil: tuple[float, float]
+    pupil: EntrancePupil
 
     @cached_property
     def cells(self) -> int:
         """Cells across the square around the pupil, which resolve the lobes of the largest particle."""
-        nearest = float(np.abs(self.positions[:, 2] - self.pupil[0]).min(initial=np.inf))
+        if self.seeding.index is None:
+            return _FEWEST
         lobe = self.wavelength * 1e-3 / self.seeding.medium / float(self.diameters.max(initial=1e-3))
-        return int(np.clip(np.ceil(_PER_LOBE * 2 * self.pupil[1] / nearest / lobe), _FEWEST, _MOST))
+        return int(np.clip(np.ceil(_PER_LOBE * 2 * self.pupil.angle(self.positions) / lobe), _FEWEST, _MOST))
+
+    @cached_property
+    def _at(self) -> NDArray[np.float64]:
+        """Return the coordinates of the centres of the pupil's cells, in mm."""
+        return np.asarray(self.pupil.radius * ((np.arange(self.cells) + 0.5) * (2 / self.cells) - 1))
 
     @cached_property
     def over_pupil(self) -> NDArray[np.float64]:
-        """Differential cross-sections towards the pupil's cells, in square micrometres per steradian, (n, y, x)."""
+        """Differential cross-sections towards the pupil's cells, in square micrometres per steradian, (n, y, x).
+
+        Those of fluorescent beads are volumes over the full solid angle.
+        """
         count = len(self.positions)
+        if self.seeding.index is None:
+            return np.tile((self.diameters**3 / 24)[:, None, None], (self.cells, self.cells))
         blocks = [self._of(slice(first, first + _TOGETHER)) for first in range(0, count, _TOGETHER)]
         return np.concatenate([np.zeros((0, self.cells, self.cells)), *blocks])
 
     def _of(self, some: slice) -> NDArray[np.float64]:
         """Return the cross-sections of some particles."""
-        place, radius = self.pupil
-        at = radius * ((np.arange(self.cells) + 0.5) * (2 / self.cells) - 1)
-        towards = np.stack(np.broadcast_arrays(at, at[:, None], place), -1) - self.positions[some, None, None]
-        cosine = towards @ np.array(self.direction) / np.linalg.norm(towards, axis=-1)
+        assert self.seeding.index is not None
+        cosine = self.pupil.towards(self.positions[some], self._at) @ np.array(self.direction)
         flat = cosine.reshape(len(cosine), -1)
         low, high = flat.min(1), flat.max(1)
         # Few angles, between which the many of the cells are interpolated.
@@ -95,14 +108,13 @@ class ScatteredLight:
     @cached_property
     def powers(self) -> NDArray[np.float64]:
         """Power of each particle through the pupil, in square micrometres, (n,)."""
-        place, radius = self.pupil
-        at = (np.arange(self.cells) + 0.5) * (2 / self.cells) - 1
-        within = np.hypot(at, at[:, None]) < 1
-        solid_angle = np.pi * (radius / (self.positions[:, 2] - place)) ** 2
-        return np.asarray(self.irradiance * solid_angle * self.over_pupil[:, within].mean(1))
+        solid_angles = self.pupil.solid_angles(self.positions, self._at)
+        return np.asarray(self.irradiance * (self.over_pupil * solid_angles).sum((1, 2)))
 
-    def pupil_weights(self) -> PupilWeights:
-        """Return the relative power over the pupil for a `CaptureOperator`."""
+    def pupil_weights(self) -> PupilWeights | None:
+        """Return the relative power over the pupil for a `CaptureOperator`, None if it is even."""
+        if self.seeding.index is None:
+            return None
         # Cubic B-splines of these coefficients pass through the samples; those of the samples would flatten lobes.
         table, count = self.over_pupil / self.over_pupil.mean((1, 2), keepdims=True), len(self.positions)
         for axis in (1, 2):
@@ -116,7 +128,6 @@ def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: Pl
     settings = settings_of(truth)
     chosen = truth.isel(frame=frame)
     lit = (chosen["inside"].values == 1) & (chosen["irradiance"].values > 0)
-    entrance = OpticalSystem(camera, wavelength).lens.entrance
     return ScatteredLight(
         chosen["position"].values[lit],
         chosen["diameter"].values[lit],
@@ -124,7 +135,7 @@ def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: Pl
         from_plain(LightSheet, settings["sheet"]).direction,
         from_plain(Seeding, settings["seeding"]),
         wavelength,
-        (entrance.pupil, camera.aperture_radius),
+        EntrancePupil.of(camera, wavelength),
     )
 
 

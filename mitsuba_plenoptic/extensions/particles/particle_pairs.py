@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...errors import refuse_if, require_choice, require_length, require_number
+from ...errors import refuse_if, require_choice, require_number
 from ...io.captures import Capture
 from .flows import FLOWS, Flow
 from .particle_images import ParticleImages
@@ -43,7 +43,8 @@ class ParticlePairs:
     """Particles in a light sheet and a random flow, captured twice."""
 
     flow: str = "hill"
-    # Distances between which they are. Default: a twentieth of the distance in focus to either side.
+    # Distances between which they are. Default: a twentieth of the distance in focus to either side. With an
+    # objective they are depths beyond the native object plane, and must be given.
     near: float | None = None
     far: float | None = None
     # Particles over the microlenses on which the volume is imaged.
@@ -58,7 +59,7 @@ class ParticlePairs:
         require_choice("flow", self.flow, tuple(_STRENGTH))
         for name in ("near", "far"):
             if getattr(self, name) is not None:
-                require_length(name, getattr(self, name))
+                require_number(name, getattr(self, name), minimum=-1e9, maximum=1e9)
         require_number("displacement", self.displacement, positive=True, maximum=1e3)
         Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
 
@@ -99,13 +100,17 @@ class ParticlePairs:
         """Return both captures by each model, and the particles."""
         focus = camera.focus_distance
         near, far = (0.95 * focus if self.near is None else self.near), (1.05 * focus if self.far is None else self.far)
+        refuse_if(
+            camera.objective is not None and None in (self.near, self.far),
+            f"main_lens = {camera.lens_data.label}: give near and far, in mm beyond the native object plane",
+        )
         refuse_if(not near < far, f"near = {near:g}, far = {far:g}: they must follow one another")
         width, height = (
-            _FIELD * extent * near / (2 * camera.mla_distance)
+            _FIELD * extent / 2 * camera.bin_size(near) / camera.mla_pitch
             for extent in (camera.detector_width, camera.detector_height)
         )
         volume = ParticleVolume((-width, -height, near), (width, height, far))
-        largest = self.displacement * camera.mla_pitch * volume.centre[2] / camera.mla_distance
+        largest = self.displacement * camera.bin_size(volume.centre[2])
         flow = self._random_flow(volume, largest, random)
         seeding = Seeding(per_lens=self.per_lens, diameter=self.diameter, spread=self.spread)
         seed = int(random.integers(2**32))

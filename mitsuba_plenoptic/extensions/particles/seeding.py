@@ -31,7 +31,7 @@ class ParticleVolume:
     Parameters
     ----------
     lower, upper : (float, float, float)
-        Corners: x, y and z, the distance from the main lens.
+        Corners: x, y and z: the distance from the main lens, or the depth beyond a microscope's native object plane.
 
     Raises
     ------
@@ -64,9 +64,14 @@ class ParticleVolume:
 
     def before(self, camera: PlenopticCamera) -> None:
         """Refuse a volume that is not in front of a camera's main lens, or reaches its focal plane."""
-        if camera.lens_data.nearest is not None:
+        near, far, nearest = self.lower[2], self.upper[2], camera.lens_data.nearest
+        if nearest is not None:
+            refuse_if(
+                near <= nearest,
+                f"lower = {self.lower}: z = {near:g}: particles must be before the objective, beyond z = {nearest:.4g} "
+                "(in mm, from the native object plane)",
+            )
             return
-        near, far = self.lower[2], self.upper[2]
         refuse_if(near <= 0, f"lower = {self.lower}: z = {near:g}: particles must be in front of the main lens")
         refuse_if(
             near <= camera.focal_length,
@@ -76,8 +81,8 @@ class ParticleVolume:
 
     def lenses(self, camera: PlenopticCamera) -> float:
         """Return the number of microlenses on which the middle plane of the volume is imaged."""
-        b, g = camera.mla_distance, self.centre[2]
-        return float(self.size[0] * self.size[1] * (b / g) ** 2 / camera.lattice.lens_area)
+        per_pitch = (camera.mla_pitch / camera.bin_size(self.centre[2])) ** 2
+        return float(self.size[0] * self.size[1] * per_pitch / camera.lattice.lens_area)
 
 
 @suggest_keywords
@@ -152,8 +157,9 @@ class Seeding:
         Median diameter in micrometres.
     spread : float
         Standard deviation of the logarithm of diameters, which are log-normal.
-    index : complex
-        Refractive index of the particles, with a positive imaginary part where they absorb. Default: polystyrene.
+    index : complex, optional
+        Refractive index of the particles, with a positive imaginary part where they absorb. Default: polystyrene. With
+        None they are fluorescent beads, whose light is the same in all directions and proportional to their volume.
     medium : float
         Refractive index of the fluid. Default: water.
 
@@ -168,7 +174,7 @@ class Seeding:
     count: float | None = None
     diameter: float = 10.0
     spread: float = 0.0
-    index: complex = 1.59
+    index: complex | None = 1.59
     medium: float = 1.333
 
     def __post_init__(self) -> None:
@@ -181,6 +187,8 @@ class Seeding:
             spread=require_number("spread", self.spread, minimum=0, maximum=1),
             medium=require_number("medium", self.medium, minimum=1, maximum=5),
         )
+        if self.index is None:
+            return
         index = complex(self.index)
         refuse_if(
             not 0.1 <= index.real <= 10 or not 0 <= index.imag <= 10,

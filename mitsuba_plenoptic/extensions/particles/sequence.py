@@ -94,11 +94,12 @@ def particle_sequence(
     used = inside.any(0)
     _within(volume, interval, moved[:-1][inside[:-1]])
     position, inside = position[:, used], inside[:, used]
+    index = seeding.index
     settings = {
         "camera": camera.to_dict(),
         "volume": {"lower": volume.lower, "upper": volume.upper},
         "sheet": vars(sheet),
-        "seeding": vars(seeding) | {"index": (complex(seeding.index).real, complex(seeding.index).imag)},
+        "seeding": vars(seeding) | ({} if index is None else {"index": (complex(index).real, complex(index).imag)}),
         "flow": {"kind": type(flow).__name__} | {key: value for key, value in vars(flow).items() if key[0] != "_"},
         "interval": interval,
         "seed": seed,

@@ -127,7 +127,7 @@ def refine_particles(
     for step, level in enumerate(levels):
         if progress:
             progress(step, len(levels))
-        lens = camera.mla_pitch * positions[:, 2] / camera.mla_distance
+        lens = np.array([camera.bin_size(g) for g in positions[:, 2]])
         scale = np.stack([lens, lens, lens * [elongation(camera, g) for g in positions[:, 2]]], -1)
         summed = _summed(camera.shape, require_count("bins", level))
         image = summed @ np.asarray(capture.image, np.float64).ravel()

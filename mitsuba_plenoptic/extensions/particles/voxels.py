@@ -177,6 +177,7 @@ def elongation(camera: PlenopticCamera, distance: float) -> float:
     Each part of the pupil of radius a sees the point from another direction. The slopes of these have the variance
     :math:`(a / g)^2 / 4` along each axis, and both axes tell of the depth, so that the standard deviation of a least
     squares estimate of depth over that of a lateral one is :math:`1 / \sqrt{2 (a / g)^2 / 4}`.
+    Slopes before an objective have the mean square :math:`1 / \cos\alpha - 1` over the light, whatever the depth.
 
     Parameters
     ----------
@@ -185,4 +186,6 @@ def elongation(camera: PlenopticCamera, distance: float) -> float:
     distance : float
         Distance g of the point from the main lens, in mm.
     """
+    if camera.objective is not None:
+        return (1 / math.cos(camera.objective.half_angle) - 1) ** -0.5
     return math.sqrt(2) * distance / camera.aperture_radius

@@ -1,0 +1,140 @@
+"""Beads before a light-field microscope: rays against Mitsuba's, light by angle, positions found again."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scene_cases import film
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.light.walk import Passage, Walk
+from mitsuba_plenoptic.points.pupil_weights import PupilWeights
+
+OBJECTIVE = mp.Objective(20, 0.5, 1.33, tube_focal_length=180)
+CAMERA = mp.PlenopticCamera(
+    main_lens=OBJECTIVE,
+    mla_pitch=0.125,
+    mla_focal_length=2.433,
+    mla_offset=(0.0625, 0.0625),
+    detector_width=0.875,
+    resolution=(105, 105),
+)
+STILL = pt.Uniform((0.0, 0.0, 0.0))
+
+
+def one_bead(place, camera=CAMERA, **seeding):
+    """Return a sequence of one particle at a place."""
+    box = pt.ParticleVolume(tuple(np.array(place) - 0.1), tuple(np.array(place) + 0.1))
+    truth = pt.particle_sequence(camera, box, pt.Seeding(count=8, **seeding), STILL, interval=1, frames=1, seed=4)
+    truth = truth.isel(particle=[0])
+    truth["position"][:] = np.array(place)
+    return truth
+
+
+def test_points_by_rays_are_those_of_the_sensor():
+    """A small lamp out of focus, whose light falls with the cosine, as points that Mitsuba's rays find."""
+    place, half = np.array([0.003, -0.002, 0.012]), 0.003
+    wall = mi.ScalarTransform4f().translate(place.tolist()).rotate([0, 1, 0], 180).scale(half)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct"},
+            "camera": {**CAMERA.to_sensor(), "film": film(105, 105)},
+            "lamp": {"type": "rectangle", "to_world": wall, "light": {"type": "area", "radiance": 1.0}},
+        }
+    )
+    traced = np.array(mi.render(scene, spp=2048))[..., 0]
+    side = (np.arange(12) + 0.5) / 6 - 1
+    points = place + half * np.stack(np.broadcast_arrays(side, side[:, None], 0.0), -1).reshape(-1, 3)
+    cells = (np.arange(32) + 0.5) / 16 - 1
+    cosine = np.sqrt(1 - (cells**2 + cells[:, None] ** 2) * (0.5 / 1.33) ** 2)
+    weights = PupilWeights.of(np.broadcast_to(cosine, (len(points), 32, 32)), len(points))
+    image = PointRays(CAMERA, points, 550.0, weights).image(OpticalSystem(CAMERA, 550.0), np.ones(len(points)))
+    image *= traced.sum() / image.sum()
+    assert np.linalg.norm(image - traced) < 0.04 * np.linalg.norm(traced)
+
+
+def test_the_light_of_a_bead_is_that_of_the_cone():
+    for depth in (-0.02, 0.0, 0.03):
+        images = pt.ParticleImages(one_bead((0, 0, depth), index=None, diameter=0.8), wavelength=550, model="ray")
+        # The volume of a sphere, and the part of all directions within half of the objective's angle.
+        cone = (1 - np.cos(np.arcsin(0.5 / 1.33))) / 2
+        assert_allclose(images.capture(0).metadata["reference"], np.pi / 6 * 0.8**3 * cone, rtol=1e-4)
+
+
+def test_lobes_are_at_the_angles_of_the_rays():
+    """In focus behind one lens each pixel sees one direction, that of the sensor's ray through the lens's centre."""
+    truth = one_bead((0, 0, 0), diameter=2.0)
+    image = pt.ParticleImages(truth, wavelength=550, model="ray").capture(0).image.astype(float)
+    # Of the even bead, to leave the aperture and the apodisation out.
+    even = one_bead((0, 0, 0), index=None, diameter=2.0)
+    flat = pt.ParticleImages(even, wavelength=550, model="ray").capture(0).image.astype(float)
+    seen = flat > 0.7 * flat.max()
+    rows, columns = np.nonzero(seen)
+    x, y = ((index - 52) * CAMERA.pixel_size for index in (columns, rows))
+    _, slope, is_open = Walk.of(CAMERA).trace((x, y), Passage((0 * x, 0 * y), (0 * x, 0 * y), 2.433))
+    assert is_open.all() and seen.sum() > 100
+    cosine = -slope[0] / np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
+    expected = pt.cross_sections(np.array([2.0]), 1.59 / 1.333, 550 / 1.333, cosine[None])[0]
+    ratio = image[seen] / flat[seen]
+    assert_allclose(ratio / ratio.mean(), expected / expected.mean(), rtol=0.12)
+    other_way = pt.cross_sections(np.array([2.0]), 1.59 / 1.333, 550 / 1.333, -cosine[None])[0]
+    assert np.corrcoef(ratio, expected)[0, 1] > 0.98 > 0.8 > np.corrcoef(ratio, other_way)[0, 1]
+
+
+def test_densities_and_elongation_are_those_of_the_microscope():
+    box = pt.ParticleVolume((-0.0125, -0.0125, -0.01), (0.0125, 0.0125, 0.01))
+    # 25 um are four lenses of 6.25 um in the object.
+    assert box.lenses(CAMERA) == pytest.approx(16)
+    cosine = np.sqrt(1 - (0.5 / 1.33) ** 2)
+    steps = np.linspace(cosine, 1, 20001)
+    # The mean over directions of the squared tangent, of which either axis has half.
+    assert pt.elongation(CAMERA, 0.01) == pytest.approx((1 / steps**2 - 1).mean() ** -0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("model", ["ray", "wave"])
+def test_positions_of_beads_are_found(model):
+    """In a capture with noise: by SIRT within 0.25 voxels, 0.75 along the axis, and by least squares within 0.05."""
+    places = np.array([[0.0042, -0.0031, 0.0143], [-0.0057, 0.0048, 0.0192]])
+    image = sum(
+        pt.ParticleImages(one_bead(place, index=None), wavelength=510, model=model).capture(0).image for place in places
+    )
+    capture = mp.expose(mp.Capture(image, CAMERA, 510.0, model), mp.Detector(full_well=1e5, bits=16), photons=1e5)
+    grid = pt.VoxelGrid((-0.01, -0.01, 0.011), (0.01, 0.01, 0.023), (6, 10, 10))
+    if model == "ray":
+        projector = pt.RayProjector(CAMERA, grid, wavelength=510)
+    else:
+        projector = mp.StoredOperator(CAMERA, grid.points, wavelength=510, accuracy=0.1)
+    volume = pt.reconstruct_volume(projector, capture, grid, method="sirt", iterations=150)
+    found, light = pt.locate_particles(volume, threshold=0.3, apart=(5, 5, 5))
+    assert len(found) == 2
+    found, light = found[np.argsort(found[:, 2])], light[np.argsort(found[:, 2])]
+    assert (np.abs(found - places) / grid.voxel / (0.25, 0.25, 0.75)).max() < 1
+    if model == "wave":
+        found, _ = pt.refine_particles(capture, found, light)
+        assert (np.abs(found - places) / grid.voxel).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("build", "line"),
+    [
+        (lambda: one_bead((0, 0, -12.0)), "z = -12.*: particles must be before the objective, beyond z = -11.97"),
+        (
+            lambda: pt.RayProjector(FOURIER, pt.VoxelGrid((0, 0, 0), (1, 1, 1), (1, 1, 1)), wavelength=550),
+            "objective: points are followed by rays where the array stands in an image of the object only",
+        ),
+    ],
+)
+def test_bad_microscopes_are_refused_in_one_line(build, line):
+    with pytest.raises(mp.InputError, match=line):
+        build()
+
+
+FOURIER = mp.PlenopticCamera(
+    main_lens=mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50), mla_pitch=0.5, mla_focal_length=20
+)
