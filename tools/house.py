@@ -60,7 +60,7 @@ LIMITS = (
     Limit("parameters typed Any", 1_159, 1_130, None, "Dr.Jit values: ordinary cameras 31, real ones 36, GPUs 6"),
     Limit("definitions of white in the core", 28, 4, 4),
     Limit("stores for going on after a stop", 5, 1, 1),
-    Limit("lines that ask for the lens's kind", 106, 117, None, "lenses with apertures; no warp of stops; objectives, 6 of beads"),
+    Limit("lines that ask for the lens's kind", 106, 117, None, "lenses with apertures; objectives, of beads 6"),
     Limit("modules on circles of imports", 16, 0, 0),
     Limit("folders on circles of imports", 22, 0, 0),
     Limit("imports inside functions", 8, 0, 0, "others than of libraries, in commands and in `__init__`"),
