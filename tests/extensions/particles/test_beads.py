@@ -10,6 +10,7 @@ from scene_cases import film
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.dataset import make_dataset, parse_recipe
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.walk import Passage, Walk
@@ -138,3 +139,17 @@ def test_bad_microscopes_are_refused_in_one_line(build, line):
 FOURIER = mp.PlenopticCamera(
     main_lens=mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50), mla_pitch=0.5, mla_focal_length=20
 )
+
+
+def test_data_sets_of_a_microscope(tmp_path):
+    scene = {"generator": "particles", "flow": "uniform", "per_lens": 0.1, "diameter": 0.5, "displacement": 1}
+    camera = {"preset": "lfm_water", "detector_width": 0.875, "resolution": [105, 105]}
+    recipe = {"count": 1, "camera": camera, "models": ["ray"], "truth": []}
+    with pytest.raises(mp.InputError, match="give near and far, in mm beyond the native object plane"):
+        make_dataset(parse_recipe(recipe | {"scenes": [scene]}), tmp_path / "none")
+    recipe |= {"scenes": [scene | {"near": -0.01, "far": 0.03}]}
+    sample = make_dataset(parse_recipe(recipe), tmp_path / "pairs")[0]
+    # Within 0.8 of the field of 0.875 mm / 20, and of one lens in the object.
+    position, move = sample.arrays["particle_position"], sample.arrays["particle_displacement"]
+    assert 0.01 < np.nanmax(np.abs(position[..., :2])) < 0.8 * 0.875 / 40
+    assert np.nanmax(np.linalg.norm(move, axis=-1)) == pytest.approx(0.125 / 20, rel=1e-3)
