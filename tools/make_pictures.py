@@ -645,6 +645,7 @@ CHOSEN = {
     "focused_cameras": 0,
     "laser_light": 0,
     "ordinary_camera": 0,
+    "particles": 0,
 }
 """Pictures of notebooks that are not their last, from 0."""
 
