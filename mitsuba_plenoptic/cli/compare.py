@@ -34,7 +34,11 @@ def compare(
         SCENE,
     ] = None,
     distance: PositiveDistances = None,
-    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 633.0,
+    wavelength: Annotated[
+        float | None,
+        numeric("Wavelength in nanometres; --real needs the one of its light.", "633", unit="NM"),
+        WAVELENGTH,
+    ] = None,
     spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
     against: Annotated[
         str | None,
@@ -95,7 +99,10 @@ def compare(
         refuse_if(scene is not None, f"scene = {scene}: --real takes its place")
         refuse_if(bool(distance or against or define), "--distance, --against, -D: they are not for --real")
         known = named_camera(camera)
-        refuse_if(white is None or dark is None or known is None, "--real: give --white, --dark and --camera, too")
+        refuse_if(
+            None in (white, dark, known, wavelength),
+            "--real: give --white, --dark, --camera and --wavelength, too",
+        )
         with stage_lines(resume) as stages:
             entry_of("comparisons", "real", "--real")(
                 real, output, known, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
@@ -119,7 +126,7 @@ def compare(
         parameters=parameters,
         camera=camera_instead(camera, scene, parameters),
         camera_name=camera,
-        wavelength=wavelength,
+        wavelength=wavelength or 633.0,
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
         variant=variant,

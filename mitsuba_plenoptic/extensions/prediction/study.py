@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...errors import put, refuse_if
+from ...errors import put, refuse_if, require_wavelength
 from ...io.checkpoints import digest
 from ...report.stage_store import Progress, Stages
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
@@ -146,7 +146,7 @@ class Study:
     camera : PlenopticCamera
         The camera as it is known.
     wavelength : float
-        Wavelength in nanometres.
+        Wavelength in nanometres, 15 nm or more within the range of wavelengths.
     box : (float, float, float, float)
         Left, top, right and bottom of the part of the picture, in pixels.
     stages : Stages
@@ -161,6 +161,8 @@ class Study:
         box: tuple[float, float, float, float],
         stages: Stages,
     ) -> None:
+        for side in (-BAND, BAND):
+            require_wavelength(wavelength + side, f"wavelength = {wavelength:g}, which is also tried {side:+g} nm off")
         self.pictures, self.camera, self.wavelength, self.box, self.stages = pictures, camera, wavelength, box, stages
         # What is found once serves all runs; a projection takes so much memory that the last one alone is kept.
         self.model, self.predicted, self.volume = cache(self._model), cache(self._predicted), cache(self._volume)

@@ -90,6 +90,16 @@ def test_wrong_options_get_one_line(empty, words, line, capsys):
     assert not (empty / "out").exists()
 
 
+def test_the_wavelength_is_not_guessed(empty, pictures, capsys):
+    words = command(empty)
+    words[words.index("--wavelength") : words.index("--wavelength") + 2] = []
+    assert main(words) == 2
+    assert "give --white, --dark, --camera and --wavelength, too" in capsys.readouterr().err
+    # The last one given counts.
+    assert main(command(pictures, "--wavelength", "210")) == 2
+    assert "wavelength = 210, which is also tried -15 nm off = 195: it must be from 200" in capsys.readouterr().err
+
+
 def test_a_scene_or_a_light_field_is_needed(tmp_path, capsys):
     assert main(["compare", "-o", str(tmp_path / "out")]) == 2
     assert "give a scene and a distance, or --real" in capsys.readouterr().err
