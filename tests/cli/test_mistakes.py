@@ -190,7 +190,8 @@ def test_an_option_of_another_method_is_one_note_and_an_option_of_none_is_refuse
         assert main([str(word) for word in words]) == 0
         (note,) = (line for line in capfd.readouterr().err.splitlines() if "has no use" in line)
         assert note.startswith(f"mitsuba-plenoptic: warning: method {method} has no use for --")
-    assert main([str(word) for word in (*words, "-q")]) == 0
+    quiet = [*plain, "--method", "ray", *options, "-o", tmp_path / "quiet.exr", "-q"]
+    assert main([str(word) for word in quiet]) == 0
     assert capfd.readouterr().err == ""
     assert note.endswith("--interleave (of partial), --footprint (of ray), --relay (of coherent and partial)")
     words = [str(word) for word in [*plain, "-o", tmp_path / "plain.exr"]]

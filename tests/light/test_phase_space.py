@@ -161,6 +161,7 @@ def test_openings_of_a_few_wavelengths_are_refused():
     assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
     """As those of the steps of a fit, of which other caches keep the plans."""
     made = []

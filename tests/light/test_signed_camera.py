@@ -181,7 +181,8 @@ def test_against_differences_of_held_rays(node, name):
 
 
 @pytest.mark.parametrize(
-    "name", ["mla_offset", pytest.param("detector_distance", marks=pytest.mark.slow), "detector_width"]
+    "name",
+    ["mla_offset", *(pytest.param(name, marks=pytest.mark.slow) for name in ("detector_distance", "detector_width"))],
 )
 def test_coarse_pixels_are_the_means_of_fine_ones(name):
     fine, parts = MODELS["ideal"], 3

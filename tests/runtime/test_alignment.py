@@ -24,7 +24,7 @@ EXTENSIONS = pytest.mark.needs_extension("inverse", "laser", "onchip")
     "names",
     [
         pytest.param(list(QUICK), id="quick"),
-        pytest.param(list(OF_EXTENSIONS), id="of extensions", marks=EXTENSIONS),
+        pytest.param(list(OF_EXTENSIONS), id="of extensions", marks=[EXTENSIONS, pytest.mark.slow]),
         pytest.param(list(SLOW), id="slow", marks=pytest.mark.slow),
         pytest.param(list(SLOW_OF_EXTENSIONS), id="slow of extensions", marks=[EXTENSIONS, pytest.mark.slow]),
     ],

@@ -220,6 +220,7 @@ LONG = {
     "sum of all",
     "sum on a turned array",
     "coherent",
+    "coherent sums",
     "partially coherent",
     "adjoint",
     "deconvolved",

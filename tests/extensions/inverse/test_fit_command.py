@@ -80,6 +80,7 @@ def test_a_camera_from_a_capture_by_rays(tmp_path, capsys):
     assert "fit: chi-square is " in said and said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_fit_from_afar_goes_on_with_the_blur_where_it_stopped(tmp_path, capsys, monkeypatch):
     path, raw = write_scene(tmp_path, WALL, sensor=SENSOR), tmp_path / "raw.exr"
     write_capture(raw, render_capture(load_scene(path), model="ray", spp=64))
