@@ -99,10 +99,8 @@ def compare(
         refuse_if(scene is not None, f"scene = {scene}: --real takes its place")
         refuse_if(bool(distance or against or define), "--distance, --against, -D: they are not for --real")
         known = named_camera(camera)
-        refuse_if(
-            None in (white, dark, known, wavelength),
-            "--real: give --white, --dark, --camera and --wavelength, too",
-        )
+        missing = None in (white, dark, known, wavelength)
+        refuse_if(missing, "--real: give --white, --dark, --camera and --wavelength, too")
         with stage_lines(resume) as stages:
             entry_of("comparisons", "real", "--real")(
                 real, output, known, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
