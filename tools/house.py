@@ -46,7 +46,7 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 47_355, 43_659, "0.662 after the move; cameras 3,250; GPUs 195; patches 8"),
+    Limit("lines of the core", 66_151, 47_363, 43_659, "0.662 after the move; cameras 3,250; GPUs 203; patches 8"),
     Limit("lines of the package", 66_151, 74_720, 61_520, "aliases, cameras, GPUs; particles 2,440; real pixels 1,300"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),

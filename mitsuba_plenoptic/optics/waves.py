@@ -115,7 +115,7 @@ def weighted(weight: np.ndarray, field: Field) -> float:
 def _power_by_row(field: Field) -> NDArray[np.float64]:
     """Return the sum of squared moduli of each row, computed on the field's device."""
     arrays = backend_of(field).arrays
-    # CuPy's transforms along the first axis leave columns in order.
+    # CuPy's transforms along the first axis leave columns contiguous, and not rows.
     rows = field if field.strides[-1] == field.itemsize else arrays.ascontiguousarray(field)
     parts = rows.view(np.float32)
     return arrays.einsum("ij,ij->i", parts, parts).astype(np.float64)

@@ -149,12 +149,12 @@ def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
 def _whole_spectrum(field: Field, grids: FieldGrids, axis: int) -> Field:
     """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
     arrays, count = backend().arrays, grids.wide_pupil
-    index = grids.offset[1 - axis] + np.arange(field.shape[axis])
-    parts = []
+    negative, parts = count // 2, []
     for block in blocks(field.shape[1 - axis]):
-        padded = embedded(field[block] if axis == 1 else field[:, block], index, grids.wide_mla, axis)
-        # The positive and then the negative frequencies.
-        parts.append(taken(fft(padded, axis=axis), np.r_[: (count + 1) // 2, -(count // 2) : 0], axis))
+        part = field[block] if axis == 1 else field[:, block]
+        spectrum = fft(embedded(part, grids.offset[1 - axis], grids.wide_mla, axis), axis=axis)
+        kept = taken(spectrum, 0, count - negative, axis), taken(spectrum, -negative, negative, axis)
+        parts.append(arrays.concatenate(kept, axis))
     return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))
 
 

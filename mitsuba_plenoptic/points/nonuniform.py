@@ -106,28 +106,36 @@ def length(count: int) -> int:
 
 def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
-    padded = embedded(spectrum, first + np.arange(spectrum.shape[axis]), size, axis)
-    whole = fft(padded, axis=axis, inverse=True, norm="forward")
-    return taken(whole, np.arange(count) - count // 2, axis)
+    whole = fft(embedded(spectrum, first, size, axis), axis=axis, inverse=True, norm="forward")
+    return taken(whole, -(count // 2), count, axis)
 
 
 def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
-    padded = embedded(samples, np.arange(samples.shape[axis]) - samples.shape[axis] // 2, size, axis)
-    whole = fft(padded, axis=axis)
-    return taken(whole, first + np.arange(count), axis)
+    whole = fft(embedded(samples, -(samples.shape[axis] // 2), size, axis), axis=axis)
+    return taken(whole, first, count, axis)
 
 
-def taken(values: Field, index: NDArray[np.int64], axis: int) -> Field:
-    """Return values at an index along an axis, modulo the count of the values."""
-    arrays = backend_of(values).arrays
-    return arrays.take(values, arrays.asarray(index % values.shape[axis]), axis)
+def taken(values: Field, first: int, count: int, axis: int) -> Field:
+    """Return `count` values along an axis from an index on, modulo the number of the values."""
+    parts = [values[(slice(None),) * axis + (there,)] for _, there in _runs(first, count, values.shape[axis])]
+    return backend_of(values).arrays.concatenate(parts, axis)
 
 
-def embedded(values: Field, index: NDArray[np.int64], size: int, axis: int) -> Field:
-    """Return values placed at an index, modulo `size`, along an axis of `size` samples that are otherwise 0."""
-    arrays, shape = backend_of(values).arrays, list(values.shape)
+def embedded(values: Field, first: int, size: int, axis: int) -> Field:
+    """Return values placed from an index on, modulo `size`, along an axis of `size` samples that are otherwise 0."""
+    shape = list(values.shape)
     shape[axis] = size
-    padded = arrays.zeros(shape, np.complex64)
-    padded[(slice(None),) * axis + (arrays.asarray(index % size),)] = values
+    padded = backend_of(values).arrays.zeros(shape, np.complex64)
+    for given, there in _runs(first, values.shape[axis], size):
+        padded[(slice(None),) * axis + (there,)] = values[(slice(None),) * axis + (given,)]
     return padded
+
+
+def _runs(first: int, count: int, size: int) -> Iterator[tuple[slice, slice]]:
+    """Yield slices of `count` values, and of their places from an index on, modulo `size`; `count` is at most that."""
+    start = int(first) % size
+    end = min(count, size - start)
+    yield slice(0, end), slice(start, start + end)
+    if end < count:
+        yield slice(end, count), slice(0, count - end)
