@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..runtime.backend import floor, is_zero, maximum, minimum, module_of, turn
+from ..runtime.backend import floor, is_zero, maximum, minimum, module_of, sqrt, turn
 from ..runtime.limits import require_memory
 from .lens_shifts import Displacement
 
@@ -103,8 +103,8 @@ class Lattice(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Return whether a point at an offset from the centre is in a cell of equal pitches `width`.
+    def cell_width(u: Any, v: Any) -> Any:
+        """Return the pitch of the cell of equal pitches on whose border a point at an offset from the centre lies.
 
         Parameters
         ----------
@@ -112,8 +112,6 @@ class Lattice(abc.ABC):
             Offset along the rows.
         v : float or array
             Offset across the rows.
-        width : float
-            Pitch of the cell.
         """
 
     @staticmethod
@@ -307,12 +305,18 @@ class Lattice(abc.ABC):
 
     def in_aperture(self, dx: Any, dy: Any) -> Any:
         """Return whether a point at an offset from its lens's centre is within the aperture."""
+        return self.aperture_inset(dx, dy) >= 0
+
+    def aperture_inset(self, dx: Any, dy: Any) -> Any:
+        """Return the distance of a point, at an offset from its lens's centre, from the aperture's border.
+
+        It is negative outside.
+        """
         if self.aperture == "circle":
-            radius = self.aperture_reach
-            return dx * dx + dy * dy <= radius * radius
+            return self.aperture_reach - sqrt(dx * dx + dy * dy)
         # In the frame in which cells are regular.
         u, v = self.to_frame(dx, dy)
-        return self.in_cell(u, v / self.aspect, self.fill * self.pitches[0])
+        return (self.fill * self.pitches[0] - self.cell_width(u, v / self.aspect)) / 2
 
     def aperture_point(self, s: Any, t: Any) -> tuple[Any, Any]:
         """Map (s, t) in the unit square uniformly to the aperture; return the offset from the aperture's centre."""

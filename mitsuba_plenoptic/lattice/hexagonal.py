@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..runtime.backend import floor, select
+from ..runtime.backend import floor, maximum, select
 from .arrangement import Lattice, register, regular_corners
 
 # Distance of rows over the pitch.
@@ -45,10 +45,9 @@ class HexagonalLattice(Lattice):
         return i + j / 2, j
 
     @staticmethod
-    def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Return whether a point is between the three pairs of sides of a hexagon of the width `width`."""
-        half = width / 2
-        return (abs(u) <= half) & (abs(0.5 * u + _ROW * v) <= half) & (abs(0.5 * u - _ROW * v) <= half)
+    def cell_width(u: Any, v: Any) -> Any:
+        """Return the width of the hexagon on whose border a point lies."""
+        return 2 * maximum(abs(u), 0.5 * abs(u) + _ROW * abs(v))
 
     @staticmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:

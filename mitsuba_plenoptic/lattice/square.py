@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..runtime.backend import floor
+from ..runtime.backend import floor, maximum
 from .arrangement import Lattice, register, regular_corners
 
 
@@ -33,10 +33,9 @@ class SquareLattice(Lattice):
         return i + 0.5, j + 0.5
 
     @staticmethod
-    def in_cell(u: Any, v: Any, width: Any) -> Any:
-        """Return whether a point is between both pairs of sides of a square of the width `width`."""
-        half = width / 2
-        return (abs(u) <= half) & (abs(v) <= half)
+    def cell_width(u: Any, v: Any) -> Any:
+        """Return the width of the square on whose border a point lies."""
+        return 2 * maximum(abs(u), abs(v))
 
     @staticmethod
     def point_in_cell(s: Any, t: Any, width: Any) -> tuple[Any, Any]:

@@ -9,6 +9,8 @@ m lands on the detector at an offset p from the ray model's position with the si
 Pairs of points in two neighbouring lenses are included; they describe the interference of the neighbours' fields. With
 functions :math:`a_n` of m chosen for the camera (`lens_functions`), :math:`K_a(m, p) \approx \sum_n a_n(m)
 \varphi_n(p)`. Coordinates of microlens points are relative to the centre of the lens.
+
+Fields behind the lenses are those of `array_field`.
 """
 
 from __future__ import annotations
@@ -25,15 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..lattice import Lattice
 from ..optics.waves import in_millimetres
 from ..runtime.batches import on_all_cores
 from ..runtime.fft import worker_count
 from ..runtime.limits import require_memory, single_threaded_blas
+from .array_field import MOST_PHASE, LensWaves
 from .lens_functions import LensFunctions
-from .lens_kinds import Kind, LensKinds
-from .microlenses import aperture_points
-from .oblique import DIRECTIONS, Oblique, changes, phase, terms
+from .lens_kinds import Kind
+from .oblique import Oblique, changes, directions, terms
 
 _TRANSFER_SAMPLES = 64
 """Lags per pitch of lenses' transfer functions. There are twice as many points, whose phases differ by a tenth of a
@@ -49,14 +50,19 @@ _HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
 
-_FUNCTIONS = 0.75
-"""The tolerance for want of functions over that for want of oblique kernels. Coarse pixels need 6 to 9 functions."""
+_FUNCTIONS, _OBLIQUE = 0.75, {2: 2.0, 4: 1.0}
+"""Parts of images of random light that may be missing for want of functions, and of oblique kernels of a degree, over
+the tolerance."""
 
 _MOST_OBLIQUE = 2
 """Largest number of oblique kernels over that of functions: more are only needed for lenses faster than f/2."""
 
-_COARSER = 2
-"""Factor by which lags and points of oblique kernels are farther apart, which are small changes of the others."""
+_COARSER = 4
+"""Factor by which lags of oblique kernels of degree 2 are farther apart, as these are small changes."""
+
+_STEEP = 0.3
+"""Largest direction cosine in front of a lens, plus that by which its edge refracts, from where on kernels change with
+the direction as polynomials of degree 4."""
 
 _FIELD, _PUPIL = 9, 9
 """Positions across the detector and the pupil whose rays the oblique kernels are for."""
@@ -72,108 +78,6 @@ _BORDER = 8
 
 _REACHED, _SHAPE = 16, 8.0
 """Samples on either side in the derivative filter, and the shape parameter of its Kaiser window."""
-
-MOST_PHASE = 8.0
-"""Largest defocus in radians at a lens's edge for which functions over the lens describe where rays land."""
-
-
-@dataclass(frozen=True)
-class LensWaves:
-    """Phases of a camera's microlenses at one wavelength, relative to the phases by which rays are deflected."""
-
-    # A camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`.
-    camera: PlenopticCamera
-    wavelength: float
-
-    @property
-    def lattice(self) -> Lattice:
-        """The regular microlens lattice: kernels are those of a lens among neighbours at regular distances."""
-        return self.camera.lattice.regular
-
-    @cached_property
-    def _lens_kinds(self) -> LensKinds:
-        return LensKinds(self.camera)
-
-    @property
-    def kinds(self) -> list[Kind]:
-        """The kinds of microlenses."""
-        return self._lens_kinds.every
-
-    @property
-    def defocus(self) -> float:
-        """Largest defocus of the waves behind microlenses on the detector, in radians at the edge of a lens."""
-        square = float(self.lattice.aperture_reach) ** 2
-        most = max(abs(self.convergence(kind)) for kind in self.kinds)
-        return math.pi * most * square / in_millimetres(self.wavelength)
-
-    @property
-    def aberration(self) -> float:
-        """Deviation of the lenses' phase from the parabola by which rays land, in radians at the edge of a lens.
-
-        It is computed from slopes, since a phase may have jumps.
-        """
-        shape, lattice, (focal_length, *_) = self.camera.mla_shape, self.lattice, self.camera.reduced_focal_lengths
-        assert shape is not None
-        u, v = lattice.to_frame(*aperture_points(lattice))
-        strength = shape.strength(self.wavelength)
-        slopes = (s * strength + place / focal_length for s, place in zip(shape.slopes(u, v), (u, v), strict=True))
-        most = float(np.hypot(*slopes).max())
-        return math.pi * most * float(lattice.aperture_reach) / in_millimetres(self.wavelength)
-
-    def convergence(self, kind: Kind) -> float:
-        """Return the wavefront curvature (1/mm) behind a lens for a pupil point, relative to focus on the detector."""
-        # Waves from a point of an objective's stop are plane.
-        own = self.camera.lens_data.converges / self.camera.pupil_distance
-        return 1 / kind.distance + own - 1 / kind.focal_length
-
-    def _beyond_parabola(self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves, relative to the parabola by which rays land."""
-        shape = self.camera.mla_shape
-        assert shape is not None
-        ratio = kind.focal_length / self.camera.reduced_focal_lengths[kind.lens_type]
-        parabola = (u * u + v * v) / (2 * in_millimetres(self.wavelength) * kind.focal_length)
-        return np.asarray(shape.waves(u, v, self.wavelength) / ratio + parabola)
-
-    def _beyond_paraxial(
-        self, u: NDArray[np.float64], v: NDArray[np.float64], kind: Kind, cosines: tuple[float, float]
-    ) -> NDArray[np.float64]:
-        """Return the phase of a lens in waves, for light of given direction cosines, relative to the paraxial phase."""
-        camera = self.camera
-        power = 1 / kind.focal_length - camera.lens_data.converges / camera.pupil_distance
-        enlargement = self._lens_kinds.enlargement(kind.focal_length)
-        path = phase(u, v, cosines, power, camera.mla_medium, enlargement)
-        return np.asarray(path / in_millimetres(self.wavelength))
-
-    def transmission(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], kind: Kind, cosines: tuple[float, float], steep: bool
-    ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
-        """Return the transmission of a lens and its neighbours at positions from its centre, for given directions.
-
-        Directions are cosines. Unless `steep`, each ray lands by its own point of the lens, and phases that displace
-        light within the lens are left out. The mask of the lens's aperture is returned as well.
-        """
-        lattice, camera = self.lattice, self.camera
-        wavelength = in_millimetres(self.wavelength)
-        # Lens types alternate along a row.
-        centre = lattice.centre(float(kind.lens_type), 0.0)
-        i, j = lattice.cell(x + centre[0], y + centre[1])
-        cx, cy = (c - c0 for c, c0 in zip(lattice.centre(i, j), centre, strict=True))
-        # Neighbours are assumed to deviate as the lens itself does.
-        powers = camera.mla_focal_lengths[kind.lens_type] / kind.focal_length / np.array(camera.mla_focal_lengths)
-        types = lattice.lens_type(i, j).astype(int) if len(powers) > 1 else np.zeros(i.shape, int)
-        waves = ((x * x + y * y) * powers[kind.lens_type] - ((x - cx) ** 2 + (y - cy) ** 2) * powers[types]) / (
-            2 * wavelength
-        )
-        if steep:
-            # A quadratic phase shifts the landing point in proportion to the position on the lens.
-            waves += self.convergence(kind) * (x * x + y * y) / (2 * wavelength)
-            waves += self._beyond_paraxial(*lattice.to_frame(x - cx, y - cy), kind, cosines)
-        if camera.mla_shape is not None:
-            waves += self._beyond_parabola(*lattice.to_frame(x - cx, y - cy), kind)
-        inside = lattice.in_aperture(x - cx, y - cy)
-        T = np.where(inside, np.exp(2j * np.pi * waves), 0).astype(np.complex64)
-        # Functions are undefined outside the aperture, where rays have no coefficients.
-        return T, (i == kind.lens_type) & (j == 0) & inside
 
 
 @dataclass(frozen=True)
@@ -209,12 +113,22 @@ class ArrayKernels(LensWaves):
         u, v, inside = self.aperture_grid(self._samples_of(_COARSE))
         images = np.concatenate(
             [
-                self._images(polynomials, kind, polynomials.functions)
+                self._images(polynomials, kind, polynomials.functions, cosines)
                 for kind in self.kinds[: len(self.camera.mla_focal_lengths)]
+                for cosines in self._typical_cosines
             ],
             axis=1,
         )
         return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
+
+    @property
+    def _typical_cosines(self) -> list[tuple[float, float]]:
+        """Direction cosines whose kernels stand for those of all rays: they have the rays' mean square along each axis.
+
+        Opposite directions are left out, as their kernels are mirror images.
+        """
+        along, across = np.sqrt(2 * np.mean(np.square(self._cosines()), axis=0)).tolist()
+        return [(along, 0.0), (0.0, across)]
 
     @property
     def _most_functions(self) -> int:
@@ -233,14 +147,15 @@ class ArrayKernels(LensWaves):
         # Small apertures fall between the points of a grid that is as fine for all.
         u, v, inside = self.aperture_grid(max(_LAGS, self._samples_of(_COARSE)))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
-        coarse = _TRANSFER_SAMPLES // _COARSER
+        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in kinds)
+        degree = 4 if largest + edge > _STEEP else 2
         images = [
-            np.concatenate([self._images(functions, kind, functions.duals, (a, b), coarse) for kind in kinds], axis=1)
-            for a, b in DIRECTIONS * largest
+            np.concatenate([self._images(functions, kind, functions.duals, (a, b)) for kind in kinds], axis=1)
+            for a, b in directions(degree) * largest
         ]
         light = functions.light(u[inside], v[inside])
-        most = _MOST_OBLIQUE * self._most_functions
-        return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, self.tolerance, most)
+        allowed, most = _OBLIQUE[degree] * self.tolerance, _MOST_OBLIQUE * self._most_functions
+        return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
 
     def _samples_of(self, count: int) -> int:
         """Return the number of samples across a pitch, given the number across an aperture."""
@@ -257,7 +172,8 @@ class ArrayKernels(LensWaves):
         functions, oblique = self.functions, self.oblique
         u, v, inside = self.aperture_grid(_LAGS)
         light = functions.light(u[inside], v[inside])
-        expected = np.transpose(terms(*self._cosines().T / oblique.largest))
+        across, up = self._cosines().T / oblique.largest
+        expected = np.transpose(terms(across, up, oblique.degree))
         factors = np.einsum("rnk,sk->srn", oblique.factors, expected)
         both = np.concatenate(
             [np.broadcast_to(np.eye(functions.count), (len(expected), *light.shape)), factors], axis=1
@@ -284,16 +200,15 @@ class ArrayKernels(LensWaves):
         kind: Kind,
         coefficients: NDArray[np.float64],
         cosines: tuple[float, float] = (0.0, 0.0),
-        samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.float64]:
         """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
         scale = in_millimetres(self.wavelength) * kind.distance
-        fine = self.lattice.pitches[0] / samples
-        farthest = min(2 * samples, int(scale / (2 * self.camera.pixel_size * fine)))
+        fine = self.lattice.pitches[0] / _TRANSFER_SAMPLES
+        farthest = min(2 * _TRANSFER_SAMPLES, int(scale / (2 * self.camera.pixel_size * fine)))
         every = max(1, farthest // _LAGS)
         lags = np.arange(-_LAGS, _LAGS + 1) * every
         weights = np.sinc(lags * (fine * self.camera.pixel_size / scale))
-        transfer = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines, samples)
+        transfer = self._transfer(_LAGS, every, kind, polynomials, coefficients, cosines)
         spectra = transfer * (weights[:, None] * weights)
         return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
 
@@ -376,24 +291,24 @@ class ArrayKernels(LensWaves):
         kernels = self._placed(transfer, every, step, count, kind)
         if not oblique.count:
             return kernels
-        parts = np.einsum("rnk,kd->drn", oblique.kernels, changes())
+        parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
+        coarser = _COARSER if oblique.degree == 2 else 1
         transfer = np.sum(
             [
                 self._transfer(
-                    farthest // _COARSER,
-                    every,
+                    farthest // coarser,
+                    every * coarser,
                     self.kinds[kind],
                     functions,
                     functions.duals @ part.T,
                     (a, b),
-                    _TRANSFER_SAMPLES // _COARSER,
                 )
-                for part, (a, b) in zip(parts, DIRECTIONS * oblique.largest, strict=True)
+                for part, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
             ],
             axis=0,
         )
         # Their period is shorter, but not the border of their windows.
-        small = self._placed(transfer, every * _COARSER, step, min(count, count // _COARSER + _BORDER // 2), kind)
+        small = self._placed(transfer, every * coarser, step, min(count, count // coarser + _BORDER // 2), kind)
         aside = (kernels.shape[1] - small.shape[1]) // 2
         return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
 
@@ -468,28 +383,31 @@ class ArrayKernels(LensWaves):
         polynomials: LensFunctions,
         coefficients: NDArray[np.float64],
         cosines: tuple[float, float] = (0.0, 0.0),
-        samples: int = _TRANSFER_SAMPLES,
     ) -> NDArray[np.complex64]:
         """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
 
-        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `samples` apart, and
-        two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given direction
-        cosines.
+        Along either axis there are `farthest` lags on either side, `every` steps of the pitch over `_TRANSFER_SAMPLES`
+        apart, and two points for each step. `coefficients` (polynomials, n) define the combinations. Light has given
+        direction cosines.
         """
         lattice = self.lattice
         # Points lie between the borders of lenses. A lag of whole steps moves both points of a pair to such points.
-        step = lattice.pitches[0] / samples / 2
+        step = lattice.pitches[0] / _TRANSFER_SAMPLES / 2
         reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
         along = (np.arange(-reach, reach) + 0.5) * step
         y, x = np.meshgrid(along, along, indexing="ij")
-        T, own = self.transmission(x, y, kind, cosines, steep=not self.by_points)
+        (x, y), T, share = self.transmission((x, y), kind, cosines)
+        own = share > 0
         rows, columns = (np.flatnonzero(own.any(axis)) for axis in (1, 0))
         top, bottom, left, width = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1 - columns[0]
         values = polynomials.values(*(place[own] for place in lattice.to_frame(x, y)))
-        # On these samples, too, the integrals are exact for polynomials.
-        exact = np.linalg.solve(values.T @ values, coefficients) * len(values)
+        # On these samples, too, the integrals of the duals with the functions over the lens are exact.
+        measure = share[own] * np.square(np.abs(T[own]))
+        functions, duals = polynomials.functions, polynomials.duals
+        products = (values @ functions).T @ (measure[:, None] * (values @ duals)) / measure.sum()
+        exact = duals @ np.linalg.solve(products, functions.T @ coefficients)
         weight = np.zeros((*own.shape, coefficients.shape[1]), np.float32)
-        weight[own] = values @ exact
+        weight[own] = share[own, None] * (values @ exact)
         weight = weight[top:bottom, left : left + width]
         across, up = (self._symmetry(T, weight, axis) for axis in (1, 0))
         real = imaginary = np.ones(coefficients.shape[1], bool)
@@ -528,7 +446,7 @@ class ArrayKernels(LensWaves):
         # The weights are real.
         result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
         # The normalisation uses the sampled open area, which conserves the energy.
-        return np.asarray(result / np.float32(len(values)))
+        return np.asarray(result / np.float32(measure.sum()))
 
     @staticmethod
     def _symmetry(T: NDArray[Any], weight: NDArray[np.float32], axis: int) -> NDArray[np.float32] | None:

@@ -1,25 +1,27 @@
-r"""Aberrations of microlenses for light from different points of the pupil.
+r"""Changes of the microlenses' kernels with the direction of light.
 
 Microlenses refract direction cosines, while light lands in proportion to slopes. Light that meets a lens of power 1/f
 with the direction cosines s leaves the point m of the lens with :math:`s - m/f`, and lands at
 
 .. math:: m + z\, T(s - m/f), \qquad T(s) = \frac{s}{\sqrt{1 - s^2 / n^2}} ,
 
-in a medium of index n at the reduced distance z. The kernels of a detector's image have the linear part of T alone. The
-nonlinear part, given by `phase`, is spherical aberration, coma, and the astigmatism and field curvature that grow with
-the square of s. Kernels with this phase change with s nearly as a polynomial of degree 2 without mixed higher terms,
+in a medium of index n at the reduced distance z. Kernels are relative to the landing point of the lens's centre, so
+that spherical aberration, coma, and the astigmatism and field curvature that grow with the square of s remain. Kernels
+change with s nearly as a polynomial of degree 2 without mixed higher terms,
 
 .. math:: \varphi_n(s) \approx \varphi_n(0) + \sum_k b_k(s)\, \varphi_{nk},
-          \qquad b = (s_u, s_v, s_u^2, s_u s_v, s_v^2).
+          \qquad b = (s_u, s_v, s_u^2, s_u s_v, s_v^2) ,
 
-The changes :math:`\varphi_{nk}` resemble each other. A few combinations of them, the *oblique kernels*, therefore
-suffice (principal components: Jolliffe, "Principal component analysis", section 3.5). The coefficients of their images
-are those of the functions times factors that depend on s.
+and where light is steeper as one of degree 4. The changes :math:`\varphi_{nk}` resemble each other. A few combinations
+of them, the *oblique kernels*, therefore suffice (principal components: Jolliffe, "Principal component analysis",
+section 3.5). The coefficients of their images are those of the functions times factors that depend on s.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,36 +31,38 @@ from numpy.typing import NDArray
 
 from ..runtime.backend import backend_of
 
-DIRECTIONS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
-"""Direction cosines, over the largest ones, for which kernels are computed to find their changes."""
-
-_ODD = [(True, False), (False, True), (False, False), (True, True), (False, False)]
-"""Whether each of the terms is odd in s_u, and in s_v."""
-
 _LEAST = 1e-9
 """Part of the mean variance that is added to all variances, so that their matrices can be inverted."""
 
+_INNER = 0.55
+"""Radius of the inner ring of directions, in largest direction cosines, from which terms of degree 4 are found."""
 
-def terms(u: Any, v: Any) -> list[Any]:
+
+def terms(u: Any, v: Any, degree: int = 2) -> list[Any]:
     """Return the terms in which kernels change with direction cosines, relative to the largest cosines."""
-    return [u, v, u * u, u * v, v * v]
+    powers: list[list[Any]] = [[1.0, each] for each in (u, v)]
+    for own in powers:
+        while len(own) <= degree:
+            own.append(own[-1] * own[1])
+    return [powers[0][i] * powers[1][j] for i, j in _exponents(degree)]
 
 
-def phase(u: Any, v: Any, cosines: tuple[float, float], power: float, index: float, enlargement: float) -> Any:
-    """Return the nonlinear part of the path for points of a lens, in millimetres, in units of the reduced distance.
+@functools.cache
+def directions(degree: int) -> NDArray[np.float64]:
+    """Return direction cosines, over the largest ones, whose kernels give their changes; the first are zeros."""
+    if degree == 2:
+        return np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (0.5**0.5, 0.5**0.5)])
+    # Between them, two rings of eight tell all terms of degree 4 apart.
+    rings = [
+        radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        for radius, angles in ((1.0, np.arange(8) * np.pi / 4), (_INNER, (np.arange(8) + 0.5) * np.pi / 4))
+    ]
+    return np.concatenate([np.zeros((1, 2)), *rings])
 
-    The gradient of this path times the reduced distance is the displacement of light on the detector, without the mean
-    displacement by which micro-images are enlarged.
-    """
 
-    def potential(a: Any, b: Any) -> Any:
-        # Beyond, light would be reflected totally.
-        return -index * np.sqrt(np.maximum(index * index - a * a - b * b, 0))
-
-    a, b = cosines
-    slope = [s / np.sqrt(1 - (a * a + b * b) / index**2) for s in cosines]
-    curved = potential(a - u * power, b - v * power) - potential(a, b)
-    return (u * u + v * v) * power / 2 - curved / power - enlargement * (slope[0] * u + slope[1] * v)
+def _exponents(degree: int) -> list[tuple[int, int]]:
+    """Return the powers of s_u and s_v of the terms."""
+    return [(i, whole - i) for whole in range(1, degree + 1) for i in range(whole, -1, -1)]
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class Oblique:
     @classmethod
     def nothing(cls, functions: int) -> Oblique:
         """Return an empty set of combinations."""
-        empty = np.zeros((0, functions, len(_ODD)))
+        empty = np.zeros((0, functions, len(_exponents(2))))
         return cls(1.0, empty, empty)
 
     @classmethod
@@ -94,18 +98,21 @@ class Oblique:
         At most `most` combinations are returned.
 
         `cosines` (rays, 2) are those of rays, relative to the largest. `images` (directions, n, values) are the
-        functions' kernels for each of `DIRECTIONS`, in an orthonormal basis of the detector; `light` (n, n) is the
-        covariance of the functions' coefficients in random light, and `odd` the symmetry of the functions.
+        functions' kernels for each of the `directions` of a degree, in an orthonormal basis of the detector; `light`
+        (n, n) is the covariance of the functions' coefficients in random light, and `odd` the symmetry of the
+        functions.
         """
-        change = np.einsum("kd,dnx->nkx", changes(), images)
-        expected = np.transpose(terms(*cosines.T))
+        degree = 2 if len(images) == len(directions(2)) else 4
+        change = np.einsum("kd,dnx->nkx", changes(degree), images)
+        expected = np.transpose(terms(cosines[:, 0], cosines[:, 1], degree))
+        odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in _exponents(degree)]
         both = np.einsum("nm,kl->nkml", light, expected.T @ expected / len(expected))
         whole = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
         shape, found = change.shape[:2], []
         for parity in itertools.product((False, True), repeat=2):
             own = [
                 (n, k)
-                for (n, first), (k, second) in itertools.product(enumerate(odd), enumerate(_ODD))
+                for (n, first), (k, second) in itertools.product(enumerate(odd), enumerate(odd_terms))
                 if tuple(a != b for a, b in zip(first, second, strict=True)) == parity
             ]
             rows, columns = (np.array(part, int) for part in zip(*own, strict=True))
@@ -128,35 +135,49 @@ class Oblique:
         """Number of combinations."""
         return len(self.factors)
 
+    @property
+    def degree(self) -> int:
+        """Degree of the terms."""
+        # There are degree (degree + 3) / 2 of them.
+        return math.isqrt(2 * self.factors.shape[2]) - 1
+
     def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the terms (terms, ...) of direction cosines (2, ...); an empty array without combinations."""
         u, v = cosines / np.float32(self.largest)
         arrays = backend_of(u).arrays
-        return arrays.stack(terms(u, v)) if self.count else arrays.zeros((0, *u.shape), np.float32)
+        return arrays.stack(terms(u, v, self.degree)) if self.count else arrays.zeros((0, *u.shape), np.float32)
 
     def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the derivatives (2, terms, ...) of `terms` with respect to each cosine."""
         scale = np.float32(1 / self.largest)
         u, v = cosines * scale
         arrays = backend_of(u).arrays
-        none, one = arrays.zeros_like(u), arrays.full_like(u, scale)
-        parts = [
-            [du, dv, 2 * u * du, u * dv + v * du, 2 * v * dv] if self.count else []
-            for du, dv in ((one, none), (none, one))
-        ]
-        return arrays.stack([arrays.stack(part) if part else arrays.zeros((0, *u.shape), np.float32) for part in parts])
+        if not self.count:
+            return arrays.zeros((2, 0, *u.shape), np.float32)
+        exponents, none = _exponents(self.degree), arrays.zeros_like(u)
+        lower = dict(zip(exponents, terms(u, v, self.degree), strict=True)) | {(0, 0): arrays.ones_like(u)}
+        slopes = []
+        for axis in (0, 1):
+            found = []
+            for powers in exponents:
+                i, j = powers[0] - (axis == 0), powers[1] - (axis == 1)
+                found.append(lower[i, j] * (scale * powers[axis]) if powers[axis] else none)
+            slopes.append(arrays.stack(found))
+        return arrays.stack(slopes)
 
 
-def changes() -> NDArray[np.float64]:
-    """Return the matrix (terms, directions) that turns kernels for `DIRECTIONS` into their changes with the terms."""
-    return np.asarray(np.linalg.inv(_values(DIRECTIONS))[1:])
+def changes(degree: int) -> NDArray[np.float64]:
+    """Return the matrix (terms, directions) that turns kernels for `directions` into their changes with the terms."""
+    some = np.linalg.pinv(_values(directions(degree), degree)[1:, 1:])
+    return np.column_stack([-some.sum(1), some])
 
 
-def moved(step: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(step: NDArray[np.float64], degree: int = 2) -> NDArray[np.float64]:
     """Return the matrix from (1, terms) of direction cosines to (1, terms) of cosines a step (2,) further."""
-    return np.asarray(np.linalg.solve(_values(DIRECTIONS), _values(DIRECTIONS + step)).T)
+    every = directions(degree)
+    return np.asarray(np.linalg.lstsq(_values(every, degree), _values(every + step, degree), rcond=None)[0].T)
 
 
-def _values(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
+def _values(cosines: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Return 1 and the terms, (n, 1 + terms), of direction cosines (n, 2)."""
-    return np.column_stack([np.ones(len(cosines)), *terms(*cosines.T)])
+    return np.column_stack([np.ones(len(cosines)), *terms(cosines[:, 0], cosines[:, 1], degree)])

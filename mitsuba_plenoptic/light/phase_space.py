@@ -40,30 +40,32 @@ from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array, empty_packets
 from ..runtime.batches import on_all_cores
 from ..runtime.limits import single_threaded_blas
-from .array_kernels import MOST_PHASE, SPECTRUM_SAMPLES, ArrayKernels
+from .array_field import MOST_PHASE
+from .array_kernels import SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem
 
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (12, 24), (0.005, 0.002)
+_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (16, 24), (0.005, 0.0015)
 """Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
 tolerances of oblique kernels, of usual and of finer plans."""
 
 _DEFOCUS = 4.0
 """Defocus of the microlenses in radians beyond which the degree is increased by two."""
 
-_CELLS = (1.5, 4.0)
+_CELLS = (2.0, 4.0)
 """Cells of the grid per period of the highest frequency of a microlens's diffraction, at usual and fine accuracy. Two
-would resolve it; 1.5 lose the last quarter of frequencies, which is negligible; 4 also resolve the interference of
-neighbouring lenses."""
+resolve it; 4 also resolve the interference of neighbouring lenses."""
 
 _UNIT = 3.8
 """Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
 the Airy pattern."""
 
-_MOST_CELLS = 3
-"""Most cells of the grid across a pixel, which integrates over what more resolve: 0.1 to 0.4 % of a capture."""
+_MOST_CELLS, _VERY_COARSE = (2, 3), 8.0
+"""Most cells of the grid across a pixel, at usual and fine accuracy, as a pixel integrates over what more resolve; and
+the width of pixels, in widths of a lens's diffraction, from which the second holds for both, as kernels on fewer cells
+would have too few lags."""
 
 _SPREADS = 2.0
 """Width of the window around a lens over the width of the pupil's diffraction along the radius, lambda b / 2 h."""
@@ -345,7 +347,7 @@ class PhaseSpace(ArrayKernels):
         if self.by_points:
             return 1  # kernels are integrated over pixels
         highest = self.camera.pixel_size / self.widths[0]
-        return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS)
+        return min(math.ceil(_CELLS[fine] * highest), _MOST_CELLS[fine or highest > _VERY_COARSE])
 
     def arguments(self, point: tuple[Any, Any], pupil: tuple[Any, Any]) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""

@@ -68,7 +68,7 @@ class PixelKernels:
         functions = len(kernels) - oblique.count
         factors = factors.reshape(*own.shape[:2], -1)
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
-        at_places = np.array([moved(step)[1:] for step in steps])
+        at_places = np.array([moved(step, oblique.degree)[1:] for step in steps])
         products = np.einsum("rnt,rpk,pts->sknp", oblique.factors, factors[functions:], at_places, optimize=True)
         products = products.reshape(*products.shape[:2], -1)
         direct = np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1) + products[0]

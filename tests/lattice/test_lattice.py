@@ -219,7 +219,7 @@ class BrickLattice(Lattice):
     def unit_centre(i, j):
         return i + j / 2 + 0.5, j + 0.5
 
-    in_cell = staticmethod(LATTICES["square"].in_cell)
+    cell_width = staticmethod(LATTICES["square"].cell_width)
     point_in_cell = staticmethod(LATTICES["square"].point_in_cell)
 
 

@@ -4,7 +4,7 @@ Time, memory and noise of captures by signed rays against ray captures.
 
 Wave captures by cameras whose pixels are large beside the spots of their microlenses: price, noise and accuracy.
 
-Cells of the detector's grid are at least a third of a pixel wide, however small spots are.
+Cells of the detector's grid are at least half a pixel wide, or a third, however small spots are.
 """
 
 from __future__ import annotations
@@ -406,7 +406,7 @@ def _peak(camera: PlenopticCamera, blur: float, spp: int, model: str) -> float:
 
 @case(
     "coarse-pixels.accuracy",
-    "Wave captures with at most three cells across a pixel against those with all cells that resolve the spots",
+    "Wave captures with two or three cells across a pixel against those with all cells that resolve the spots",
     {
         "f-number": "{f_number:g}", "blur (lenses)": "{blur:g}", "capture": "{kind}", "cells": "{cells}",
         "all cells": "{every}",
@@ -428,7 +428,7 @@ def accuracy(
         for blur in blurs:
             camera = camera_of(number, lenses=lenses)
             scene = scene_of(camera, distance_of(camera, blur))
-            with mock.patch.object(phase_space, "_MOST_CELLS", 10**6):
+            with mock.patch.object(phase_space, "_MOST_CELLS", (10**6, 10**6)):
                 every = phase_space.PhaseSpace(camera, WAVELENGTH).parts(False)
             # Of a finer plan, without tolerance for missing functions.
             with (
