@@ -308,9 +308,14 @@ class Lattice(abc.ABC):
         return self.aperture_inset(dx, dy) >= 0
 
     def aperture_inset(self, dx: Any, dy: Any) -> Any:
-        """Return the distance of a point, at an offset from its lens's centre, from the aperture's border.
+        """Return the distance in mm of a point from the border of its lens's aperture, negative outside.
 
-        It is negative outside.
+        Parameters
+        ----------
+        dx : float or array
+            Offset from the lens's centre along x in mm.
+        dy : float or array
+            Offset along y.
         """
         if self.aperture == "circle":
             return self.aperture_reach - sqrt(dx * dx + dy * dy)

@@ -2,8 +2,8 @@ r"""Fields behind the microlenses for light of one direction, whose pairs of poi
 
 Light that reaches the detector around the landing point :math:`p_0` of a lens's centre is the Fourier transform of the
 field over the direction cosines t with which light reaches :math:`p_0` (Debye's integral: Born and Wolf, "Principles of
-optics", section 8.8.1). Fields are therefore sampled at even steps of :math:`x = z (t_0 - t)`, where :math:`t_0` belongs
-to the lens's centre; in paraxial light x is the point m on the lens. Each x stands for the point
+optics", section 8.8.1). Fields are therefore sampled at even steps of :math:`x = z (t_0 - t)`, where :math:`t_0`
+belongs to the lens's centre; in paraxial light x is the point m on the lens. Each x stands for the point
 
 .. math:: m = p_0 - z\, t / c, \qquad c^2 = 1 - t^2 / n^2 ,
 
@@ -143,28 +143,15 @@ class LensWaves:
         step = x[0][0, 1] - x[0][0, 0]
         own_inset = lattice.aperture_inset(mx, my) / step
         if lattice.aperture == "cell" and (1 - lattice.fill) * lattice.pitches[0] < step:
-            # Neighbours touch: all light passes, and is divided among them.
-            share = _divided(own_inset)
+            # Neighbours touch: all light passes, and is divided among them. Sums with these integrals of a B-spline of
+            # order 2 depend little on where between samples the border is.
+            inset = np.clip(own_inset, -1, 1)
+            share = 0.5 + inset - inset * np.abs(inset) / 2
         else:
-            amplitude *= _open(lattice.aperture_inset(cx, cy) / step)
+            # The sum of these amplitudes across a border is the width of the opening in steps, as is that of their squares.
+            inset = lattice.aperture_inset(cx, cy) / step
+            part = np.clip(np.where(inset < 0.5, inset + 0.5, inset - 0.5), 0, 1)
+            amplitude *= 0.5 * (1 + part + np.where(inset < 0.5, -1, 1) * np.sqrt(1 - part * part))
             share = (own_inset > -0.5).astype(float)
         # Functions are undefined outside the aperture, where rays have no coefficients.
         return (mx, my), (amplitude * np.exp(2j * np.pi * waves)).astype(np.complex64), share
-
-
-def _divided(inset: Array) -> Array:
-    """Return the parts of samples that a lens has near its border, from their distances to the border in steps.
-
-    Distances are negative outside. These integrals of a B-spline of order 2 give sums that depend little on where between samples the border is.
-    """
-    inset = np.clip(inset, -1, 1)
-    return np.asarray(0.5 + inset - inset * np.abs(inset) / 2)
-
-
-def _open(inset: Array) -> Array:
-    """Return the amplitudes of samples near the border of an opening, from their distances to the border; see `_divided`.
-
-    The sum of these amplitudes across a border is the width of the opening in steps, and so is that of their squares.
-    """
-    beyond = np.clip(np.where(inset < 0.5, inset + 0.5, inset - 0.5), 0, 1)
-    return np.asarray(0.5 * (1 + beyond + np.where(inset < 0.5, -1, 1) * np.sqrt(1 - beyond * beyond)))

@@ -26,7 +26,6 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
 from ..optics.waves import in_millimetres
 from ..runtime.batches import on_all_cores
 from ..runtime.fft import worker_count

@@ -47,7 +47,7 @@ from .optical_system import OpticalSystem
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (16, 24), (0.005, 0.0015)
+_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (14, 24), (0.005, 0.0015)
 """Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
 tolerances of oblique kernels, of usual and of finer plans."""
 

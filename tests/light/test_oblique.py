@@ -8,7 +8,6 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from mitsuba_plenoptic import PlenopticCamera
-from mitsuba_plenoptic.light import array_kernels
 from mitsuba_plenoptic.light.oblique import Oblique, changes, directions, moved, terms
 from mitsuba_plenoptic.light.phase_space import PhaseSpace
 from mitsuba_plenoptic.light.signed_colours import plan_of
@@ -156,7 +155,7 @@ def test_fewer_kernels_leave_more_of_the_change():
 
 
 def test_there_are_at_most_so_many_combinations_over_polynomials(monkeypatch):
-    monkeypatch.setattr(array_kernels, "_MOST_OBLIQUE", 1)
+    monkeypatch.setattr("mitsuba_plenoptic.light.array_kernels._MOST_OBLIQUE", 1)
     fast = PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=24.0)
     assert PhaseSpace(fast, 633.0).oblique.count == 15
 

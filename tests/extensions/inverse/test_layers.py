@@ -100,7 +100,7 @@ def test_fits_find_the_radiance_of_a_plane():
         render_capture(truth.scene(CAMERA.to_sensor(pose)), model="wave", wavelength=633.0, spp=32) for pose in poses
     ]
     start, news = Layers([240.0], [0.15], np.full((1, 2, 2), 0.5), np.ones((1, 2, 2))), []
-    found = fit_layers(captures, poses, start, rounds=18, rate=0.1, spp=8, progress=lambda *each: news.append(each))
+    found = fit_layers(captures, poses, start, rounds=18, rate=0.1, spp=12, progress=lambda *each: news.append(each))
     assert [done for done, _ in news] == list(range(1, 19))
     assert news[-1][1] < 0.7 * news[0][1]
     light = found.radiance[..., 0] * found.opacity

@@ -94,12 +94,7 @@ LIMITS = {
 FINER, MOST = 0.7, 0.025
 """Part of these limits for finer plans; limit of other cameras."""
 
-EXACT = {
-    "ideal f2": (0.0125, 0.009),
-    "ideal f2.8": (0.01, 0.0055),
-    "ideal f5.6": (0.01, 0.005),
-    "ideal f10": (0.01, 0.005),
-}
+EXACT = 0.01, 0.005
 """Limits of `SCALED` by usual and by finer plans, of walls of two lenses and more, by sums that full fields correct."""
 
 ENERGY, ENERGY_OF_PATCHES = 0.005, 0.03
@@ -156,8 +151,8 @@ def walls(
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
         limit = SMALL if lenses < 3 else own * FINER if finer else own
-        if name in EXACT and lenses > 1:
-            limit = EXACT[name][finer]
+        if name in SCALED and lenses > 1:
+            limit = EXACT[finer]
         for blur in blurs:
             (image, exact, noise, whole), seconds, _ = once(
                 lambda p=plan, c=camera, b=blur, n=per_lens, k=cells: pair(
