@@ -110,24 +110,17 @@ class ArrayKernels(LensWaves):
         if not higher:
             return polynomials
         u, v, inside = self.aperture_grid(self._samples_of(_COARSE))
+        # Two directions stand for all rays, with their mean square along each axis; opposite ones have mirror images.
+        along, across = np.sqrt(2 * np.mean(np.square(self._cosines()), axis=0)).tolist()
         images = np.concatenate(
             [
                 self._images(polynomials, kind, polynomials.functions, cosines)
                 for kind in self.kinds[: len(self.camera.mla_focal_lengths)]
-                for cosines in self._typical_cosines
+                for cosines in ((along, 0.0), (0.0, across))
             ],
             axis=1,
         )
         return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
-
-    @property
-    def _typical_cosines(self) -> list[tuple[float, float]]:
-        """Direction cosines whose kernels stand for those of all rays: they have the rays' mean square along each axis.
-
-        Opposite directions are left out, as their kernels are mirror images.
-        """
-        along, across = np.sqrt(2 * np.mean(np.square(self._cosines()), axis=0)).tolist()
-        return [(along, 0.0), (0.0, across)]
 
     @property
     def _most_functions(self) -> int:
