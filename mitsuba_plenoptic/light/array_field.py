@@ -148,7 +148,7 @@ class LensWaves:
             inset = np.clip(own_inset, -1, 1)
             share = 0.5 + inset - inset * np.abs(inset) / 2
         else:
-            # Across a border the sum of these amplitudes, and that of their squares, is the width of the opening in steps.
+            # Across an opening the sum of these amplitudes, and that of their squares, is its width in steps.
             inset = lattice.aperture_inset(cx, cy) / step
             part = np.clip(np.where(inset < 0.5, inset + 0.5, inset - 0.5), 0, 1)
             amplitude *= 0.5 * (1 + part + np.where(inset < 0.5, -1, 1) * np.sqrt(1 - part * part))

@@ -49,9 +49,9 @@ _HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
 
-_FUNCTIONS, _OBLIQUE = 0.75, {2: 2.0, 4: 1.0}
-"""Parts of images of random light that may be missing for want of functions, and of oblique kernels of a degree, over
-the tolerance."""
+_FUNCTIONS, _OBLIQUE = (0.75, 1.2), (2.0, 1.25)
+"""Parts of images of random light that may be missing for want of functions, and of oblique kernels, over the
+tolerance: of usual cameras, and of those with steep light."""
 
 _MOST_OBLIQUE = 2
 """Largest number of oblique kernels over that of functions: more are only needed for lenses faster than f/2."""
@@ -120,7 +120,15 @@ class ArrayKernels(LensWaves):
             ],
             axis=1,
         )
-        return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
+        return polynomials.best(
+            self._most_functions, _FUNCTIONS[self._is_steep] * self.tolerance, (u[inside], v[inside]), images
+        )
+
+    @property
+    def _is_steep(self) -> bool:
+        """Whether kernels change with the direction of light as polynomials of degree 4."""
+        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
+        return float(np.hypot(*self._cosines().T).max()) + edge > _STEEP
 
     @property
     def _most_functions(self) -> int:
@@ -139,14 +147,13 @@ class ArrayKernels(LensWaves):
         # Small apertures fall between the points of a grid that is as fine for all.
         u, v, inside = self.aperture_grid(max(_LAGS, self._samples_of(_COARSE)))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
-        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in kinds)
-        degree = 4 if largest + edge > _STEEP else 2
+        degree = 4 if self._is_steep else 2
         images = [
             np.concatenate([self._images(functions, kind, functions.duals, (a, b)) for kind in kinds], axis=1)
             for a, b in directions(degree) * largest
         ]
         light = functions.light(u[inside], v[inside])
-        allowed, most = _OBLIQUE[degree] * self.tolerance, _MOST_OBLIQUE * self._most_functions
+        allowed, most = _OBLIQUE[self._is_steep] * self.tolerance, _MOST_OBLIQUE * self._most_functions
         return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
 
     def _samples_of(self, count: int) -> int:

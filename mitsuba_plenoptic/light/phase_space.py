@@ -47,7 +47,7 @@ from .optical_system import OpticalSystem
 FINE = 0.005
 """Accuracy below which finer plans are made."""
 
-_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (14, 24), (0.005, 0.0015)
+_DEGREES, _WINDOWS, _RADIAL, _TOLERANCES = (4, 6), (9, 13), (14, 24), (0.005, 0.0012)
 """Degrees, which give the number of functions over a lens, windows, nodes of the table along the pupil's radius, and
 tolerances of oblique kernels, of usual and of finer plans."""
 
@@ -62,7 +62,7 @@ _UNIT = 3.8
 """Least unit of the windows' widths over lambda b / R, where the unit is not a lens: windows of nine contain 99.4 % of
 the Airy pattern."""
 
-_MOST_CELLS, _VERY_COARSE = (2, 3), 8.0
+_MOST_CELLS, _VERY_COARSE = (2, 3), 16.0
 """Most cells of the grid across a pixel, at usual and fine accuracy, as a pixel integrates over what more resolve; and
 the width of pixels, in widths of a lens's diffraction, from which the second holds for both, as kernels on fewer cells
 would have too few lags."""
