@@ -128,7 +128,7 @@ class ArrayKernels(LensWaves):
     def _is_steep(self) -> bool:
         """Whether kernels change with the direction of light as polynomials of degree 4."""
         edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
-        return float(np.hypot(*self._cosines().T).max()) + edge > _STEEP
+        return bool(np.hypot(*self._cosines().T).max() + edge > _STEEP)
 
     @property
     def _most_functions(self) -> int:
