@@ -291,7 +291,8 @@ class ArrayKernels(LensWaves):
         if not oblique.count:
             return kernels
         parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
-        coarser = _COARSER if oblique.degree == 2 else 1
+        # Coarse pixels resolve few lags.
+        coarser = _COARSER if oblique.degree == 2 and farthest >= _LAGS else 1
         transfer = np.sum(
             [
                 self._transfer(
