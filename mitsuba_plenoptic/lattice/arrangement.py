@@ -310,6 +310,8 @@ class Lattice(abc.ABC):
     def aperture_inset(self, dx: Any, dy: Any) -> Any:
         """Return the distance in mm of a point from the border of its lens's aperture, negative outside.
 
+        With two different pitches, distances across the rows are scaled to equal pitches.
+
         Parameters
         ----------
         dx : float or array

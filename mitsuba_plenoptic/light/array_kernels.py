@@ -391,7 +391,7 @@ class ArrayKernels(LensWaves):
         direction cosines.
         """
         lattice = self.lattice
-        # Points lie between the borders of lenses. A lag of whole steps moves both points of a pair to such points.
+        # A lag of whole steps moves both points of a pair to points of the grid.
         step = lattice.pitches[0] / _TRANSFER_SAMPLES / 2
         reach = math.ceil(lattice.cell_reach / step) + farthest * every + 1
         along = (np.arange(-reach, reach) + 0.5) * step
