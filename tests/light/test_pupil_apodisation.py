@@ -64,7 +64,7 @@ def test_rays_read_the_transmission():
 @pytest.mark.parametrize("apodisation", [(A2, A4), pytest.param((-1.5, 0.0), marks=pytest.mark.slow)])
 def test_waves_diffract_the_apodised_micro_image(apodisation):
     camera = CAMERA.replace(pupil_apodisation=apodisation, resolution=(32, 32), detector_width=0.128)
-    found, expected = sky(camera, 128, "wave"), diffracted(camera, 633, apodisation)
+    found, expected = sky(camera, 512, "wave"), diffracted(camera, 633, apodisation)
     assert np.linalg.norm(found - expected) < 0.01 * np.linalg.norm(expected)
 
 

@@ -75,14 +75,14 @@ def direction_of(value):
     return type(value)(1.0)
 
 
-def difference(scene, key, step):
+def difference(scene, key, step, spp=16):
     params = mi.traverse(scene)
     start = type(params[key])(params[key])
     direction, sides = direction_of(start), []
     for side in (step, -step):
         params[key] = start + side * direction
         params.update()
-        sides.append(captured(scene))
+        sides.append(captured(scene, spp=spp))
     params[key] = start
     params.update()
     return (sides[0] - sides[1]) / (2 * step)
@@ -142,8 +142,8 @@ def test_gloss_that_lamps_of_some_size_light():
     """Light paths change with the roughness, so that differences have noise of their own."""
     scene = wall_of({"type": "roughconductor", "alpha": 0.3}, child="prb", light=lamp())
     weights = np.ones((32, 32, 1))
-    expected = np.vdot(difference(scene, ROUGHNESS, 0.01), weights)
-    assert pulled(scene, ROUGHNESS, weights, spp=256) == pytest.approx(expected, rel=0.01)
+    expected = np.vdot(difference(scene, ROUGHNESS, 0.01, spp=1024), weights)
+    assert pulled(scene, ROUGHNESS, weights, spp=1024) == pytest.approx(expected, rel=0.01)
 
 
 def proportional(scene):

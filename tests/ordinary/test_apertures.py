@@ -341,7 +341,7 @@ def test_walls_are_sums_over_the_mask(name, blur, limit):
     half = count * texel * camera.pixel_size / 2 * distance / 120
     wall = facing(distance, half, emitter={"type": "area", "radiance": radiance})
     scene = scene_of(camera.to_sensor(), "direct", wall=wall)
-    found = by_waves(scene, 1024)
+    found = by_waves(scene, 4096)
     expected = expected_of(name, camera, unit, np.kron(values, np.ones((texel * fine,) * 2)), fine, blur)
     assert difference(found, expected) < limit
     assert found.sum() == pytest.approx(expected.sum(), rel=0.003)

@@ -64,7 +64,7 @@ def test_waves_are_told_from_rays():
     camera = camera.replace(detector_width=0.8)
     scene = {"type": "scene", "lamp": {"type": "constant"}}
     waves = {"type": "plenoptic_wave", "wavelength": 550.0, "child": {"type": "direct"}}
-    light = render_capture(mi.load_dict(scene | {"camera": camera.to_sensor(), "integrator": waves}), spp=64).image
+    light = render_capture(mi.load_dict(scene | {"camera": camera.to_sensor(), "integrator": waves}), spp=256).image
     found = {length: fit_white(light, camera, wavelength=length) for length in (550.0, None)}
     radius, blur = ({key: fit.field.coefficients[name][0] for key, fit in found.items()} for name in ("radius", "blur"))
     assert radius[550.0] == pytest.approx(camera.pupil_radius / camera.pupil_step, rel=2e-3)
