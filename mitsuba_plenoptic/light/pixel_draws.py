@@ -20,7 +20,7 @@ from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
-from .random_numbers import chances_of, even_steps
+from .random_numbers import chances_of, even_numbers
 from .signed_draws import ORDER, Aims, DetectorGrid, Drawn, Pixels, tent
 from .walk import PupilWalk
 
@@ -79,11 +79,7 @@ class PixelDraws(DetectorGrid):
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `Draws.draw`."""
         aims = self._cells(self.aims(pixels).at(own), place)
         pixel = dr.gather(mi.UInt32, pixels.number, own)
-        half, index = sample & 1, mi.Float(sample >> 1)
-        random = []
-        for axis, step in enumerate(even_steps(6)):
-            value = index * step + mi.sample_tea_float32(pixel, seed ^ (half * 8 + axis + 1))
-            random.append(value - dr.floor(value))
+        random = even_numbers(pixel, seed ^ ((sample & 1) << 3), sample >> 1, 6)
         if self._plan.is_coarse:
             x, y = self._displacement(random[4:])
             aside = (random[2] - 0.5) * self._step - x, (random[3] - 0.5) * self._step - y

@@ -9,6 +9,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+_ROUNDS = 5
+"""Rounds of the cipher of `mi.sample_tea_32`: after its default of four the first word is not yet even, and numbers of
+neighbouring lanes depend on one another."""
+
 
 @functools.cache
 def even_steps(dimensions: int) -> NDArray[np.float64]:
@@ -28,9 +32,19 @@ def even_words(dimensions: int) -> tuple[int, ...]:
     return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
 
 
+def even_numbers(lane: Any, key: Any, index: Any, dimensions: int) -> list[Any]:
+    """Return the numbers from 0 to 1, of 24 bits, at an index of a sequence that fills the unit cube evenly.
+
+    Sequences are displaced at random, by the lane and the key, modulo 1.
+    """
+    words = [word for pair in range(-(-dimensions // 2)) for word in mi.sample_tea_32(lane, key ^ (1 + pair), _ROUNDS)]
+    places = (word + index * step for word, step in zip(words, even_words(dimensions), strict=False))
+    return [mi.Float(place >> 8) * 2.0**-24 for place in places]
+
+
 def chances_of(lane: Any, key: Any) -> tuple[Any, Any, Any, Any]:
     """Return four random numbers from 0 to 1, of 16 bits each."""
-    words = mi.sample_tea_32(lane, key)
+    words = mi.sample_tea_32(lane, key, _ROUNDS)
     low = [mi.Float(word & 0xFFFF) * 2.0**-16 for word in words]
     high = [mi.Float(word >> 16) * 2.0**-16 for word in words]
     return low[0], low[1], high[0], high[1]

@@ -28,7 +28,7 @@ from ..runtime.backend import drjit_array, quotient
 from ..runtime.batches import Box
 from .lens_kinds import LensKinds
 from .phase_space import PhaseSpace, TableNodes
-from .random_numbers import chances_of, even_steps
+from .random_numbers import chances_of, even_numbers
 from .walk import Walk
 
 _AIRY, _AIRY_REACH = 1024, 200.0
@@ -209,25 +209,27 @@ class Draws(DetectorGrid):
         """Distribution of points around lenses for the longest wavelength, which is diffracted most."""
         return LensPoints(self._longest)
 
-    @property
-    def widest(self) -> float:
-        """Radius in mm, in the pupil's plane, that contains the ray through every lit pixel's centre."""
+    @cached_property
+    def _seen_by_pixels(self) -> tuple[float, float]:
+        """Radius in mm, in the pupil's plane, that contains all rays, and half the width of a pixel's image there."""
         camera = self._camera
         # Other points of the pixel and around its cells see other points of the pupil.
         wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
-        pixel = wide * camera.pupil_distance / camera.reduced_distance / math.sqrt(2)
+        half = wide / 2 * camera.pupil_distance / camera.reduced_distance
         # Snell's law spreads them most at the corner, along the radius.
         corner = self.walk.lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
-        pixel *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
+        half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
-        return self.walk.lens.reach + pixel + lens
+        return self.walk.lens.reach + lens, half
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
         """Lenses that can light a pixel, as lattice indices relative to the lens of the pixel's chief ray."""
         camera = self._camera
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
-        apart = self.widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
+        radius, half = self._seen_by_pixels
+        widest = radius + half * math.sqrt(2)
+        apart = widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
         reach = apart * max(self.enlargements)
         found = camera.lattice.neighbours(reach + camera.nearer(reach))
         many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
@@ -241,8 +243,10 @@ class Draws(DetectorGrid):
 
     def lights(self, aims: Aims) -> Any:
         """Return whether light through the lenses can reach the pixels."""
-        pupil = self.seen(aims.middle, aims)
-        return dr.square(pupil[0]) + dr.square(pupil[1]) <= self.widest**2
+        radius, half = (dr.opaque(mi.Float, length) for length in self._seen_by_pixels)
+        # What lies outside the pupil of the square that is the image of a pixel and of what is around its cells.
+        x, y = (dr.maximum(dr.abs(P) - half, 0) for P in self.seen(aims.middle, aims))
+        return dr.square(x) + dr.square(y) <= dr.square(radius)
 
     @property
     def lit_lenses(self) -> float:
@@ -312,12 +316,8 @@ class Draws(DetectorGrid):
         """
         aims, lattice = self._cells(self.aims(pixels).at(own), place), self._camera.lattice
         pixel = dr.gather(mi.UInt32, pixels.number, own)
-        half, index = sample & 1, mi.Float(sample >> 1)
-        random = []
+        random = even_numbers(pixel, seed ^ ((sample & 1) << 3), sample >> 1, 4)
         chance = chances_of(pixel, seed ^ (sample << 4))
-        for axis, step in enumerate(even_steps(4)):
-            value = index * step + mi.sample_tea_float32(pixel, seed ^ (half * 8 + axis + 1))
-            random.append(value - dr.floor(value))
         within = [r - 0.5 if self.by_points else tent(r) for r in random[2:]]
         x, y = (p + r * self._step for p, r in zip(aims.middle, within, strict=True))
         pupil = self.seen((x, y), aims)

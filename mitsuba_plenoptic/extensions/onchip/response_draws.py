@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lenses.main_lens import Pair
-from ...light.random_numbers import chances_of, even_words
+from ...light.random_numbers import chances_of, even_numbers
 from ...light.walk import Walk
 from ...runtime.backend import drjit_array
 from .plane_waves import NEAR
@@ -64,11 +64,7 @@ class Tables:
     def draw(self, index: Pair, lens: Any, half: Any, number: Any, seed: Any) -> Aimed:
         """Return rays drawn for lenses of given lattice indices; the rays of the two halves are independent."""
         system = self.plans[0].system
-        words = [
-            mi.sample_tea_32(lens, seed ^ (half * 8 + axis + 1))[0] + number * step
-            for axis, step in enumerate(even_words(4))
-        ]
-        random = [mi.Float(word >> 8) * 2.0**-24 for word in words]
+        random = even_numbers(lens, seed ^ (half * 8), number, 4)
         chances = [chances_of(lens, seed ^ ((2 * number + half) << 5) ^ word) for word in (24, 25, 26)]
         pupil = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(random[0], random[1])) * float(system.lens.reach)
         centre = self.camera.lattice.centre(*index)
