@@ -46,8 +46,8 @@ class Limit(NamedTuple):
 # fmt: off
 LIMITS = (
     Limit("files", 316, None),
-    Limit("lines of the core", 66_151, 47_490, 43_659, "0.662 after the move; cameras 3,250; GPUs; fast lenses 135"),
-    Limit("lines of the package", 66_151, 74_850, 61_520, "aliases, cameras, GPUs; particles 2,440; real pixels 1,300"),
+    Limit("lines of the core", 66_151, 47_545, 43_659, "0.662 after the move; cameras 3,250; GPUs; fast lenses 190"),
+    Limit("lines of the package", 66_151, 74_865, 61_520, "aliases, cameras, GPUs; particles 2,440; real pixels 1,300"),
     Limit("statements of the package", 31_622, None),
     Limit("files above 600 lines", 0, 0, 0),
     Limit("functions", 3_878, None),
@@ -68,9 +68,9 @@ LIMITS = (
     Limit("clones of eight statements", 0, 0, 0),
     Limit("class names used twice", 5, 3),
     Limit("file names that stand twice", 24, 0, 0),
-    Limit("internal names that tests import", 313, 278, 150, "steps of methods; extensions; devices 8; real pixels 15"),
+    Limit("internal names that tests import", 313, 279, 150, "steps of methods; extensions; devices 8; real pixels 15"),
     Limit("modules of tools/bench/cases", 59, 31, 30, "particles"),
-    Limit("words of the documentation", 91_870, 79_950, 68_902, "ordinary, real 2,900; particles 2,800; accuracy 870"),
+    Limit("words of the documentation", 91_870, 80_060, 68_902, "ordinary, real 2,900; particles 2,800; accuracy 980"),
     Limit("files visited by a ray capture", 24, 20, 20),
     Limit("files visited by a wave capture", 40, 42, 30, "signed rays: nine files, each a step; warps; pixels"),
     Limit("files visited by a coherent reconstruction", 33, 30, 28, "displaced lenses, and captures straightened"),

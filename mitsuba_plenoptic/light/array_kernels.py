@@ -49,9 +49,9 @@ _HIGHER, _COARSE, _LAGS = 4, 48, 16
 """Degrees of the polynomials that are combined above the degree whose polynomials are as many as the functions; points
 across an aperture and lags on either side for which the functions are the best."""
 
-_FUNCTIONS, _OBLIQUE = (0.75, 1.2), (2.0, 1.25)
-"""Parts of images of random light that may be missing for want of functions, and of oblique kernels, over the
-tolerance: of usual cameras, and of those with steep light."""
+_FUNCTIONS, _OBLIQUE = 0.75, (2.0, 1.25)
+"""Part of images of random light that may be missing for want of functions, over the tolerance; parts for want of
+oblique kernels, of usual cameras, and of those with steep light."""
 
 _MOST_OBLIQUE = 2
 """Largest number of oblique kernels over that of functions: more are only needed for lenses faster than f/2."""
@@ -120,9 +120,7 @@ class ArrayKernels(LensWaves):
             ],
             axis=1,
         )
-        return polynomials.best(
-            self._most_functions, _FUNCTIONS[self._is_steep] * self.tolerance, (u[inside], v[inside]), images
-        )
+        return polynomials.best(self._most_functions, _FUNCTIONS * self.tolerance, (u[inside], v[inside]), images)
 
     @property
     def _is_steep(self) -> bool:

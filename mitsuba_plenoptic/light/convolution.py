@@ -42,7 +42,11 @@ class Convolution:
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
         most = max(_SQUARE - support, support)
-        rows, columns = (_even(count, most) for count in size or (self.box.rows, self.box.columns))
+        rows, columns = (
+            # Equal parts, as few as possible.
+            math.ceil(count / math.ceil(count / most))
+            for count in size or (self.box.rows, self.box.columns)
+        )
         self.tile = rows, columns
         self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
         arrays, transforms = backend().arrays, backend().transforms
@@ -167,11 +171,6 @@ def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tupl
 def _grown(box: Box, margin: int) -> Box:
     """Return a box with a margin on all sides."""
     return Box(box.left - margin, box.top - margin, box.columns + 2 * margin, box.rows + 2 * margin)
-
-
-def _even(size: int, most: int) -> int:
-    """Return the length of equal parts of a size, rounded up, for as few parts as possible of at most `most`."""
-    return math.ceil(size / math.ceil(size / most))
 
 
 @dataclass(frozen=True)

@@ -75,12 +75,15 @@ class Oblique:
     factors: NDArray[np.float64]
     # Factors of the changes of the functions' kernels in the kernel of each combination: (combinations, n, terms).
     kernels: NDArray[np.float64]
+    # Matrix from 1 and the terms, made orthonormal in light from all directions, to 1 and the terms.
+    basis: NDArray[np.float64]
 
     @classmethod
     def nothing(cls, functions: int) -> Oblique:
         """Return an empty set of combinations."""
-        empty = np.zeros((0, functions, len(_exponents(2))))
-        return cls(1.0, empty, empty)
+        count = len(_exponents(2))
+        empty = np.zeros((0, functions, count))
+        return cls(1.0, empty, empty, np.eye(1 + count))
 
     @classmethod
     def best(
@@ -104,9 +107,10 @@ class Oblique:
         """
         degree = 2 if len(images) == len(directions(2)) else 4
         change = np.einsum("kd,dnx->nkx", changes(degree), images)
-        expected = np.transpose(terms(cosines[:, 0], cosines[:, 1], degree))
+        every = _values(cosines, degree)
+        moments = every.T @ every / len(every)
         odd_terms = [(i % 2 == 1, j % 2 == 1) for i, j in _exponents(degree)]
-        both = np.einsum("nm,kl->nkml", light, expected.T @ expected / len(expected))
+        both = np.einsum("nm,kl->nkml", light, moments[1:, 1:])
         whole = float(np.einsum("nm,nx,mx->", light, images[0], images[0]))
         shape, found = change.shape[:2], []
         for parity in itertools.product((False, True), repeat=2):
@@ -128,7 +132,8 @@ class Oblique:
         rest = np.cumsum([value for value, _ in found][::-1])[::-1]
         count = min(int(np.count_nonzero(rest > tolerance**2 * whole)), most)
         used = np.array([pair for _, pair in found[:count]]).reshape(count, 2, *shape)
-        return cls(largest, used[:, 0], used[:, 1])
+        basis = np.asarray(np.linalg.cholesky(moments + _LEAST * np.diag(moments.diagonal())))
+        return cls(largest, used[:, 0], used[:, 1], basis)
 
     @property
     def count(self) -> int:
@@ -142,10 +147,20 @@ class Oblique:
         return math.isqrt(2 * self.factors.shape[2]) - 1
 
     def terms(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the terms (terms, ...) of direction cosines (2, ...); an empty array without combinations."""
+        """Return the orthonormal terms (terms, pixels), after the first, of direction cosines (2, pixels).
+
+        The array is empty without combinations.
+        """
         u, v = cosines / np.float32(self.largest)
         arrays = backend_of(u).arrays
-        return arrays.stack(terms(u, v, self.degree)) if self.count else arrays.zeros((0, *u.shape), np.float32)
+        if not self.count:
+            return arrays.zeros((0, *u.shape), np.float32)
+        return self._orthonormal(arrays, [arrays.ones_like(u), *terms(u, v, self.degree)])
+
+    def _orthonormal(self, arrays: Any, values: list[Any]) -> Any:
+        """Return the orthonormal terms, after the first, from 1 and the terms, or their derivatives from the terms'."""
+        inverse = np.linalg.inv(self.basis)[1:].astype(np.float32)
+        return arrays.asarray(inverse) @ arrays.stack(values)
 
     def slopes(self, cosines: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the derivatives (2, terms, ...) of `terms` with respect to each cosine."""
@@ -158,11 +173,11 @@ class Oblique:
         lower = dict(zip(exponents, terms(u, v, self.degree), strict=True)) | {(0, 0): arrays.ones_like(u)}
         slopes = []
         for axis in (0, 1):
-            found = []
+            found = [none]
             for powers in exponents:
                 i, j = powers[0] - (axis == 0), powers[1] - (axis == 1)
                 found.append(lower[i, j] * (scale * powers[axis]) if powers[axis] else none)
-            slopes.append(arrays.stack(found))
+            slopes.append(self._orthonormal(arrays, found))
         return arrays.stack(slopes)
 
 

@@ -73,7 +73,7 @@ _SPREADS = 2.0
 _LEAST_WINDOW, _NARROW = 3, 0.2
 """Units across the smallest window; it is one unit smaller if that width is below this fraction of a unit."""
 
-_OVERSAMPLING, _FINEST = 1.4, 64
+_OVERSAMPLING, _FINEST = 1.4, 32
 """Samples of the table over those that its highest frequency requires, and the largest number per lens."""
 
 MOST_SHIFT = 0.3
@@ -100,7 +100,7 @@ _PACKET = 4
 
 _BYTES = 2**30
 """Bytes of tables that are cached, beyond which those that a capture does not need are freed, the oldest first. A table
-takes some 35 MiB, and 200 MiB at f/2."""
+takes some 18 MiB, and 40 MiB at f/2."""
 
 _tables: dict[tuple[Any, ...], Table] = {}
 
@@ -424,7 +424,7 @@ class Table(list[NDArray[np.float32]]):
         self.packets, self.first = -(-shapes[0][-1] // _PACKET), first
         ends = np.cumsum([math.prod(shape[:-1]) for shape in shapes])
         if memory is None:
-            memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float32)
+            memory = empty_packets((int(ends[-1]) + 1, self.packets * _PACKET), np.float16)
         self.memory, whole = memory, memory[:, first * _PACKET : (first + self.packets) * _PACKET]
         own, whole[:, shapes[0][-1] :], whole[-1] = whole[:, : shapes[0][-1]], 0, 0
         super().__init__(part.reshape(shape) for part, shape in zip(np.split(own, ends)[:-1], shapes, strict=True))
@@ -461,7 +461,7 @@ class RayCoefficients:
     def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
         self.plan = plan
         self.layout, whole = plan.layout, Table.of(table)
-        self._table = drjit_array(mi.Float, whole.memory)
+        self._table = drjit_array(mi.Float16, whole.memory)
         self._packets = range(whole.first, whole.first + whole.packets)
         self._wide = whole.memory.shape[1] // _PACKET
         *first, self._nowhere = np.cumsum([0] + [math.prod(part.shape[:3]) for part in table]).tolist()
@@ -510,9 +510,9 @@ class RayCoefficients:
     def read(self, place: Any) -> list[Any]:
         """Return the coefficients at `places`."""
         values = [
-            value
+            mi.Float(value)
             for packet in self._packets
-            for value in dr.gather(mi.Vector4f, self._table, (place >> 2) * self._wide + packet)
+            for value in dr.gather(mi.Array4f16, self._table, (place >> 2) * self._wide + packet)
         ]
         return self.plan.mirrored(values, (place & 1) != 0, (place & 2) != 0)
 

@@ -26,9 +26,9 @@ from .oblique import Oblique, moved
 _TAIL = 8
 """Samples by which kernels grow when they are sharpened to undo the smoothing by which rays were collected."""
 
-_PRODUCTS = 2.0
-"""Part of images of random light, over the tolerance, that products of terms and coefficients may lack. Much less is
-missing, because terms are below 1."""
+_PRODUCTS, _ALIKE = 0.7, 0.5
+"""Part of images of random light, over the tolerance, that products of terms and coefficients may lack; correlation of
+this light between the cells of a pixel, most of which see the same part of a scene."""
 
 _TOGETHER, _ON_CUDA = 2**19, 2**25
 """Count of coefficients that are combined at a time, by a processor with caches and by a device."""
@@ -69,54 +69,56 @@ class PixelKernels:
         factors = factors.reshape(*own.shape[:2], -1)
         # Oblique kernels are for sums of products of the functions' coefficients and terms.
         at_places = np.array([moved(step, oblique.degree)[1:] for step in steps])
-        products = np.einsum("rnt,rpk,pts->sknp", oblique.factors, factors[functions:], at_places, optimize=True)
+        products = np.einsum(
+            "rnt,rpk,pts,sj->jknp", oblique.factors, factors[functions:], at_places, oblique.basis, optimize=True
+        )
         products = products.reshape(*products.shape[:2], -1)
         direct = np.moveaxis(factors[:functions], 2, 0).reshape(len(self.kernels), -1) + products[0]
         # Sums of coefficients whose products with a term matter: the principal components of their part of images.
-        light = covariance[:functions, :functions]
-        values, vectors = np.linalg.eigh(light)
-        root = np.kron(vectors * np.sqrt(np.maximum(values, 0)), np.eye(own.shape[1]))
+        alike = _ALIKE + (1 - _ALIKE) * np.eye(own.shape[1])
+        root = np.kron(_root(covariance[:functions, :functions]), _root(alike))
         found = [np.linalg.svd(factor @ root, full_matrices=False)[:2] for factor in products[1:]]
         square = np.square([each for _, each in found])
         least = np.argsort(square, axis=None)
-        whole = np.einsum("nm,npk,mpk->", light, factors[:functions], factors[:functions])
+        whole = np.square(root.T @ factors[:functions].reshape(len(root), -1)).sum()
         missing = np.cumsum(square.flat[least]) <= (_PRODUCTS * tolerance) ** 2 * whole
         self._term, component = np.divmod(np.sort(least[~missing]), square.shape[1])
         of_sums = np.array([found[k][0][:, each] for k, each in zip(self._term, component, strict=True)])
         of_sums = of_sums.reshape(-1, len(self.kernels))
         sums = np.einsum("rk,rkx->rx", of_sums, products[1 + self._term])
-        # Factors (images and sums, functions * places), and factors (images, sums) of the products.
-        self._factors = np.concatenate([direct, sums]).astype(np.float32)
+        # Factors (images and sums, places * functions), and factors (images, sums) of the products.
+        both = np.concatenate([direct, sums]).reshape(-1, functions, own.shape[1])
+        self._shape = own.shape[1], functions
+        self._factors = np.moveaxis(both, 1, 2).reshape(len(both), -1).astype(np.float32)
         self._of_sums = of_sums.T.astype(np.float32)
-        self._shape = functions, own.shape[1]
 
     def combined(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the images (n, pixels) made from coefficients (functions, places, pixels) of light of some directions.
+        """Return the images (n, pixels) made from coefficients (pixels, places, functions) of light of some directions.
 
         `terms` (terms, pixels) are the terms of the direction in which light meets the lenses.
         """
         held, count = backend_of(values).arrays.asarray, len(self.kernels)
-        both = held(self._factors) @ values.reshape(self._factors.shape[1], -1)
+        both = held(self._factors) @ values.reshape(len(values), -1).T
         images, sums = both[:count], both[count:]
         return images + held(self._of_sums) @ (terms[held(self._term)] * sums) if len(sums) else images
 
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of the images that is proportional to the terms of direction; see `combined`."""
         held = backend_of(values).arrays.asarray
-        sums = held(self._factors[len(self.kernels) :]) @ values.reshape(self._factors.shape[1], -1)
+        sums = held(self._factors[len(self.kernels) :]) @ values.reshape(len(values), -1).T
         return held(held(self._of_sums) @ (terms[held(self._term)] * sums))
 
     @single_threaded_blas()
     def adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the adjoint of `combined`, applied to images: coefficients (functions, places, pixels)."""
         both = np.concatenate([images, terms[self._term] * (self._of_sums.T @ images)])
-        return np.asarray((self._factors.T @ both).reshape(*self._shape, -1))
+        return np.moveaxis((self._factors.T @ both).reshape(*self._shape, -1), 1, 0)
 
     @single_threaded_blas()
     def turned_adjoint(self, images: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the adjoint of `turned`, applied to images: coefficients (functions, places, pixels)."""
         sums = terms[self._term] * (self._of_sums.T @ images)
-        return np.asarray((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1))
+        return np.moveaxis((self._factors[len(self.kernels) :].T @ sums).reshape(*self._shape, -1), 1, 0)
 
     def portions(self, ends: Sequence[int]) -> list[slice]:
         """Return slices of pixels, from one of the ends to the next, whose coefficients fit into caches or memory."""
@@ -128,6 +130,12 @@ class PixelKernels:
         ]
 
 
+def _root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a matrix whose product with its transpose is a covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
+
+
 def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tolerance: float) -> NDArray[np.float64]:
     """Return the fewest orthonormal patterns (n, pixels) that leave a part `tolerance` of images in random light.
 
@@ -137,10 +145,8 @@ def _patterns(kernels: NDArray[np.float64], covariance: NDArray[np.float64], tol
     even = kernels[0].sum(0).ravel()
     # Derivatives of kernels by the focal length of another kind of lenses are 0.
     first = (even / (np.linalg.norm(even) or 1.0))[None]
-    values, vectors = np.linalg.eigh(covariance)
-    root = (vectors * np.sqrt(np.maximum(values, 0))).T
     # Of all light, that which differs from cell to cell needs the most patterns.
-    random = np.tensordot(root, kernels, (1, 0)).reshape(-1, even.size)
+    random = np.tensordot(_root(covariance), kernels, (0, 0)).reshape(-1, even.size)
     whole = np.square(random).sum()
     random -= (random @ first.T) @ first
     by_rows = len(random) < even.size

@@ -81,18 +81,19 @@ def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
     return ray
 
 
-def require_finite(radiance: list[Any], *others: Any) -> None:
-    """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite."""
+def require_finite(radiance: list[Any], *others: Any, signed: bool = True) -> None:
+    """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite.
+
+    Unless radiances are `signed`, a considerable negative part, which would be mistaken for noise, is refused, too.
+    """
     finite = dr.all([dr.isfinite(light) for light in radiance], axis=0)
-    dr.eval(finite, radiance, others)
+    sound = finite if signed else finite & dr.all([light >= 0 for light in radiance], axis=0)
+    dr.eval(sound, radiance, others)
+    if dr.all(sound):
+        return
     refuse_if(not dr.all(finite), "scene: the radiance of some rays is NaN or infinite: all must be finite")
-
-
-def require_light(radiance: list[Any]) -> None:
-    """Refuse radiances with a considerable negative part, which would be mistaken for noise."""
-    if float(min(dr.min(value)[0] for value in radiance)) < 0:
-        lack = -sum(float(dr.sum(dr.minimum(value, 0))[0]) for value in radiance)
-        refuse_negative(lack, sum(float(dr.sum(dr.abs(value))[0]) for value in radiance))
+    lack = -sum(float(dr.sum(dr.minimum(value, 0))[0]) for value in radiance)
+    refuse_negative(lack, sum(float(dr.sum(dr.abs(value))[0]) for value in radiance))
 
 
 def refuse_negative(lack: float, light: float) -> None:

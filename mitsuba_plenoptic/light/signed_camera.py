@@ -34,6 +34,7 @@ from ..errors import InputError, refuse_if
 from ..lenses.main_lens import Pair
 from ..optics import rays
 from ..runtime.backend import drjit_array
+from .array_field import Array
 from .array_kernels import REACH, displaced
 from .lens_kinds import LensKinds
 from .noise import known_means
@@ -44,7 +45,7 @@ from .scene_light import require_finite
 from .scheme import Plan
 from .signed_colours import mixed
 from .signed_draws import Drawn, Kept
-from .signed_rays import Lot, NodeLight, SignedRaySum
+from .signed_rays import Lot, NodeLight, SignedRaySum, of_cells
 
 PARAMETERS = with_gradient(Captures.SCENES)
 """Camera parameters with respect to which signed-ray captures have derivatives."""
@@ -142,15 +143,16 @@ class CameraTangents(_CameraSum):
         return [[number] for number in nodes]
 
     def _bring(
-        self, lot: Lot, kept: tuple[Any, ...], lights: list[NodeLight], lit: Any, numbers: Sequence[int]
+        self, lot: Lot, met: Any, kept: tuple[Any, ...], lights: list[NodeLight], numbers: Sequence[int]
     ) -> list[list[list[Any]]]:
         """Return each cell's values for each kernel, their slopes and their changes, for each image of one node.
 
         The changes of the direction cosines of the cells' light are returned as well.
         """
         ((radiance, known, weights),), (number,) = lights, numbers
-        (first, start), (drawn, _) = self._first(lot.pixels), self._drawn_rays(lot.pixels, lot.key)
-        pixel, key = self._spread(lot.pixels.number), lot.key
+        (pixel, first, start), (drawn, _) = self._cells_of(met), self._drawn_rays(lot.pixels, lot.key)
+        known, weights = of_cells(known, pixel), of_cells(weights, pixel)
+        lens, key = dr.gather(mi.UInt32, lot.pixels.number, pixel), lot.key
         table, width = self._coefficients[number], self._by_width[number]
         assert isinstance(table, RayCoefficients)  # others are refused
         _, direction, _ = self._groups[0][0].through_pupil(drawn.pupil, drawn.place, drawn.height)
@@ -174,7 +176,7 @@ class CameraTangents(_CameraSum):
             du, dv, dx, dy, measure, density = (dr.gather(mi.Float, change, first + k) for change in changes[:6])
             means = [dr.select(ray.open, dr.select(even, pair[1], pair[0]), 0) for pair in known]
             lights = [dr.gather(mi.Float, light, first + k) for light in radiance]
-            nodes = ray.point, ray.inner, chances_of(pixel, key ^ ((start + k) << 4)), ray.open
+            nodes = ray.point, ray.inner, chances_of(lens, key ^ ((start + k) << 4)), ray.open
             values, (by_u, by_v), by_width = table(*nodes), table.slopes(*nodes), width(*nodes)
             result = []
             for row, before in zip(weights, brought[0], strict=True):
@@ -193,17 +195,16 @@ class CameraTangents(_CameraSum):
 
         # All rays of a cell and a lens have nearly the same direction.
         bent = [dr.gather(mi.Float, change, first) for change in changes[6:]]
-        return [[[*values, *bent] for values in images] for images in self._mean_of(bring, lit, numbers)]
+        return [[[*values, *bent] for values in images] for images in self._mean_of(bring, dr.width(pixel), numbers)]
 
-    def _combined(
-        self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
-    ) -> NDArray[np.float32]:
+    def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
         """Return the images made from all sets of values; see `_bring`."""
-        parts, bent = values[:-2], values[-2:]
-        *held, own = self.arrays.split(parts, self._sets)
+        parts, bent = values[..., :-2], values[..., -2:]
+        *held, own = self.arrays.split(parts, self._sets, axis=-1)
         changed = (float(self._changes[name][i]) * own for name, i in self._of_kernels)
-        images = super()._combined(kernels, self.arrays.concatenate([*held, *changed]), cosines, number)
-        turned = self.arrays.einsum("atx,ax->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
+        given = self.arrays.concatenate([*held, *changed], axis=-1)
+        images = super()._combined(kernels, given, terms, cosines, number)
+        turned = self.arrays.einsum("atx,xa->tx", self._nodes[number].plan.oblique.slopes(cosines), bent.mean(1))
         images[: len(kernels[0].kernels)] += kernels[0].turned(own, turned)
         return images
 
@@ -211,21 +212,21 @@ class CameraTangents(_CameraSum):
 class CameraAdjoint(_CameraSum):
     """Gradient of a function of a capture with respect to its camera's `PARAMETERS`."""
 
-    def backward(self, gradient: Sequence[NDArray[np.float32]]) -> Values:
+    def backward(self, gradient: Sequence[Array]) -> Values:
         """Return the gradient with respect to each parameter component, from gradients by channel (rows, columns)."""
         total = {name: np.zeros(len(value)) for name, value in parameters_of(self._camera).items()}
         for lot, felt in self._back(gradient):
             self._vjp(lot, felt, total)
         return {name: total[name] for name in self._names}
 
-    def _by_direction(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
+    def _by_direction(self, images: Array, number: int, lot: Lot, some: Any) -> list[list[Any]]:
         """Return the derivatives with respect to the direction of light of the gradients that `_felt` returns."""
         kernels, rows = self._kernels[number][lot.kind][0], self._rows(number, lot.kind)[0]
         own = images[rows, dr.gather(mi.UInt32, lot.some, some).numpy()]
         slopes = self._nodes[number].plan.oblique.slopes(self._cosines(lot, some))
         return [[drjit_array(mi.Float, part.T) for part in kernels.turned_adjoint(own, along)] for along in slopes]
 
-    def _vjp(self, lot: Lot, felt: list[list[NDArray[np.float32]]], total: Values) -> None:
+    def _vjp(self, lot: Lot, felt: list[list[Array]], total: Values) -> None:
         """Add the gradients from the rays of a `Lot` of pixels to `total`; see `_back`."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         ((walk, _),), (lanes,) = self._groups, lot.lanes
@@ -365,7 +366,7 @@ def width_slopes(plan: PhaseSpace) -> RayCoefficients:
 
 
 @functools.lru_cache(maxsize=4)
-def _width_table(plan: PhaseSpace) -> list[NDArray[np.float32]]:
+def _width_table(plan: PhaseSpace) -> list[Array]:
     """Return the table of the derivatives of coefficients with respect to the logarithm of the width."""
     distance = plan.camera.mla_distance
     sides = [

@@ -20,10 +20,12 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import scipy.ndimage
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..optics.spectrum import Responses, Spectrum
+from ..optics.waves import in_millimetres
 from ..runtime.backend import drjit_array
 from .optical_system import OpticalSystem
 from .phase_space import FINE
@@ -48,6 +50,9 @@ _DENSE = 33
 
 _SPOTS = (4.0, 4)
 """Half the width of the compared spots in diffraction widths, and samples per diffraction width."""
+
+_COARSE = 4.0
+"""Width of pixels over that of spots from which channels may share a node; others are not examined for it."""
 
 _STRATA, _STEPS = 4096, 2**14
 """Strata of equal probability from which wavelengths are drawn, and integration steps by which they are found."""
@@ -172,20 +177,35 @@ class SignedColours:
 
         The nodes of a band, or of channels with common nodes, are spaced evenly in the logarithm of the wavelength,
         without the outermost 1 % of the responses on either side; a single node is the mean wavelength. The number of
-        nodes is the smallest that gives each channel's microlens spot in uniform light to three times `accuracy`, and
-        that limits the blur between neighbouring nodes of a dispersive main lens, at the usual accuracy to one lens.
+        nodes is the smallest that gives each channel's microlens spot, as pixels record it, in uniform light to three
+        times `accuracy`, and that limits the blur between neighbouring nodes of a dispersive main lens, at the usual
+        accuracy to one lens. Where it is 1 for all channels, with pixels far wider than the spots, channels that have
+        nodes of their own elsewhere share it, too.
         """
-        wavelengths, responses = np.array(self.spectrum.wavelengths), np.abs(self.spectrum.matrix().astype(np.float64))
-        found: set[float] = set()
-        for rows in responses[:, None] if self.apart else responses[None]:
-            order = np.argsort(wavelengths, kind="stable")
-            order = order[rows[:, order].any(0)]
-            weights = rows[rows.any(1)][:, order]
-            if len(weights) and self.nodes is None:
-                found.update(_enough(camera, wavelengths[order], _even(weights), max(accuracy, _LEAST_ERROR)))
-            elif len(weights) and self.nodes is not None:
-                found.update(_divided(wavelengths[order], _even(weights), self.nodes))
-        return sorted(found)
+        responses = np.abs(self.spectrum.matrix().astype(np.float64))
+        if not self.apart:
+            return self._places_for(responses, camera, accuracy)
+        if self.nodes is None and camera.has_array:
+            wavelength = in_millimetres(max(self.spectrum.wavelengths))
+            spot = wavelength * camera.reduced_distance / camera.lattice.aperture_width
+            together = self._places_for(responses, camera, accuracy) if camera.pixel_size > _COARSE * spot else []
+            if len(together) == 1:
+                return together
+        return sorted({place for row in responses for place in self._places_for(row[None], camera, accuracy)})
+
+    def _places_for(self, rows: NDArray[np.float64], camera: PlenopticCamera, accuracy: float) -> list[float]:
+        """Return the wavelengths of common nodes for channels with given responses (channels, wavelengths)."""
+        wavelengths = np.array(self.spectrum.wavelengths)
+        order = np.argsort(wavelengths, kind="stable")
+        order = order[rows[:, order].any(0)]
+        weights = rows[rows.any(1)][:, order]
+        if not len(weights):
+            return []
+        weights = weights / weights.sum(1, keepdims=True)
+        if self.nodes is not None:
+            return _divided(wavelengths[order], weights, self.nodes)
+        given = tuple(wavelengths[order].tolist()), tuple(map(tuple, weights.tolist()))
+        return _enough(camera, *given, max(accuracy, _LEAST_ERROR))
 
     def planned(self, camera: PlenopticCamera, accuracy: float) -> list[Node]:
         """Return the nodes, with their plans."""
@@ -219,11 +239,6 @@ def _hats(wavelengths: NDArray[np.float64], places: list[float]) -> NDArray[np.f
     return np.stack([np.interp(wavelengths, places, unit) for unit in np.eye(len(places))])
 
 
-def _even(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights of each channel, normalised to a sum of 1."""
-    return np.asarray(weights / weights.sum(1, keepdims=True))
-
-
 def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], count: int) -> list[float]:
     """Return `count` nodes for normalised responses (channels, n) at rising wavelengths."""
     weight = weights.mean(0)
@@ -233,18 +248,26 @@ def _divided(wavelengths: NDArray[np.float64], weights: NDArray[np.float64], cou
     return [float(place) for place in np.geomspace(low, high, count)]
 
 
+@functools.lru_cache(maxsize=16)
 def _enough(
-    camera: PlenopticCamera, wavelengths: NDArray[np.float64], weights: NDArray[np.float64], error: float
+    camera: PlenopticCamera, at: tuple[float, ...], responses: tuple[tuple[float, ...], ...], error: float
 ) -> list[float]:
-    """Return the fewest nodes that satisfy the conditions of `SignedColours.places`."""
-    if wavelengths[0] == wavelengths[-1]:
-        return [float(wavelengths[0])]
+    """Return the fewest nodes that satisfy the conditions of `SignedColours.places`.
+
+    `at` are rising wavelengths, and `responses` the channels' normalised responses there.
+    """
+    if at[0] == at[-1]:
+        return [at[0]]
+    wavelengths, weights = np.array(at), np.array(responses)
     dense = np.geomspace(wavelengths[0], wavelengths[-1], _DENSE)
     make = scheme_of(camera).plan
     width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
     step = width * dense[0] / dense[-1] / _SPOTS[1]
-    along = np.arange(-math.ceil(_SPOTS[0] * width / step), math.ceil(_SPOTS[0] * width / step) + 1) * step
-    spots = np.stack([make(camera.at_wavelength(each), each).spots(along) for each in dense]).reshape(_DENSE, -1)
+    reach = math.ceil((_SPOTS[0] * width + camera.pixel_size / 2) / step)
+    along = np.arange(-reach, reach + 1) * step
+    spots = np.stack([make(camera.at_wavelength(each), each).spots(along) for each in dense])
+    pixel = max(1, round(camera.pixel_size / step))
+    spots = scipy.ndimage.uniform_filter(spots, (0, 0, pixel, pixel), mode="constant").reshape(_DENSE, -1)
     true = weights @ _hats(wavelengths, dense.tolist()).T @ spots
     places: list[float] = []
     for count in range(1, _MOST_NODES + 1):

@@ -31,15 +31,16 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import pixel_response
-from ..runtime.backend import backend, drjit_array, on_cuda, quotient
+from ..runtime.backend import backend, drjit_array, interleaved, on_cuda, quotient
 from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..runtime.limits import single_threaded_blas
+from .array_field import Array
 from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
 from .noise import known_means
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
-from .scene_light import require_finite, require_light
+from .scene_light import require_finite
 from .scheme import Plan, scheme_of
 from .signed_colours import DrawnWavelengths, Lanes, Node, chances, mixed, span
 from .signed_draws import Drawn, Pixels
@@ -48,10 +49,10 @@ from .walk import PupilWalk, walks_of
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
 
-_LANES = 2**21
+_LANES = 2**22
 """Approximate count of rays that are traced at once."""
 
-_RAY_BYTES = 200
+_RAY_BYTES = 100
 """Approximate bytes of a ray."""
 
 _PROBES, _CELLS = 2**10, 2**16
@@ -66,6 +67,9 @@ _THINNED = 2
 
 _LEAST = 2
 """Smallest count of rays from each pixel through each lens: two halves of them correct each other."""
+
+_MASKS = 5
+"""Count of lenses for which masks of the pixels that they light are computed at once."""
 
 
 class Lot(NamedTuple):
@@ -87,18 +91,19 @@ class Lot(NamedTuple):
 
 
 class Brought(NamedTuple):
-    """Sums over the rays of a lot."""
+    """Sums over the rays of the pixels of a lot that see light of one node."""
 
-    # For each node and image the mean values of cells, pixel by pixel.
-    values: list[list[list[Any]]]
-    # Direction cosines of the light of pixels.
+    # Indices of these pixels among all pixels, and direction cosines of their light.
+    some: Any
     cosines: Pair
+    # For each image the mean values of the pixels' cells, cell by cell.
+    values: list[Any]
 
 
 class NodeLight(NamedTuple):
     """The light of rays that a node uses."""
 
-    # Radiance values of each ray, and their known means in each cell.
+    # Radiance values of each ray, and the known means of each pixel.
     radiance: list[Any]
     means: list[Pair]
     # Weights that mix the values for each image.
@@ -161,9 +166,7 @@ class SignedRaySum:
         """Yield the images of the blocks from index `first`, which are to be convolved, after tracing their rays."""
         for number, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, number])
-            # Dr.Jit's own threads rest while others compute the batches; here they are needed.
-            with busy_drjit():
-                sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
+            sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
             images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
             if (far := self._far(bins)).any():
                 all_light = self.arrays.asarray(np.where(far, np.float32(_THINNED**2), np.float32(1)))
@@ -171,7 +174,7 @@ class SignedRaySum:
                     image *= all_light
             yield Block(bins, images, self._convolutions, self._channels)
 
-    def image(self, total: PartialSum) -> NDArray[np.float32]:
+    def image(self, total: PartialSum) -> Array:
         """Return the image, the sum of all blocks."""
         return np.ascontiguousarray(np.moveaxis(backend().to_host(total.sums), 0, -1))
 
@@ -199,7 +202,7 @@ class SignedRaySum:
         return []
 
     @cached_property
-    def _flat_kernels(self) -> list[list[NDArray[np.float32]]]:
+    def _flat_kernels(self) -> list[list[Array]]:
         """Flat list of the kernels of each node's images."""
         return [[kernel for sets in kinds for each in sets for kernel in each.kernels] for kinds in self._kernels]
 
@@ -218,57 +221,60 @@ class SignedRaySum:
         made = [make(self._camera, tuple(itertools.chain(*kinds)), size, on_cuda()) for kinds in self._kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
-    def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[NDArray[np.float32]]:
+    def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[Array]:
         """Return the images (kernels, pixels) of each channel of each node, from traced rays of the pixels of a box."""
         every = dr.width(pixels)
         counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
         # Written, as the system maps memory that is read before it is written in small pages, which takes longer.
         sums = [self.arrays.full((count, every), 0, np.float32) for count in counts]
         dr.eval(pixels)
-        before: tuple[Lot, Brought] | None = None
-        for lot in self._lots(box, pixels, seeds):
-            brought = self._collect(lot)
-            # While a lot is added to the images, other threads sum the rays of the next one.
-            if before:
-                self._add(*before, sums)
-            before = lot, brought
+        before: tuple[Lot, list[Brought | None]] | None = None
+        # Dr.Jit's own threads rest while others compute the batches; here they are needed, but for the last lot.
+        with busy_drjit():
+            for lot in self._lots(box, pixels, seeds):
+                brought = self._collect(lot)
+                # While a lot is added to the images, other threads sum the rays of the next one.
+                if before:
+                    self._add(*before, sums)
+                before = lot, brought
+            dr.sync_thread()
         if before:
             self._add(*before, sums)
         return sums
 
     @single_threaded_blas()
-    def _add(self, lot: Lot, brought: Brought, sums: list[NDArray[np.float32]]) -> None:
+    def _add(self, lot: Lot, brought: list[Brought | None], sums: list[Array]) -> None:
         """Add the light of a lot's rays to the images."""
         libraries = backend()
         arrays, held = self.arrays, libraries.from_drjit
-        images, some, shape = iter(sums), held(lot.some).astype(np.intp), (dr.width(lot.some), self._parts**2)
-        cosines = arrays.stack([held(value) for value in brought.cosines])
-        # The pixels of a lens are in order, so that each is contained once until the next lens; a device adds them all.
-        starts = [] if libraries.is_cuda else (1 + np.flatnonzero(some[1:] <= some[:-1])).tolist()
-        ends = [0, *starts, len(some)]
-        for number, node in enumerate(brought.values):
+        images = iter(sums)
+        for number, node in enumerate(brought):
+            own = [next(images) for _ in self._nodes[number].channels]
+            if node is None:
+                continue
             kernels, rows = self._kernels[number][lot.kind], self._rows(number, lot.kind)
-            for parts in node:
-                total, values = next(images)[rows[0].start : rows[-1].stop], [held(part) for part in parts]
-                values = [part.reshape(shape) for part in values]
-                for few in kernels[0].portions(ends):
-                    own = arrays.moveaxis(arrays.stack([v[few] for v in values], axis=1), 0, 2)
+            some, cosines = held(node.some).astype(np.intp), arrays.stack([held(value) for value in node.cosines])
+            # The pixels of a lens are in order, and each is contained once until the next lens; a device adds them all.
+            starts = [] if libraries.is_cuda else (1 + np.flatnonzero(some[1:] <= some[:-1])).tolist()
+            totals = [image[rows[0].start : rows[-1].stop] for image in own]
+            every = [held(values).reshape(len(some), self._parts**2, -1) for values in node.values]
+            for few in kernels[0].portions([0, *starts, len(some)]):
+                terms = self._nodes[number].plan.oblique.terms(cosines[:, few])
+                for total, values in zip(totals, every, strict=True):
+                    given = self._combined(kernels, values[few], terms, cosines[:, few], number)
                     if libraries.is_cuda:
-                        given = self._combined(kernels, own, cosines[:, few], number)
                         arrays.add.at(total, (slice(None), some[few]), given)
-                    elif own.any():
+                    else:
                         # Row by row, which takes a fraction of the time of a sum with columns of a matrix.
-                        for row, part in zip(total, self._combined(kernels, own, cosines[:, few], number), strict=True):
+                        for row, part in zip(total, given, strict=True):
                             arrays.add.at(row, some[few], part)
 
-    def _combined(
-        self, kernels: list[PixelKernels], values: NDArray[np.float32], cosines: NDArray[np.float32], number: int
-    ) -> NDArray[np.float32]:
-        """Return the images (n, pixels) from a node's values (values, places, pixels) of cells, for all sets of values.
+    def _combined(self, kernels: list[PixelKernels], values: Array, terms: Array, cosines: Array, number: int) -> Array:
+        """Return the images (n, pixels) from a node's values (pixels, places, values) of cells, for all sets of values.
 
-        `cosines` (2, pixels) are the direction cosines of the pixels' light.
+        `terms` (terms, pixels) are those of the direction cosines (2, pixels) of the pixels' light.
         """
-        terms, parts = self._nodes[number].plan.oblique.terms(cosines), self.arrays.split(values, len(kernels))
+        parts = self.arrays.split(values, len(kernels), axis=-1)
         return self.arrays.concatenate([each.combined(part, terms) for each, part in zip(kernels, parts, strict=True)])
 
     def _lots(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> Iterator[Lot]:
@@ -279,19 +285,27 @@ class SignedRaySum:
             # Near pixels, and one of each square of the others, have rays.
             shape = -(-box.rows // _THINNED), -(-box.columns // _THINNED)
             drawn = np.random.default_rng(seeds).integers(_THINNED**2, size=shape)
-            row, column = np.divmod(pixels.numpy(), np.uint32(box.columns))
+            row, column = np.ogrid[: box.rows, : box.columns]
             place = row % _THINNED * _THINNED + column % _THINNED
-            held = ~far[row, column] | (drawn[row // _THINNED, column // _THINNED] == place)
-            kept = drjit_array(mi.UInt32, held) != 0
+            held = ~far | (drawn[row // _THINNED, column // _THINNED] == place)
+            kept = drjit_array(mi.UInt32, held.ravel()[pixels.numpy()]) != 0
         found: list[list[Any]] = [[] for _ in self._draws.enlargements]
-        for number in range(len(self._draws.candidates)):
-            lens = dr.opaque(mi.UInt32, number)
-            aims = self._draws.aims(Pixels(box, pixels, lens))
-            seen = kept & self._draws.lights(aims)
-            for kind, lit in enumerate(found):
-                some = dr.compress(seen & (aims.kind == kind))
-                if dr.width(some):
-                    lit.append((some, lens + dr.zeros(mi.UInt32, dr.width(some))))
+        count = len(self._draws.candidates)
+        for first in range(0, count, _MASKS):
+            # Always as many, as other numbers would compile kernels again.
+            lenses = [dr.opaque(mi.UInt32, min(first + number, count - 1)) for number in range(_MASKS)]
+            aims = [self._draws.aims(Pixels(box, pixels, lens)) for lens in lenses]
+            seen = [kept & self._draws.lights(each) for each in aims]
+            masks = [
+                [mask & (each.kind == kind) for kind in range(len(found))]
+                for mask, each in zip(seen, aims, strict=True)
+            ]
+            dr.eval(masks)
+            for lens, kinds in zip(lenses[: count - first], masks, strict=False):
+                for lit, mask in zip(found, kinds, strict=True):
+                    some = dr.compress(mask)
+                    if dr.width(some):
+                        lit.append((some, lens + dr.zeros(mi.UInt32, dr.width(some))))
         for kind, lit in enumerate(found):
             if not lit:
                 continue
@@ -317,7 +331,7 @@ class SignedRaySum:
         )
         return np.asarray(rows[:, None] | columns)
 
-    def _back(self, gradient: Sequence[NDArray[np.float32]]) -> Iterator[tuple[Lot, list[list[NDArray[np.float32]]]]]:
+    def _back(self, gradient: Sequence[Array]) -> Iterator[tuple[Lot, list[list[Array]]]]:
         """Yield the lots of all blocks, and the gradients with respect to the images made from the lots.
 
         `gradient` is the gradient with respect to the sum, by channel (rows, columns). A gradient (kernels, pixels) is
@@ -341,7 +355,7 @@ class SignedRaySum:
             for lot in self._lots(bins, dr.arange(mi.UInt32, every), seeds):
                 yield lot, felt
 
-    def _felt(self, images: NDArray[np.float32], number: int, lot: Lot, some: Any) -> list[list[Any]]:
+    def _felt(self, images: Array, number: int, lot: Lot, some: Any) -> list[list[Any]]:
         """Return the gradients with respect to each set of the functions' values, for cells of pixels of a lot.
 
         They follow from `images`, the gradients with respect to a node's images for one channel; see `_back`.
@@ -354,11 +368,11 @@ class SignedRaySum:
             for kernels, rows in zip(self._kernels[number][lot.kind], self._rows(number, lot.kind), strict=True)
         ]
 
-    def _cosines(self, lot: Lot, some: Any) -> NDArray[np.float32]:
+    def _cosines(self, lot: Lot, some: Any) -> Array:
         """Return the direction cosines (2, pixels) of the light of pixels of a lot."""
         return np.array([value.numpy() for value in self._draws.cosines(lot.pixels.take(some))])
 
-    def probe(self) -> NDArray[np.float32]:
+    def probe(self) -> Array:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
         pixels = self._some(_PROBES // self._parts**2)
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
@@ -373,12 +387,11 @@ class SignedRaySum:
         convolved, memory = cost_of(convolutions, self._blocks[0], count)
         pixels, seconds = self._some(_CELLS // self._parts**2), []
         for seed in range(3):
-            with busy_drjit():
-                dr.sync_thread()
-                start = time.perf_counter()
-                self._trace(self._bins, pixels, np.random.SeedSequence(seed))
-                dr.sync_thread()
-                seconds.append((time.perf_counter() - start) / dr.width(pixels))
+            dr.sync_thread()
+            start = time.perf_counter()
+            self._trace(self._bins, pixels, np.random.SeedSequence(seed))
+            dr.sync_thread()
+            seconds.append((time.perf_counter() - start) / dr.width(pixels))
         tables = sum(node.plan.table.size for node in self._nodes if not node.plan.by_points)
         # The first run compiles the kernels, and is left out.
         return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
@@ -400,32 +413,33 @@ class SignedRaySum:
         dr.eval([tuple(each) for each in lanes if each])
         return lanes
 
-    def _collect(self, lot: Lot) -> Brought:
-        """Return sums over the rays of each cell of a lot, traced and scheduled for evaluation."""
-        count = dr.width(lot.some)
+    def _collect(self, lot: Lot) -> list[Brought | None]:
+        """Return each node's sums over the rays of a lot, traced and scheduled for evaluation; None without light."""
         drawn, own = self._drawn_rays(lot.pixels, lot.key)
         counted = dr.select(drawn.open, mi.Float(1), 0)
-        sums: dict[int, list[list[Any]]] = {}
+        brought: list[Brought | None] = [None for _ in self._nodes]
         for (walk, nodes), lanes in zip(self._groups, lot.lanes, strict=True):
             radiance = self._light(*self._asked(walk, drawn, own, lanes, lot.seed))
             radiance = [light * self._answer(drawn) for light in radiance]
             alike = self._alike(nodes)
             kept = [self._kept(drawn, numbers[0]) for numbers in alike]
-            require_finite(radiance, counted, kept)
             # Any function may be the light; derivatives and band-limited light may be negative.
-            if getattr(self._light, "is_radiance", False):
-                require_light(radiance)
-            known, lit = known_means(radiance, counted, count, self._together)
+            require_finite(radiance, counted, kept, signed=not getattr(self._light, "is_radiance", False))
+            known, lit = known_means(radiance, counted, dr.width(lot.some), self._together)
+            met = dr.compress(lit)
+            if not dr.width(met):
+                continue
+            some, cosines = dr.gather(mi.UInt32, lot.some, met), self._draws.cosines(lot.pixels.take(met))
             for numbers, each in zip(alike, kept, strict=True):
-                lights = []
-                for used, weights in (self._nodes[number].mixture(lanes) for number in numbers):
-                    means = [self._spread(known[i]) for i in used]
-                    weights = weights if lanes is None else self._spread(weights)
-                    lights.append(NodeLight([radiance[i] for i in used], means, weights))
-                sums |= dict(zip(numbers, self._bring(lot, each, lights, lit, numbers), strict=True))
-        cosines = self._draws.cosines(lot.pixels)
-        dr.eval(sums, cosines)
-        return Brought([sums[number] for number in range(len(self._nodes))], cosines)
+                mixtures = [self._nodes[number].mixture(lanes) for number in numbers]
+                lights = [
+                    NodeLight([radiance[i] for i in used], [known[i] for i in used], weights)
+                    for used, weights in mixtures
+                ]
+                for number, images in zip(numbers, self._bring(lot, met, each, lights, numbers), strict=True):
+                    brought[number] = Brought(some, cosines, [interleaved(parts) for parts in images])
+            dr.eval(some, cosines, [each.values for each in brought if each])
+        return brought
 
     def _alike(self, nodes: Sequence[int]) -> list[list[int]]:
         """Return nodes divided into those that have the coefficients of a ray at the same place of their tables."""
@@ -465,12 +479,13 @@ class SignedRaySum:
         return places, dr.select(drawn.open, drawn.weight, 0)
 
     def _bring(
-        self, lot: Lot, kept: tuple[Any, ...], lights: list[NodeLight], lit: Any, numbers: Sequence[int]
+        self, lot: Lot, met: Any, kept: tuple[Any, ...], lights: list[NodeLight], numbers: Sequence[int]
     ) -> list[list[list[Any]]]:
-        """Return, for each image of each of several nodes, the mean coefficients of the rays of each cell."""
+        """Return the mean coefficients of the rays of each cell of the pixels `met`, for each image of some nodes."""
         # Computed before the recorded loop, so as not to become a part of it.
-        (first, start), (places, weight) = self._first(lot.pixels), kept
-        coefficients = [self._coefficients[number] for number in numbers]
+        pixel, first, start = self._cells_of(met)
+        (places, weight), coefficients = kept, [self._coefficients[number] for number in numbers]
+        lights = [NodeLight(each.radiance, *of_cells((each.means, each.weights), pixel)) for each in lights]
 
         def bring(k: Any, brought: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
             own, even = dr.gather(mi.Float, weight, first + k), ((start + k) & 1) == 0
@@ -491,34 +506,34 @@ class SignedRaySum:
                 result.append(made)
             return k + 1, result
 
-        return self._mean_of(bring, lit, numbers)
+        return self._mean_of(bring, dr.width(pixel), numbers)
 
-    def _first(self, pixels: Pixels) -> Pair:
-        """Return the index of each cell's first ray, among the rays of all pixels and of the cell's pixel alone."""
-        places = self._parts**2
-        lane, spp = dr.arange(mi.UInt32, dr.width(pixels.index) * places), dr.opaque(mi.UInt32, self._spp)
-        return lane * spp, (lane - quotient(lane, places) * dr.opaque(mi.UInt32, places)) * spp
+    def _cells_of(self, met: Any) -> tuple[Any, Any, Any]:
+        """Return, for each cell of pixels `met`, its pixel and its first ray, among all rays and among the pixel's."""
+        places, spp, together = (dr.opaque(mi.UInt32, n) for n in (self._parts**2, self._spp, self._together))
+        lane = dr.arange(mi.UInt32, dr.width(met) * self._parts**2)
+        turn = quotient(lane, self._parts**2)
+        pixel, start = dr.gather(mi.UInt32, met, turn), (lane - turn * places) * spp
+        return pixel, pixel * together + start, start
 
-    def _spread(self, values: Any) -> Any:
-        """Return the values of pixels, or sequences of values, repeated for each of their cells."""
-        if self._parts == 1:
-            return values
-        if isinstance(values, Sequence):
-            return [self._spread(value) for value in values]
-        places = self._parts**2
-        return dr.gather(type(values), values, quotient(dr.arange(mi.UInt32, dr.width(values) * places), places))
-
-    def _mean_of(self, bring: Callable[..., Any], lit: Any, numbers: Sequence[int]) -> list[list[list[Any]]]:
-        """Return the mean values over the rays of each cell of lit pixels, in a loop, for each image of some nodes."""
+    def _mean_of(self, bring: Callable[..., Any], cells: int, numbers: Sequence[int]) -> list[list[list[Any]]]:
+        """Return the mean values over the rays of each of some cells, in a loop, for each image of some nodes."""
         nodes = [self._nodes[number] for number in numbers]
         nothing = [
-            [[mi.Float(0) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
+            [[dr.zeros(mi.Float, cells) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
             for node in nodes
         ]
-        end = dr.select(self._spread(lit), dr.opaque(mi.UInt32, self._spp), 0)
+        end = dr.opaque(mi.UInt32, self._spp)
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[part / rays for part in parts] for parts in images] for images in brought]
+
+
+def of_cells(values: Any, pixel: Any) -> Any:
+    """Return values of pixels, in nested sequences, for the pixel of each cell; single values are for all pixels."""
+    if isinstance(values, Sequence):
+        return [of_cells(value, pixel) for value in values]
+    return values if dr.width(values) == 1 else dr.gather(type(values), values, pixel)
 
 
 class _Grid(NamedTuple):

@@ -96,6 +96,13 @@ def drjit_array(kind: Any, numbers: Any) -> Any:
     return kind(numbers.reshape(-1))
 
 
+def interleaved(parts: list[Any]) -> Any:
+    """Return one Dr.Jit array with the first number of each of some arrays, then the second ones, and so on."""
+    count, numbers = dr.width(parts), dr.empty(type(parts[0]), dr.width(parts) * len(parts))
+    dr.scatter(numbers, mi.ArrayXf(parts), dr.arange(mi.UInt32, count))
+    return numbers
+
+
 def packets(array: NDArray[Any], kind: Any = None) -> NDArray[Any]:
     """Return a NumPy array, or a copy of it in another type, in memory from which kernels read whole packets.
 

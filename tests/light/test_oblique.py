@@ -163,13 +163,29 @@ def test_there_are_at_most_so_many_combinations_over_polynomials(monkeypatch):
 @pytest.mark.parametrize("degree", [2, 4])
 def test_slopes_of_terms_are_their_differences(degree):
     rng = np.random.default_rng(2)
-    oblique, step = Oblique(0.2, *rng.normal(size=(2, 2, 3, degree * (degree + 3) // 2))), 1e-3
+    count, step = degree * (degree + 3) // 2, 1e-3
+    basis = np.eye(1 + count) + np.tril(rng.uniform(-0.1, 0.1, (1 + count, 1 + count)), -1)
+    oblique = Oblique(0.2, *rng.normal(size=(2, 2, 3, count)), basis)
     assert oblique.degree == degree
     cosines = rng.uniform(-0.2, 0.2, (2, 7)).astype(np.float32)
     for found, along in zip(oblique.slopes(cosines), step * np.eye(2, dtype=np.float32), strict=True):
         before, after = (oblique.terms(cosines + side * along[:, None]) for side in (-1, 1))
         assert found == pytest.approx((after - before) / (2 * step), rel=1e-3, abs=1e-3)
     assert Oblique.nothing(3).terms(cosines).shape == Oblique.nothing(3).slopes(cosines).shape[1:] == (0, 7)
+
+
+def test_terms_are_orthonormal_in_light_of_all_directions():
+    # Fast microlenses, whose kernels change as polynomials of degree 4.
+    plan = plan_of(fast_lens(1.0), 633.0, False, 633.0)
+    assert plan.oblique.degree == 4
+    along = np.linspace(-0.5, 0.5, 9)
+    camera = plan.camera
+    x, y, Px, Py = (each.ravel() for each in np.meshgrid(0.4 * along, 0.4 * along, 5 * along, 5 * along))
+    inside = np.hypot(Px, Py) <= camera.pupil_radius
+    slopes = np.array([(x - Px)[inside], (y - Py)[inside]]) / camera.pupil_distance
+    cosines = slopes / np.sqrt(1 + np.square(slopes).sum(0))
+    found = np.vstack([np.ones(inside.sum()), plan.oblique.terms(cosines.astype(np.float32))])
+    assert found @ found.T / inside.sum() == pytest.approx(np.eye(15), abs=1e-3)
 
 
 def test_pixels_know_the_direction_of_their_light():

@@ -215,6 +215,42 @@ def test_nodes_are_as_many_as_spots_need():
     assert len(wide.places(camera.replace(glass={"index": 1.5168, "abbe": 64.2}), 0.01)) > len(fine)
 
 
+def fast_lenses():
+    """Return a camera with fast microlenses, whose pixels are eight spots wide."""
+    return PlenopticCamera(
+        focal_length=10.0, aperture_radius=10 / 3.6, mla_distance=12.0, mla_pitch=0.1, mla_focal_length=0.18,
+        detector_distance=0.18, resolution=(60, 60), detector_width=0.6,
+    )  # fmt: skip
+
+
+def test_channels_share_a_node_where_pixels_cannot_tell_their_spots():
+    mi.set_variant("llvm_ad_rgb")
+    lines = mi.load_dict({"type": "plenoptic_wave", "wavelength": "611, 549, 464"}).colours.signed(3)
+    camera = fast_lenses()
+    assert lines.places(camera, 0.01) == pytest.approx([np.mean([611, 549, 464])])
+    # Accurate captures, finer pixels, and lenses whose focus depends on the wavelength.
+    assert lines.places(camera, 0.005) == [464.0, 549.0, 611.0]
+    assert lines.places(camera.replace(resolution=(180, 180)), 0.01) == [464.0, 549.0, 611.0]
+    assert lines.places(camera.replace(mla_glass={"index": 1.6, "abbe": 25.0}), 0.01) == [464.0, 549.0, 611.0]
+
+
+@pytest.mark.slow
+def test_captures_at_a_common_node_are_those_of_each_line():
+    mi.set_variant("llvm_ad_rgb")
+    values = mi.Bitmap(np.random.default_rng(0).random((12, 12, 1)).astype(np.float32))
+    radiance = {"type": "bitmap", "bitmap": values, "filter_type": "bilinear", "raw": True}
+    black = {"type": "diffuse", "reflectance": 0.0}
+    wall = facing(58.0, 3.0, emitter={"type": "area", "radiance": radiance}, bsdf=black)
+    film = fast_lenses().to_sensor()
+    film["film"]["pixel_format"] = "rgb"
+    scene = scene_of(film, wall=wall)
+    common, own = (
+        by_waves(scene, 1024, wavelength="611, 549, 464", **given).image for given in ({}, {"accuracy": 0.005})
+    )
+    for channel in range(3):
+        assert 0 < relative(common[..., channel], own[..., channel]) < 0.01
+
+
 def test_colours_that_have_no_spectrum_are_refused(tmp_path):
     mi.set_variant("llvm_ad_rgb")
     table = tmp_path / "silicon.csv"

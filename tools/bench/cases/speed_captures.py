@@ -432,7 +432,7 @@ def accuracy(
                 every = phase_space.PhaseSpace(camera, WAVELENGTH).parts(False)
             # Of a finer plan, without tolerance for missing functions.
             with (
-                mock.patch.object(array_kernels, "_FUNCTIONS", (0.0, 0.0)),
+                mock.patch.object(array_kernels, "_FUNCTIONS", 0.0),
                 mock.patch.object(phase_space.PhaseSpace, "parts", lambda *_, every=every: every),
             ):
                 _forget_plans()
