@@ -256,12 +256,9 @@ class PhaseSpace(ArrayKernels):
         return [(node.angular + 1, *reversed(node.counts), self.functions.count) for node in self.nodes]
 
     @single_threaded_blas()
-    def tabulated(self, table: Table | None = None) -> Table:
-        """Return the table of coefficients, computed anew, in given memory or in memory of its own.
-
-        `table` caches it.
-        """
-        table = Table(self.shapes) if table is None else table
+    def tabulated(self, table: Table | None = None) -> Sequence[NDArray[Any]]:
+        """Return the arrays of the table of coefficients, computed anew in single precision, or in a given table."""
+        arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
         radius, reach = self.camera.pupil_radius, in_millimetres(self.wavelength) * self.camera.pupil_distance
         u, v, inside = self.aperture_grid(SPECTRUM_SAMPLES)
         used = np.ix_(*(np.flatnonzero(inside.any(axis)) for axis in (1, 0)))
@@ -270,7 +267,7 @@ class PhaseSpace(ArrayKernels):
         values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (u[0, 1] - u[0, 0]) ** 2
 
         def fill(radial: int) -> None:
-            node, part = self.nodes[radial], table[radial]
+            node, part = self.nodes[radial], arrays[radial]
             # Fourier coefficients over the window, for the frequencies that pass the pupil.
             gains, orders, lags = [], [], []
             for side, count, along, halved in zip(node.sides, node.counts, (u[0], v[:, 0]), (0, 1), strict=True):
@@ -294,7 +291,7 @@ class PhaseSpace(ArrayKernels):
                 part[angle] = scipy.fft.irfft2(whole, size, workers=1).T
 
         on_all_cores(fill, range(len(self.nodes)))
-        return table
+        return arrays
 
     def _overlap(
         self,
@@ -386,7 +383,8 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
             if sum(table.size for table in (*tables, *_tables.values())) > _BYTES:
                 del _tables[key]
         for (key, plan), table in zip(some, tables, strict=True):
-            _tables[key] = plan.tabulated(table)
+            plan.tabulated(table)
+            _tables[key] = table
 
 
 class TableNodes:
@@ -408,8 +406,8 @@ class TableNodes:
         return mi.UInt(dr.floor(turn + chance))
 
 
-class Table(list[NDArray[np.float32]]):
-    """Coefficient arrays of a table's nodes, one after another in `memory` (places, numbers), in whole packets.
+class Table(list[NDArray[Any]]):
+    """Coefficient arrays of a table's nodes, of 16 bits, one after another in `memory` (places, numbers), in packets.
 
     Zeros follow the arrays, for rays outside all nodes. Other tables may fill other columns of the memory.
     """
@@ -418,7 +416,7 @@ class Table(list[NDArray[np.float32]]):
         self,
         shapes: Sequence[tuple[int, ...]],
         # Memory, and the table's first packet in each row; by default, memory for this table alone.
-        memory: NDArray[np.float32] | None = None,
+        memory: NDArray[Any] | None = None,
         first: int = 0,
     ) -> None:
         self.packets, self.first = -(-shapes[0][-1] // _PACKET), first
@@ -445,7 +443,7 @@ class Table(list[NDArray[np.float32]]):
         return sum(part.nbytes for part in self)
 
     @classmethod
-    def of(cls, arrays: Sequence[NDArray[np.float32]]) -> Table:
+    def of(cls, arrays: Sequence[NDArray[Any]]) -> Table:
         """Return arrays as a table; a table is returned without a copy, as it fills much memory."""
         if isinstance(arrays, cls):
             return arrays
@@ -458,7 +456,7 @@ class Table(list[NDArray[np.float32]]):
 class RayCoefficients:
     """The table of a `PhaseSpace`, or another table of the same layout, on the device of the active variant."""
 
-    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[np.float32]]) -> None:
+    def __init__(self, plan: PhaseSpace, table: Sequence[NDArray[Any]]) -> None:
         self.plan = plan
         self.layout, whole = plan.layout, Table.of(table)
         self._table = drjit_array(mi.Float16, whole.memory)
