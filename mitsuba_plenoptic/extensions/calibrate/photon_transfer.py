@@ -141,7 +141,7 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     mean_light = bright.mean(0) - level
     ring = np.ones((3, 3), bool)
     ring[1, 1] = False
-    around = ndimage.minimum_filter(mean_light, footprint=ring, mode="nearest")
+    around = ndimage.minimum_filter(mean_light, footprint=ring, mode="mirror")
     dead = (mean_light < _DEAD * around) & (around > _HOT * noise)
     saturated = (bright >= top).any(0)
     bad = hot | dead | saturated
