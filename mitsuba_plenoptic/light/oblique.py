@@ -38,7 +38,7 @@ _INNER = 0.55
 """Radius of the inner ring of directions, in largest direction cosines, from which terms of degree 4 are found."""
 
 
-def terms(u: Any, v: Any, degree: int = 2) -> list[Any]:
+def terms(u: Any, v: Any, degree: int) -> list[Any]:
     """Return the terms in which kernels change with direction cosines, relative to the largest cosines."""
     powers: list[list[Any]] = [[1.0, each] for each in (u, v)]
     for own in powers:
@@ -158,7 +158,7 @@ class Oblique:
         return self._orthonormal(arrays, [arrays.ones_like(u), *terms(u, v, self.degree)])
 
     def _orthonormal(self, arrays: Any, values: list[Any]) -> Any:
-        """Return the orthonormal terms, after the first, from 1 and the terms, or their derivatives from the terms'."""
+        """Return the orthonormal terms after the first, or their slopes, from 1 and the terms, or from their slopes."""
         inverse = np.linalg.inv(self.basis)[1:].astype(np.float32)
         return arrays.asarray(inverse) @ arrays.stack(values)
 
@@ -187,7 +187,7 @@ def changes(degree: int) -> NDArray[np.float64]:
     return np.column_stack([-some.sum(1), some])
 
 
-def moved(step: NDArray[np.float64], degree: int = 2) -> NDArray[np.float64]:
+def moved(step: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """Return the matrix from (1, terms) of direction cosines to (1, terms) of cosines a step (2,) further."""
     every = directions(degree)
     return np.asarray(np.linalg.lstsq(_values(every, degree), _values(every + step, degree), rcond=None)[0].T)

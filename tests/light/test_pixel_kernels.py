@@ -42,7 +42,7 @@ def test_images_of_pixels_are_the_sums_of_those_of_their_cells():
     for pixel in range(PIXELS):
         exact = np.zeros(2 * [PARTS * (2 * reach + 1)])
         for place, (row, column) in enumerate(np.ndindex(PARTS, PARTS)):
-            bent = np.array(terms(*(cosines[:, pixel] / LARGEST + steps[place])))
+            bent = np.array(terms(*(cosines[:, pixel] / LARGEST + steps[place]), 2))
             own = values[pixel, place]
             parts = np.concatenate([own, oblique.factors @ bent @ own])
             top, left = (PARTS * reach + index - HALF for index in (row, column))
@@ -76,5 +76,5 @@ def test_few_patterns_keep_the_light():
 
 def test_terms_of_a_step_aside_are_combinations_of_terms():
     cosines, step = np.array([0.3, -0.5]), np.array([0.1, 0.2])
-    before, after = (np.array([1, *terms(*place)]) for place in (cosines, cosines + step))
-    assert moved(step) @ before == pytest.approx(after)
+    before, after = (np.array([1, *terms(*place, 2)]) for place in (cosines, cosines + step))
+    assert moved(step, 2) @ before == pytest.approx(after)
