@@ -106,8 +106,8 @@ class TelecentricLens(UniformLens):
         return self.pupil_distance
 
     def pupil_point(self, position: Any, slope: Any, height: Any = 0.0) -> Any:
-        """Return one coordinate on the stop, which depends only on the slope."""
-        return self.pupil_distance * slope
+        """Return one coordinate on the stop: of the slope alone or, in the stop's image, of the position alone."""
+        return self.stop_scale * position if self.objective.images_stop else self.pupil_distance * slope
 
     def slope_to(self, pupil: Any, position: Any, height: Any = 0.0) -> Any:
         """Return the slope of light from a point of the stop, the same at all positions."""

@@ -155,19 +155,16 @@ class ThinLens(UniformLens, FinitePupil):
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Return the ray from a position on the MLA to the scene."""
         Px, Py = (rays.pupil_point(m, t, self.pupil_distance) for m, t in zip(position, slope, strict=True))
-        if self.model == "ideal":
-            behind = self.refract(slope, (Px, Py))
-        else:
-            behind = rays.cosines_to_slopes(*self.refract(rays.slopes_to_cosines(*slope), (Px, Py)))
-        return (Px, Py, 0.0), behind, Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
+        return (Px, Py, 0.0), self.refract(slope, (Px, Py)), Px * Px + Py * Py <= self.pupil_radius * self.pupil_radius
 
-    def refract(self, direction: Pair, pupil: Pair) -> Pair:
-        """Return a ray's direction before the lens, as slopes or cosines, from its direction between lens and MLA."""
-        tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(direction, pupil, strict=True))
+    def refract(self, slope: Pair, pupil: Pair) -> Pair:
+        """Return a ray's slopes before the lens from its slopes between lens and MLA."""
+        turned = slope if self.model == "ideal" else rays.slopes_to_cosines(*slope)
+        tx, ty = (rays.main_lens_slope(t, P, self.focal_length) for t, P in zip(turned, pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
             tx, ty = tx + sx, ty + sy
-        return tx, ty
+        return (tx, ty) if self.model == "ideal" else rays.cosines_to_slopes(tx, ty)
 
     def convergence(self, distance: Any) -> Any:
         """Return `vergence`, as a thin lens is its own pupil."""
@@ -209,6 +206,9 @@ class ThinLens(UniformLens, FinitePupil):
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         b, f1, g = self.pupil_distance, self.focal_length, point[2]
+        if self.model != "ideal":
+            slopes = rays.cosines_to_slopes(*self.cosines(pupil, point))
+            return pupil[0] + b * slopes[0], pupil[1] + b * slopes[1]
         x, y = (rays.mla_point(X, P, g, b, f1) for X, P in zip(point[:2], pupil, strict=True))
         if not self.is_round:
             sx, sy = self._wavefront.slope(*pupil)
@@ -311,6 +311,10 @@ def _signed(length: Any, g: Any) -> Any:
     return dr.copysign(length, g) if dr.is_array_v(length) else np.copysign(length, g)
 
 
+_STEPS = 12
+"""Iterations that find the position on the MLA from the undistorted one."""
+
+
 @dataclass(frozen=True)
 class DistortedLens(ThinLens):
     """A thin lens with distortion, whose rays continue as if from another MLA point; for the ray model only.
@@ -328,6 +332,27 @@ class DistortedLens(ThinLens):
         source = undistort(*position, self.distortion)
         moved = (t + (m - u) / self.pupil_distance for t, m, u in zip(slope, position, source, strict=True))
         return super().trace(source, (next(moved), next(moved)))
+
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
+        """Return the ray from a position on the MLA through a pupil point, without a test of the pupil's edge."""
+        return super().ray(pupil, undistort(*position, self.distortion))
+
+    def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
+        return np.stack(self._distort(super().images(points).T), -1)
+
+    def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
+        """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
+        return self._distort(super().land(pupil, point))
+
+    def _distort(self, image: Any) -> Pair:
+        """Return the positions on the MLA of which `undistort` makes given ones."""
+        (x, y), (u, v) = image, image
+        # Each step multiplies the error by the derivative of the displacement, some per cent.
+        for _ in range(_STEPS):
+            moved = undistort(x, y, self.distortion)
+            x, y = x + u - moved[0], y + v - moved[1]
+        return x, y
 
 
 @builds(type(None))

@@ -46,7 +46,7 @@ from .methods import (
 )
 from .radiance import as_reference
 from .results import Reconstruction
-from .straight import displaced_image, straightened, straightened_image
+from .straight import displaced_image, passed_light, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
 
@@ -242,6 +242,7 @@ def reconstruct(
             wavelengths=wavelengths,
             white=reference,
             progress=report,
+            passed=passed_light(tilted),
             recorded=recorded_at,
             exposure=capture.metadata.get("exposure"),
             checkpoint=used["checkpoint"],

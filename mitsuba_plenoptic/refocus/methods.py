@@ -5,9 +5,11 @@ Each method is a module that registers one function of a `Task`.
 
 from __future__ import annotations
 
+import functools
+import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -34,6 +36,29 @@ from ..refocus_options import OPTIONS
 from ..runtime.batches import BatchMap
 from ..runtime.limits import require_memory_for
 
+_MOST_RESULTS = 32
+"""Results of a camera that are remembered by each function."""
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
+
+
+def once_a_camera(function: _F) -> _F:
+    """Cache a function's result for a camera for the lifetime of the camera; a decorator."""
+
+    @functools.wraps(function)
+    def known(camera: PlenopticCamera, *given: Any) -> Any:
+        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
+        if given not in own:
+            if len(own) == _MOST_RESULTS:
+                del own[next(iter(own))]
+            own[given] = function(camera, *given)
+        return own[given]
+
+    return cast(_F, known)
+
+
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
 
@@ -58,6 +83,8 @@ class Task:
         Capture of a scene of uniform radiance 1 by the same camera.
     progress : callable
         Called with the fraction of the work that is done.
+    passed : (rows, columns) float32 array, optional
+        Part of a white scene's light that the capture's pixels hold; None if they hold all.
     recorded : sequence of floats, optional
         Wavelengths of the channels in nanometres at which a wave capture was recorded; None for a ray capture.
     exposure : dict, optional
@@ -77,6 +104,7 @@ class Task:
     wavelengths: Sequence[float]
     white: np.ndarray | None
     progress: Progress
+    passed: np.ndarray | None = None
     recorded: Sequence[float] | None = None
     exposure: dict[str, Any] | None = None
     checkpoint: Checkpoint | None = None

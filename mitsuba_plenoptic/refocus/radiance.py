@@ -11,12 +11,10 @@ receive their light; the image is corrected for their displacements.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
-import weakref
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, TypeVar, cast
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -43,33 +41,10 @@ from .lens_by_lens import (
     pupil_fields,
     tile_lenses,
 )
-from .methods import Progress, Task, portion
+from .methods import Progress, Task, once_a_camera, portion
 from .ray_sums import ray_sums
 from .splatting import thin_places
-from .straight import straightened_image
-
-_MOST_RESULTS = 32
-"""Results of a camera that are remembered by each function."""
-
-_F = TypeVar("_F", bound=Callable[..., Any])
-
-_results: weakref.WeakKeyDictionary[PlenopticCamera, dict[str, dict[Any, Any]]] = weakref.WeakKeyDictionary()
-
-
-def once_a_camera(function: _F) -> _F:
-    """Cache a function's result for a camera for the lifetime of the camera; a decorator."""
-
-    @functools.wraps(function)
-    def known(camera: PlenopticCamera, *given: Any) -> Any:
-        own = _results.setdefault(camera, {}).setdefault(function.__name__, {})
-        if given not in own:
-            if len(own) == _MOST_RESULTS:
-                del own[next(iter(own))]
-            own[given] = function(camera, *given)
-        return own[given]
-
-    return cast(_F, known)
-
+from .straight import passed_light, straightened_image
 
 _LEAST_REACHED = 0.01
 
@@ -101,7 +76,9 @@ def as_reference(white: Capture | np.ndarray, capture: Capture, tilted: Plenopti
             "it must be of the same wavelengths",
         )
     pixels = straightened_image(pixels, tilted)
-    scaled = recorded_white(pixels, pixels.shape, [capture.camera], white_pixels(capture.camera))
+    expected, passed = white_pixels(capture.camera), passed_light(tilted)
+    expected = expected if passed is None else expected * passed
+    scaled = recorded_white(pixels, pixels.shape, [capture.camera], expected)
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
 
@@ -237,6 +214,19 @@ _MOST_RAY_BINS = 2**26
 
 
 white_pixels = once_a_camera(white_image)
+
+
+def plane_white(
+    task: Task, distance: float, radius: float, footprint: str, wavelength: float | None = None, relay: bool = True
+) -> np.ndarray:
+    """Return the `white_sums` of a task's camera, less the light that pixels have lost."""
+    given = task.camera, distance, radius, footprint, task.oversample
+    white = white_sums(*given) if wavelength is None else white_sums(*given, wavelength, relay)
+    if task.passed is None:
+        return white
+    even = white_sums(*given)
+    left = ray_sums((white_pixels(task.camera) * task.passed)[..., None], *given)[..., 0]
+    return white * (left / np.where(even > 0, even, 1))
 
 
 @once_a_camera

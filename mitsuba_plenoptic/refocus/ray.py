@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .methods import Task, method
-from .radiance import captures, to_radiance, white_sums
+from .radiance import captures, plane_white, to_radiance
 from .ray_sums import pupil_radius, ray_sums
 
 
@@ -29,7 +29,7 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
         Radiance.
     """
     radius = pupil_radius(task.camera)
-    reach = [white_sums(task.camera, g, radius, footprint, task.oversample) for g in task.distances]
+    reach = [plane_white(task, g, radius, footprint) for g in task.distances]
     sums: list[list[np.ndarray]] = []
     for image, distances, progress in captures(task):
         sums.append([])

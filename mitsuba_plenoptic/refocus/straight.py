@@ -15,7 +15,8 @@ Both rays through P come from the same point of the object for P on the axis. Fo
 on the array, a defocus that remains.
 
 Where vignetting or single lenses are darker than an even pupil and equal lenses, the capture is divided by the white
-image and multiplied by that of the even camera. Light that vignetting keeps out altogether stays missing.
+image and multiplied by that of the even camera. Light that vignetting keeps out altogether stays missing;
+`passed_light` tells methods how much remains of a white scene's light.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from ..lattice import Displacement
 from ..lattice.lens_shifts import WARP_POWERS
 from ..light.lens_kinds import regular_array
 from ..views.white_image import white_image
+from .methods import once_a_camera
 
 _BLOCK = 2**20
 """Pixels that are looked up together."""
@@ -77,7 +79,13 @@ def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> N
     if regular is camera:
         return image
     if is_uneven(camera):
-        image = image * _brightened(camera)[..., None]
+        image = image * evening(camera)[0][..., None]
+    return _moved(image, camera)
+
+
+def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
+    """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
+    regular = straightened(camera)
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
     found = np.empty_like(image)
@@ -92,13 +100,28 @@ def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> N
     return found.clip(image.min(), None)
 
 
-def _brightened(camera: PlenopticCamera) -> NDArray[np.float32]:
-    """Return the factors of pixels (rows, columns) that make white captures of a camera those of the even one."""
+@once_a_camera
+def evening(camera: PlenopticCamera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return factors of pixels that make white captures of a camera those of the even one, and the light they restore.
+
+    The light, over that of the even camera, is 1 but where vignetting leaves hardly any.
+    """
     # A blur changes the images' rims alike.
     sharp = camera.replace(detector_blur=0.0)
     white, even = white_image(sharp), white_image(sharp.replace(**_EVEN))
     known = (white > 0) & (white > _DARKEST * even)
-    return np.where(known, even / np.where(known, white, 1), 1).astype(np.float32)
+    missing = ~known & (even > 0)
+    return (
+        np.where(known, even / np.where(known, white, 1), 1).astype(np.float32),
+        np.where(missing, white / np.where(missing, even, 1), 1).astype(np.float32),
+    )
+
+
+def passed_light(camera: PlenopticCamera) -> NDArray[np.float32] | None:
+    """Return the part of a white scene's light that pixels of a `straightened_image` hold; None if they hold all."""
+    if straightened(camera) is camera or not is_uneven(camera) or (passed := evening(camera)[1]).min() == 1:
+        return None
+    return _moved(passed[..., None], camera)[..., 0]
 
 
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:

@@ -89,7 +89,7 @@ from .planning import (
     plan,
     require_feasible,
 )
-from .radiance import captures, lens_scale, over_lenses, to_radiance, white_sums
+from .radiance import captures, lens_scale, over_lenses, plane_white, to_radiance
 
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
@@ -126,12 +126,10 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
     white = [
-        np.stack(
-            [white_sums(camera, g, camera.lit_radius, "lens", oversample, w, relay) for w in task.wavelengths], axis=-1
-        )
+        np.stack([plane_white(task, g, camera.lit_radius, "lens", w, relay) for w in task.wavelengths], axis=-1)
         for g in (task.distances if task.white is None else ())
     ]
-    reach = [white_sums(camera, g, camera.lit_radius, "lens", oversample) for g in task.distances]
+    reach = [plane_white(task, g, camera.lit_radius, "lens") for g in task.distances]
     return to_radiance(task, sums, white, reach)
 
 

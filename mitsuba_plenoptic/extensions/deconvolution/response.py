@@ -21,7 +21,6 @@ from ...design import resolution_limit
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
-from ...optics.rays import cosines_to_slopes
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
 from ...points.patch_factors import Fields, chunks_of
@@ -171,11 +170,7 @@ def _trace(batch: RayBatch) -> Part:
     pupil = radius * np.cos(angle), radius * np.sin(angle)
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
-    if camera.lens_model == "ideal":
-        m = light.land(pupil, point)
-    else:
-        slopes = cosines_to_slopes(*light.cosines(pupil, point))
-        m = tuple(P + b * t for P, t in zip(pupil, slopes, strict=True))
+    m = light.land(pupil, point)
     centre, f2 = walk.lens_at(*camera.lattice.cell(*m))
     passes = camera.lattice.in_aperture(m[0] - centre[0], m[1] - centre[1])
     landed, _ = walk.onto_detector(pupil, Passage((m[0], m[1]), centre, f2))
