@@ -255,6 +255,14 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
         path = tmp_path / "site" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
+    record = tmp_path / "site" / "dust" / "__init__.py"
+    record.write_text(record.read_text().replace("Extension(\n", "Extension(methods={'raw': 'raw'},\n"))
+    (tmp_path / "site" / "dust" / "raw.py").write_text(
+        "from mitsuba_plenoptic.refocus.methods import method\n"
+        "@method('raw', waves=False)\n"
+        "def refocus(task):\n"
+        "    return [task.image[: task.camera.bin_count[1], : task.camera.bin_count[0]] for _ in task.distances]\n"
+    )
     info = tmp_path / "site" / "dust-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: dust\nVersion: 1.0\n")
@@ -274,6 +282,8 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     )
     np.testing.assert_allclose(dusty, 0.75 * clear, rtol=1e-5)
     assert main(["dust", "0.25"]) == 0
+    assert main(["example", "letters-ray", "-o", "raw.exr"]) == 0
+    assert main(["reconstruct", "raw.exr", "--method", "raw", "--distance", "240", "-o", "out.exr"]) == 0
     """
     made = python(code, PYTHONPATH=os.pathsep.join([str(tmp_path / "site"), str(PACKAGE.parent)]))
     assert made.returncode == 0, made.stderr

@@ -35,7 +35,7 @@ from .inputs import (
     require_in_sight,
     require_linear,
 )
-from .judging import COUNTED, WAVELENGTH, ends_in, one_of
+from .judging import COUNTED, METHOD, WAVELENGTH, ends_in
 from .stopping import Resume, checkpoint_of, stopped_by_hand
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def reconstruct(
             "subset of lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, "
             "deconvolved finds the plane whose capture it is.",
         ),
-        one_of(METHODS),
+        METHOD,
     ] = "ray",
     wavelength: Annotated[
         float | None,
@@ -322,7 +322,7 @@ def _write_volume(path: Path | None, overview: Path | None, results: list[Recons
 
 def _described(facts: dict[str, Any]) -> str:
     """Return the facts of a deconvolution in words: iterations, how it ended, residual."""
-    if not facts:
+    if "iterations" not in facts:
         return ""
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
     near = "; in focus, where finer bins add little" if facts["in_focus"] else ""

@@ -12,7 +12,8 @@ from typing import Any, Unpack, overload
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal, require_no_shape
+from ..camera.entry import Captures
+from ..camera.plenoptic_camera import require_known_to, require_no_shape
 from ..errors import (
     InputError,
     argument,
@@ -205,7 +206,8 @@ def reconstruct(
     distances = require_distances(distance, camera)
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        require_ideal(camera, besides=("mla_jitter",))
+        doing = f"method {method} refocuses captures"
+        require_known_to(camera, Captures.POINTS, doing, "use method ray, or ", ("mla_jitter",))
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:

@@ -142,7 +142,7 @@ def test_refusals():
     ):
         with pytest.raises(InputError, match=message):
             PlenopticCamera(**given)
-    with pytest.raises(InputError, match=r"pupil_apodisation = .*: waves of points .* leave it out"):
+    with pytest.raises(InputError, match=r"pupil_apodisation = .*: method coherent .*use method ray"):
         reconstruct(Capture(np.ones(CAMERA.shape, np.float32), CAMERA, 633.0), distance=240, method="coherent")
     points = CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
     with pytest.raises(InputError, match=r"pupil_apodisation"):

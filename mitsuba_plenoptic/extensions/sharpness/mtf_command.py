@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...cli.inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
-from ...cli.judging import RECORDING, one_of
+from ...cli.judging import METHOD, RECORDING
 from ...errors import naming, refuse_if
 from ...refocus_options import METHODS
 
@@ -30,7 +30,7 @@ def mtf(
     method: Annotated[
         str | None,
         typer.Option(metavar="|".join(METHODS), show_default="ray", help="Of a capture: how it is refocused."),
-        one_of(METHODS),
+        METHOD,
     ] = None,
     oversample: Annotated[int | None, numeric("Of a capture: bins per microlens along each axis.", "1")] = None,
     region: Annotated[

@@ -23,7 +23,7 @@ from ...cli.inputs import (
     output_option,
     parse_definitions,
 )
-from ...cli.judging import ends_in, one_of
+from ...cli.judging import METHOD, ends_in
 from ...cli.stages import stage_lines
 from ...cli.stopping import Resume
 from ...errors import refuse_if
@@ -51,7 +51,7 @@ def sweep(
     method: Annotated[
         str | None,
         typer.Option(metavar="|".join(METHODS), show_default="ray", help="How captures are refocused."),
-        one_of(METHODS),
+        METHOD,
     ] = None,
     spp: Samples = None,
     seed: Seed = 0,
