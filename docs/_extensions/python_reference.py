@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import pkgutil
 import re
 from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+from mitsuba_plenoptic.errors import InputError
 
 DOCS = Path(__file__).resolve().parents[1]
 
@@ -84,11 +87,20 @@ def _linked(found: re.Match[str]) -> str:
 def _resolve(app: Any, env: Any, node: Any, content: Any) -> Any:
     """Find what a docstring calls by a short name, if only one thing of the reference ends in it."""
     from docutils import nodes
+    from sphinx.util import logging
     from sphinx.util.nodes import make_refnode
 
     if node.get("refdomain") != "py" or node.get("reftype") not in ("obj", "class", "exc"):
         return None
     target = node["reftarget"]
+    if target.startswith("mitsuba_plenoptic."):
+        try:
+            pkgutil.resolve_name(target)
+        except (ImportError, AttributeError) as error:
+            logging.getLogger(__name__).warning("%s: it does not exist: %s", target, error, location=node)
+        except InputError:
+            # A module whose extra is not installed.
+            pass
     if target in ELSEWHERE:
         return nodes.reference("", "", content, refuri=ELSEWHERE[target], internal=False)
     domain = env.get_domain("py")

@@ -471,8 +471,8 @@ class CoreParameters:
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
-            "and its correlation length in millimetres along the array; see `mitsuba_plenoptic.light.figure_error`. "
-            "For rays, and for waves of points by method ``full_field``."
+            "and its correlation length in millimetres along the array; see "
+            "`mitsuba_plenoptic.light.lens_kinds.FigureError`. For rays, and for waves of points by method ``full_field``."
         ),
         form=Form.PLACE,
         of_array=True,
