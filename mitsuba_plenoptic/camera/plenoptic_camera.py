@@ -247,7 +247,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
         __init__.__signature__ = signature()
         __init__ = suggest_keywords(__init__, absent=partial(missing, "parameters"))
-        __doc__ = __doc__.replace("    TABLE\n", numpy_section())
+        # Python without docstrings has none.
+        __doc__ = (__doc__ or "").replace("    TABLE\n", numpy_section())
 
     @classmethod
     def preset(cls, name: str) -> PlenopticCamera:

@@ -210,6 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     passes through with its traceback.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    # Figures are written to files: no display is needed, and a notebook's is not there.
+    os.environ["MPLBACKEND"] = "agg"
     if words and (absent := missing("commands", words[0])):
         return _fail(absent)
     called = _called(words)

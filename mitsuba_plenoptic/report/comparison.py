@@ -22,6 +22,7 @@ from .framing import (
     scale_bar,
     show,
     show_difference,
+    styled,
 )
 from .images import Brightness
 from .metrics import (
@@ -238,6 +239,7 @@ _ACROSS = 4
 """Panels of a row: with more, text could not be read where the figure is shown as wide as a page."""
 
 
+@styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw every method at every distance next to the thin lens, with a note under each, in rows of four."""
     names = ["truth", *(method.name for method in METHODS)]
@@ -260,6 +262,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     figure.save_both(path)
 
 
+@styled
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
     """Draw micro-images by rays, by waves, and their difference."""
     ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
@@ -280,6 +283,7 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
     figure.save_both(path)
 
 
+@styled
 def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw the difference of coherent methods from the limit in which no two lenses interfere."""
     window = lit_window(list(experiment.truths.values()))

@@ -22,7 +22,7 @@ from ..errors import refuse_if
 from ..io.pictures import linear_of
 from ..refocus import Reconstruction
 from ..views.coordinates import camera_of
-from .framing import IN_FOCUS, Canvas, scale_bar
+from .framing import IN_FOCUS, Canvas, scale_bar, styled
 from .images import Brightness, srgb, to_bytes
 
 __all__ = ["contact_sheet", "depth_figure", "epipolar_figure", "stack_figure", "views_figure"]
@@ -152,6 +152,7 @@ def views_figure(lf: xr.DataArray, white: float | None = None) -> Canvas:
     return _sheet(rows, down, white, f"bar: length {IN_FOCUS}, in all views")
 
 
+@styled
 def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
     """Return a figure of an epipolar image: position on the pupil over position in the plane in focus.
 
@@ -186,6 +187,7 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Canvas:
     return canvas
 
 
+@styled
 def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     """Return a figure of a depth map: the image in focus everywhere, the depth and its confidence.
 
@@ -231,6 +233,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     return canvas
 
 
+@styled
 def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Canvas:
     """Return a figure of panels of equal size and scale, with labels on the left and bars below."""
     images = [panel.image for row in rows for panel in row if panel.image.size]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,11 +15,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
+from matplotlib.style.core import STYLE_BLACKLIST
 
 from ..camera import PlenopticCamera
 from ..runtime.files import atomic_output
 from .experiment import Experiment
-from .images import to_bytes
+from .images import data_url, to_bytes
 
 _LENSES = 8
 """Microlenses across a close-up."""
@@ -104,6 +106,13 @@ FAINT = "#667080"
 ACCENT = "#ffb000"
 
 
+styled = matplotlib.rc_context(
+    {name: value for name, value in matplotlib.rcParamsDefault.items() if name not in STYLE_BLACKLIST}
+    | {"pdf.fonttype": 42}
+)
+"""Decorator of functions that draw: settings of a user's Matplotlib do not change figures."""
+
+
 class Canvas:
     """A figure whose parts are placed in inches from its upper left corner."""
 
@@ -144,12 +153,20 @@ class Canvas:
         bar.set_label(label, size=text, color=INK)
         return bar
 
+    @styled
     def save(self, path: str | Path) -> None:
         """Write the figure as PNG, or as PDF with text as text and lines as lines."""
-        with atomic_output(path, ".png", ".pdf") as temporary, matplotlib.rc_context({"pdf.fonttype": 42}):
+        with atomic_output(path, ".png", ".pdf") as temporary:
             # Without the date, the same figure gives the same file.
             dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
             self.figure.savefig(temporary, metadata=dated)
+
+    @styled
+    def data_url(self) -> str:
+        """Return the figure as the address of a PNG, for pages."""
+        picture = io.BytesIO()
+        self.figure.savefig(picture, format="png")
+        return data_url("png", picture.getvalue())
 
     def save_both(self, path: Path) -> None:
         """Write the figure as PNG, for a page, and as PDF of the same name, for papers."""

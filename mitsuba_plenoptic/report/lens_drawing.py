@@ -18,7 +18,7 @@ from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
 from ..runtime.files import require_writable
-from .framing import Canvas, scale_bar
+from .framing import Canvas, scale_bar, styled
 
 _ACROSS = 201
 """Rays across the pupil."""
@@ -205,6 +205,7 @@ _HEIGHTS = 13
 _INK, _GLASS = "#1b1f24", "#dfeaf3"
 
 
+@styled
 def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     """Draw the main lens of a camera into a PNG or PDF.
 

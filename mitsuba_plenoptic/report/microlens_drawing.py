@@ -14,7 +14,7 @@ from ..errors import require_wavelength
 from ..optics.waves import in_millimetres, parabola
 from ..prescription.glass import LINE_D
 from ..runtime.files import require_writable
-from .framing import Canvas
+from .framing import Canvas, styled
 
 _SAMPLES = 256
 """Samples across a lens."""
@@ -25,6 +25,7 @@ _RAYS = 15
 _INK, _RAY = "#1b1f24", "#c1443c"
 
 
+@styled
 def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None = None) -> None:
     """Draw a microlens on the axis of a camera into a PNG.
 

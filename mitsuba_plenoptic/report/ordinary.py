@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter
 from ..errors import refusing
 from ..optics.waves import in_millimetres
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
-from .framing import ACCENT, FAINT, INK, Canvas, annotate, scale_bar, show
+from .framing import ACCENT, FAINT, INK, Canvas, annotate, scale_bar, show, styled
 from .images import Brightness
 from .metrics import window_sharpness
 
@@ -99,6 +99,7 @@ def draw_ordinary(
     }
 
 
+@styled
 def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> None:
     """Draw the pictures in one frame of the plane in focus, and the place of most contrast with each pixel."""
     pictures = _pictures(experiment, ordinary)
@@ -149,6 +150,7 @@ def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], c
     return float(down), float(right)
 
 
+@styled
 def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
     """Draw transfer functions over the logarithm of the frequency, with the limit of the pupil."""
     figure = Canvas(7.2, 3.6)

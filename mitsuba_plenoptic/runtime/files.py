@@ -59,6 +59,9 @@ def files_used() -> Iterator[FilesUsed]:
 def require_writable(path: str | Path, *suffixes: str) -> Path:
     """Return a path after a check, before a long computation, that a file can be written there."""
     path = _path(path)
+    # Mitsuba and most libraries write no others.
+    with refusing(f"path = {str(path)!r}: its name must be text in UTF-8", UnicodeEncodeError):
+        str(path).encode()
     try:
         refuse_if(path.is_dir(), f"{path}: it is a folder; give a file name")
         refuse_if(not path.parent.is_dir(), f"{path}: the folder {path.parent} does not exist")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import mitsuba as mi
@@ -10,8 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...light.render_capture import render_capture
-from ...report.framing import INK, Canvas, annotate, show, show_difference
-from ...report.images import data_url
+from ...report.framing import INK, Canvas, annotate, show, show_difference, styled
 from ...report.page import template
 from ...runtime.backend import set_variant
 from ...runtime.files import write_text
@@ -38,11 +36,9 @@ _SIDE = 3.6
 
 def write_white_report(path: Path, found: WhiteFit, summary: list[str]) -> None:
     """Write the page, for which a part of the white picture is simulated through the fitted camera."""
-    picture = io.BytesIO()
-    white_figure(found).figure.savefig(picture, format="png")
     light = "rays" if found.wavelength is None else f"waves of {found.wavelength:g} nm"
     page = template("white.html", _TEMPLATES).render(
-        figure=data_url("png", picture.getvalue()), light=light, lines=summary, samples=_SAMPLES, lenses=_LENSES
+        figure=white_figure(found).data_url(), light=light, lines=summary, samples=_SAMPLES, lenses=_LENSES
     )
     write_text(path, page, ".html")
 
@@ -68,6 +64,7 @@ def side_by_side(found: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, 
     return recorded / np.nanmean(found.brightness), simulated
 
 
+@styled
 def white_figure(found: WhiteFit) -> Canvas:
     """Return a figure of recorded and simulated pixels, the mean residual, and lenses off the warped array."""
     recorded, simulated = side_by_side(found)

@@ -13,7 +13,7 @@ from ...camera import PlenopticCamera
 from ...light.walk import follow_back
 from ...optics import rays
 from ...prescription.lens_data import image_distance
-from ...report.framing import Canvas
+from ...report.framing import Canvas, styled
 
 _INK, _FAINT, _LIGHT = "#1b1f24", "#667080", "#d08700"
 _RAYS = 7
@@ -60,6 +60,7 @@ def micro_image(camera: PlenopticCamera, lens: float, count: int = _RAYS) -> np.
     return middle + np.linspace(-1, 1, count) * camera.aperture_radius * z / b
 
 
+@styled
 def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) -> None:
     """Draw the paper's figure 1: the setup, with rays from a point of each object to the array."""
     far, b = max(objects.values()), camera.mla_distance
@@ -84,6 +85,7 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
     figure.save_both(path)
 
 
+@styled
 def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
     """Draw the paper's figure 3: reconstruction back to an object plane, by rays and by waves."""
     figure = Canvas(10.5, 5.6)

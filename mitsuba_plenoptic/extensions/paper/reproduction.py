@@ -20,7 +20,7 @@ from ...io.captures import read_capture
 from ...refocus import reconstruct
 from ...report.comparison import draw_comparison, measure
 from ...report.experiment import METHODS, TITLES, Experiment, Settings, open_store, run_experiment
-from ...report.framing import ON_DETECTOR, Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, zoom_at
+from ...report.framing import ON_DETECTOR, Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, styled, zoom_at
 from ...report.images import Brightness, shrink
 from ...report.page import Report, write_report
 from ...report.stage_store import StageOptions
@@ -163,6 +163,7 @@ def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zo
     return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
 
 
+@styled
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
     """Draw the paper's figure 2: the object, its detector image by waves, and micro-images close up.
 
@@ -213,6 +214,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     figure.save_both(path)
 
 
+@styled
 def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, float]]) -> None:
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
 
-from ...report.framing import INK, Canvas, annotate, show, show_difference
-from ...report.images import data_url
+from ...report.framing import INK, Canvas, annotate, show, show_difference, styled
 from ...report.page import template
 from ...runtime.files import write_text
 from .array_part import ArrayPart
@@ -35,11 +33,7 @@ _SIDE = 3.4
 
 def write_page(path: Path, study: Study, answer: Answer) -> None:
     """Write the page, with all figures in it."""
-    figures = []
-    for canvas in (pictures(study), slices(study)):
-        picture = io.BytesIO()
-        canvas.figure.savefig(picture, format="png")
-        figures.append(data_url("png", picture.getvalue()))
+    figures = [canvas.data_url() for canvas in (pictures(study), slices(study))]
     rows = [
         {
             "camera": camera,
@@ -56,6 +50,7 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
     write_text(path, page, ".html")
 
 
+@styled
 def pictures(study: Study) -> Canvas:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
     part = study.part(Setup("fitted", "waves"))
@@ -117,6 +112,7 @@ def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
     return slice(int(row), int(row) + size), slice(int(column), int(column) + size)
 
 
+@styled
 def slices(study: Study) -> Canvas:
     """Return a figure of the volume's planes, by waves and by rays, from all pixels."""
     volumes = {light: planes_of(study, light) for light in LIGHTS}

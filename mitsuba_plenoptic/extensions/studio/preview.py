@@ -17,7 +17,7 @@ from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_round
 from ...errors import refuse_if
 from ...prescription.lens_data import image_distance
-from ...report.framing import IN_FOCUS, Canvas, scale_bar, show
+from ...report.framing import IN_FOCUS, Canvas, scale_bar, show, styled
 from ...report.images import Brightness
 from .preview_views import PreviewView, view_of
 
@@ -201,6 +201,7 @@ _LONGEST_TITLE = 30
 """Letters of a picture's title, of which the plane in focus takes as many again."""
 
 
+@styled
 def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
     """Draw previews with outlines of the regions in focus and within reach of refocusing, and views from above."""
     canvas = Canvas(9.8, 4.9 * len(previews) + 0.1)
