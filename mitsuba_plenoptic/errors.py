@@ -195,7 +195,11 @@ def suggest_keywords(
                     f"{function.__qualname__.removesuffix('.__init__')}() got an unexpected keyword argument '{name}'"
                     f"{did_you_mean(name, known)}"
                 )
-        return function(*arguments, **options)
+        import numpy as np
+
+        # Small numbers may become 0, even where a user lets NumPy raise errors.
+        with np.errstate(under="ignore"):
+            return function(*arguments, **options)
 
     return cast(_Call, called)
 

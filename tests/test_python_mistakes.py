@@ -26,6 +26,13 @@ def scene():
     return mp.load_scene("letters", parameters=letters(2))
 
 
+def test_small_numbers_may_become_zero_whatever_numpy_is_to_raise(scene):
+    with np.errstate(all="raise"):
+        waves, rays = (mp.render_capture(scene, spp=2, model=model) for model in ("wave", "ray"))
+        depth = mp.views.depth_map(mp.decode(mp.example("letters-ray")))
+    assert waves.image.mean() > 0 and rays.image.mean() > 0 and depth.depth.notnull().any()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

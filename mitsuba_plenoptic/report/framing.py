@@ -15,7 +15,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.style.core import STYLE_BLACKLIST
 
 from ..camera import PlenopticCamera
 from ..runtime.files import atomic_output
@@ -107,7 +106,7 @@ ACCENT = "#ffb000"
 
 
 styled = matplotlib.rc_context(
-    {name: value for name, value in matplotlib.rcParamsDefault.items() if name not in STYLE_BLACKLIST}
+    {name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")}
     | {"pdf.fonttype": 42}
 )
 """Decorator of functions that draw: settings of a user's Matplotlib do not change figures."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -39,6 +42,23 @@ def test_a_figure_of_all(suffix, begins, results, tmp_path, run):
     path = tmp_path / f"sheet.{suffix}"
     assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
     assert path.read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize("option", ["-q", pytest.param("-OO", marks=pytest.mark.slow)])
+def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(option, results, tmp_path, run):
+    """With an inline backend, a matplotlibrc of somebody else, and with docstrings left out."""
+    path, settings = tmp_path / "sheet.png", tmp_path / "matplotlibrc"
+    settings.write_text("image.origin: lower\ntext.usetex: True\naxes.titleweight: bold\n")
+    run("sheet", *results[0], "-o", tmp_path / "plain.png")
+    environment = {**os.environ, "MPLBACKEND": "module://nowhere.inline", "MATPLOTLIBRC": str(settings)}
+    words = [sys.executable, option, "-m", "mitsuba_plenoptic", "sheet", *map(str, results[0]), "-o", str(path)]
+    subprocess.run(words, check=True, env=environment, capture_output=True)
+    assert path.read_bytes() == (tmp_path / "plain.png").read_bytes()
+
+
+def test_a_name_that_is_no_text_is_refused_first(raw, complaint):
+    name = os.fsdecode(b"sheet\xff.png")
+    assert "must be text in UTF-8" in complaint("reconstruct", raw, "--distance", "240", "-o", name)
 
 
 def test_refused(results, raw, tmp_path, complaint):
