@@ -472,7 +472,8 @@ class CoreParameters:
         words=(
             "Root mean square in millimetres of a random path that errors of the microlenses' surfaces add to light, "
             "and its correlation length in millimetres along the array; see "
-            "`mitsuba_plenoptic.light.lens_kinds.FigureError`. For rays, and for waves of points by method ``full_field``."
+            "`mitsuba_plenoptic.light.lens_kinds.FigureError`. For rays, and for waves of points by method "
+            "``full_field``."
         ),
         form=Form.PLACE,
         of_array=True,

@@ -101,10 +101,18 @@ class _CodevReader:
         self.taken: set[str] = set()
         # Where a thickness is found by a solve, and not as it is written, unless that is of the last surface.
         self.solved: dict[int, Line] = {}
+        # Names of glasses that the file itself defines, and whether its lines still do.
+        self.private: set[str] = set()
+        self.defines = False
 
     def take(self, line: Line) -> None:
         """Read one command."""
         keyword = line.words[0].upper()
+        if self.defines:
+            # Each but the wavelengths begins with its name.
+            self.private.add(keyword.strip("'"))
+            self.defines = keyword != "END"
+            return
         if keyword in _WITHOUT_EFFECT:
             return
         if keyword in _ONCE:
@@ -113,6 +121,8 @@ class _CodevReader:
         match keyword:
             case "TIT" | "TITLE":
                 self.name = " ".join(line.words[1:]).strip("'\"")
+            case "PRV":
+                self.defines = True
             case "DIM":
                 unit = line.word(1).upper()
                 line.refuse_if(unit not in _UNITS, "the unit must be M (millimetres), C (centimetres) or I (inches)")
@@ -215,7 +225,9 @@ class _CodevReader:
         line.refuse_if(len(line.words) > 4, "a surface has radius or curvature, thickness and glass")
         if len(line.words) == 4:
             line.refuse_if(not self.surfaces, "air must precede the first surface")
-            surface.glass = _glass(line, line.words[3].strip("'\""))
+            name = line.words[3].strip("'\"")
+            line.refuse_if(name.upper() in self.private, "a glass of PRV is not read: name one of a catalogue")
+            surface.glass = _glass(line, name)
         self.surfaces.append(surface)
         self.taken.clear()
 

@@ -7,6 +7,7 @@ refused by file, line and rule, so that no lens is read as a different one.
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,8 @@ UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""
 
 _LARGEST = 2**22
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,10 @@ class Line:
         """Refuse the command if it breaks a rule."""
         if broken:
             raise self.refused(rule)
+
+    def remark(self, text: str) -> None:
+        """Log a remark that names file, line and command."""
+        _log.info("%s, line %d: %s: %s", self.path, self.number, short_repr(" ".join(self.words)), text)
 
     def word(self, index: int) -> str:
         """Return a word of the command by its number; the keyword has the number 0."""
@@ -88,16 +95,38 @@ def read_text(path: str | Path) -> tuple[Path, str]:
         return path, raw.decode("latin-1")
 
 
+def _open(path: Path, surfaces: list[DesignSurface]) -> list[DesignSurface]:
+    """Return the surfaces with apertures, without planes between air and air that have none.
+
+    A surface within the lens without an aperture has the wider of its neighbours'.
+    """
+    kept: list[tuple[int, DesignSurface]] = []
+    before = None
+    for number, surface in enumerate(surfaces, start=1):
+        bends = surface.curvature or any(surface.asphere) or surface.glass is not None or before is not None
+        if bends or surface.stop or surface.semi_aperture > 0:
+            kept.append((number, surface))
+        elif kept:
+            kept[-1][1].thickness += surface.thickness
+        before = surface.glass
+    for place, (number, surface) in enumerate(kept):
+        if not surface.semi_aperture > 0:
+            sides = [one.semi_aperture for _, one in (*kept[max(0, place - 1) : place], *kept[place + 1 : place + 2])]
+            refuse_if(
+                surface.stop or len(sides) < 2 or not min(sides) > 0,
+                f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
+            )
+            surface.semi_aperture = max(sides)
+            _log.info("%s: surface %d has no aperture: the wider of its neighbours' is taken", path, number)
+    return [surface for _, surface in kept]
+
+
 def to_prescription(
     path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
 ) -> Prescription:
     """Return the prescription of a file's surfaces, without object and image."""
-    plain = []
+    plain, surfaces = [], _open(path, surfaces)
     for number, surface in enumerate(surfaces, start=1):
-        refuse_if(
-            not surface.semi_aperture > 0,
-            f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
-        )
         terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
         entry = {
             "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,

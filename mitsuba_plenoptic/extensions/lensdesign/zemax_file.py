@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from ...errors import InputError, refuse_if
@@ -23,6 +24,9 @@ _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZU
 """The same of a surface: drawing, labels, coatings, manufacture, and how its values, which are given, were found."""
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
+
+_FOUND = re.compile("[VPZ](CUR|CON|DSZ|PAR|XDA|GLA)")
+"""Keywords of newer versions on how a value of a surface, which is given, was found: variable, picked up or solved."""
 
 _HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF"])
 """Keywords of the whole file, and the one that begins a surface."""
@@ -82,6 +86,9 @@ class _ZemaxReader:
         """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
+            return
+        if _FOUND.fullmatch(keyword):
+            line.remark("it bends no ray, and is skipped")
             return
         if keyword not in _HEADERS and (keyword not in _OF_SURFACES or not self.surfaces):
             line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
@@ -159,8 +166,8 @@ class _ZemaxReader:
             self.primary not in self.wavelengths,
             f"{self.path}: wavelength {self.primary}, the primary one by PWAV, is missing",
         )
-        for number, line in self.glasses.items():
-            self.surfaces[number].glass = self._glass(line)
+        for number in self.glasses:
+            self.surfaces[number].glass = self._glass(number)
         for surface, kind, lines in zip(self.surfaces, self.kinds, self.parameters, strict=True):
             # Other types leave values behind that the type STANDARD does not use.
             surface.asphere = [0.0] * 7 if kind == "EVENASPH" else []
@@ -177,8 +184,16 @@ class _ZemaxReader:
         refuse_if(image.curvature, f"{self.path}: surface {len(lens) + 1}, the image, is curved: the array is a plane")
         return to_prescription(self.path, self.name, self.wavelengths[self.primary] * 1e3, self.unit, lens)
 
-    def _glass(self, line: Line) -> Glass:
+    def _glass(self, surface: int) -> Glass:
+        line = self.glasses[surface]
         name, kind = line.word(1), int(line.value(2, _FIXED))
+        if kind == _PICKED_UP and name == "___BLANK":
+            source = int(line.value(3))
+            line.refuse_if(
+                not 0 < source < surface or source not in self.glasses,
+                f"its glass is picked up from surface {source}, which must be an earlier one with a glass",
+            )
+            return self._glass(source)
         line.refuse_if(name == "MIRROR", "mirrors are not read")
         if kind == _MODEL:
             line.refuse_if(

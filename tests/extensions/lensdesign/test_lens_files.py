@@ -356,6 +356,59 @@ def test_a_zemax_file_is_the_bundled_lens(tmp_path, encoding):
         )
 
 
+def thin_rows(surfaces):
+    """Paraxial focal length by matrices, of (curvature, thickness, index behind)."""
+    height, slope, before = 1.0, 0.0, 1.0
+    for curvature, thickness, behind in surfaces:
+        slope, before = (before * slope - height * curvature * (behind - before)) / behind, behind
+        height += thickness * slope
+    return -1 / slope
+
+
+def zemax_of(rows):
+    """A file of (curvature, thickness, glass, further lines) between object and image."""
+    head = "VERS 1\nMODE SEQ\nNAME t\nUNIT MM X W X CM MR CPMM\nWAVM 1 0.5875618 1\nPWAV 1\nSURF 0\n  DISZ INFINITY\n"
+    parts = [
+        f"SURF {number}\n  TYPE STANDARD\n  CURV {c}\n  DISZ {d}\n" + (f"  GLAS {glass}\n" if glass else "") + more
+        for number, (c, d, glass, more) in enumerate([*rows, (0.0, 0.0, "", "  DIAM 10\n")], start=1)
+    ]
+    return head + "".join(parts)
+
+
+def test_picked_up_model_glasses_dummy_planes_and_newer_keywords_of_zemax(tmp_path):
+    model, picked, open_ = "___BLANK 1 0 1.62 36.3 0 0 0 0 0 0", "___BLANK 2 2 1.5 50 0 0 0 0 0 0", "  DIAM 12\n"
+    rows = [
+        (0.0, 10.0, "", "  DIAM 0\n"),
+        (0.02, 5.0, model, open_ + "  STOP\n  VCON 1\n"),
+        (-0.02, 5.0, "", open_),
+        (0.0, 2.0, "", "  DIAM 0\n"),
+        (0.0125, 5.0, picked, open_),
+        (-0.0125, 60.0, "", open_),
+        (0.0, 3.0, "", ""),
+    ]
+    lens = read(tmp_path, zemax_of(rows))
+    assert [surface.thickness for surface in lens.surfaces] == [5, 7, 5, 0] and lens.stop == 0
+    expected = thin_rows([(0.02, 5, 1.62), (-0.02, 7, 1), (0.0125, 5, 1.62), (-0.0125, 0, 1)])
+    assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-6)
+    rows[4] = (0.0125, 5.0, picked.replace("2 2", "2 6"), open_)
+    with pytest.raises(InputError, match="picked up from surface 6, which must be an earlier one with a glass"):
+        read(tmp_path, zemax_of(rows))
+
+
+def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
+    cemented = "S -40.0 3.0 620000.364000\nS -100.0 0.0\n  CIR 11.0\nS 0.0 60.0\n"
+    private = "PRV\n  PWL 550.0\n  'NOA61' LAU 2.36390625 0.0 0.025493134\nEND\n"
+    text = CODEV.replace("SO ", private + "SO ", 1)
+    start = text.index("S -100.0")
+    text = text[:start] + cemented + text[text.index("SI 0.0") :]
+    lens = read(tmp_path, text, "lens.seq")
+    assert [surface.semi_aperture for surface in lens.surfaces] == [10.0, 11.0, 11.0]
+    expected = thin_rows([(1 / 50, 5, 1.5168), (-1 / 40, 3, 1.62), (-1 / 100, 0, 1)])
+    assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-4)
+    with pytest.raises(InputError, match="a glass of PRV is not read"):
+        read(tmp_path, text.replace("620000.364000", "'NOA61'"), "lens.seq")
+
+
 def test_a_zemax_file_without_semi_diameters_or_reader_is_refused(tmp_path):
     lens = bundled_prescription("double_gauss")
     text = zemax_text(lens, [surface.glass and surface.glass.name for surface in lens.surfaces])
