@@ -11,7 +11,7 @@ import typer
 
 from ..errors import printable, refuse_if
 from ..presets import PRESETS
-from .inputs import Definitions, Unit, load_camera, numeric, parse_definitions, read_recorded
+from .inputs import Definitions, Unit, load_camera, numeric, parse_definitions
 from .judging import CAMERA, WAVELENGTH
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def info(
 
     from ..design import design_warnings, mended
     from ..extension import format_of
+    from ..io.captures import RAW_SUFFIXES, read_capture
     from ..report.design_sheet import design_sheet
     from ..runtime.files import require_writable, write_text
 
@@ -101,13 +102,13 @@ def info(
         require_writable(fix, ".json")
     parameters = parse_definitions(define)
     suffix = Path(source).suffix.lower()
-    recorded = suffix == ".exr" or format_of(suffix, "capture", source) is not None
+    recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
     refuse_if(
         parameters and recorded,
         f"-D: {source} is no scene, and has no scene parameters; leave it out",
     )
     refuse_if(unit != "mm" and recorded, f"--unit {unit}: {source} is no scene; leave it out")
-    capture = read_recorded(Path(source), None, False) if recorded else None
+    capture = read_capture(source) if recorded else None
     camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import logging
 import re
 from functools import partial
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
     from ..camera import PlenopticCamera
-    from ..io.captures import Capture
     from ..report.images import Drawing
     from ..runtime.batches import BatchMap
 
@@ -232,29 +230,6 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
-
-
-def read_recorded(path: Path, camera: PlenopticCamera | None, linear: bool, black_level: float = 0) -> Capture:
-    """Read a capture, or a raw picture of a known camera; a given camera replaces the one in a capture's header.
-
-    A raw picture that states its camera and detector, as `write_raw` and Lytro's cameras write it, needs nothing else.
-    """
-    from ..extension import format_of, place
-    from ..io.captures import RAW_SUFFIXES, Capture, read_capture, read_raw, scaled_from, states_detector
-
-    if path.suffix.lower() in RAW_SUFFIXES:
-        if states_detector(path):
-            found = read_raw(path)
-            return found if camera is None else dataclasses.replace(found, camera=camera)
-        if camera is None:
-            raise InputError(f"{path}: it states no camera and detector; such a raw picture needs its --camera")
-        # Brings libraries that take a while to load.
-        from ..io.pictures import read_picture
-
-        return scaled_from(Capture(read_picture(path, linear=linear), camera, None, "ray", {}), black_level)
-    of_extension = format_of(path.suffix.lower(), "capture", str(path))
-    found = read_capture(path) if of_extension is None else place(*of_extension)(path)
-    return found if camera is None else dataclasses.replace(found, camera=camera)
 
 
 def require_linear(linear: bool, *paths: Path | None) -> None:

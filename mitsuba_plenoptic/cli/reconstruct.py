@@ -31,7 +31,6 @@ from .inputs import (
     named_camera,
     numeric,
     output_option,
-    read_recorded,
     require_in_sight,
     require_linear,
 )
@@ -284,10 +283,11 @@ def _recorded(
     capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
     """Return a capture and its white reference, after setting the variant."""
+    from ..io.captures import read_capture
     from ..runtime.backend import set_variant
 
-    recorded = read_recorded(capture, known, linear)
-    reference = None if white is None else read_recorded(white, known, linear)
+    recorded = read_capture(capture, camera=known, linear=linear)
+    reference = None if white is None else read_capture(white, camera=known, linear=linear)
     set_variant(variant)
     return recorded, reference
 

@@ -25,6 +25,7 @@ from ..errors import (
     NO_ARRAY,
     NO_RECORD,
     InputError,
+    argument,
     naming,
     put,
     refuse_if,
@@ -35,12 +36,12 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..extension import Displayed
-from ..runtime.files import atomic_output, require_file, require_writable
-from ..runtime.limits import require_memory
+from ..extension import Displayed, format_of, place
+from ..runtime.files import atomic_output, require_writable
 from ..served import attribute
-from .exr import read_exr, write_exr
-from .versions import camera_of_waves, is_of_1_0, stamped
+from .exr import read_attributes, read_exr, read_pixels, write_exr
+from .pictures import KEY, Picture, read_numbers
+from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
 
 MODELS = ("ray", "wave")
 
@@ -281,8 +282,13 @@ def _remark(path: str | Path, lens_model: str) -> None:
     _log.info("%s: a wave capture of version 1.0 or earlier: its lens_model is read as %s", path, lens_model)
 
 
-def read_capture(path: str | Path) -> Capture:
-    """Return the capture in a file of `write_capture`.
+def read_capture(
+    path: str | Path, *, camera: PlenopticCamera | None = None, linear: bool = False, black_level: float = 0
+) -> Capture:
+    """Return the capture in a file, or in a picture of another program with its camera.
+
+    Files are those of `write_capture` and `write_raw`; raw pictures that extensions read, such as Lytro's; and, with
+    `camera`, pictures of other programs, ``.png``, ``.tiff`` or ``.exr``, grey or of three colours.
 
     A wave capture of version 1.0 or earlier gets the ``lens_model`` with which it was computed: ``parabolic`` for a
     thin main lens and microlenses of at least 20 wavelengths, with a remark in the log.
@@ -291,6 +297,13 @@ def read_capture(path: str | Path) -> Capture:
     ----------
     path : path
         The file.
+    camera : PlenopticCamera, optional
+        The camera, instead of the one that the file states.
+    linear : bool
+        Whether whole numbers in a picture of another program are proportional to light, as in raw data, instead of
+        encoded in sRGB; floating-point numbers always are.
+    black_level : float
+        Number without light in such a picture, in its own numbers.
 
     Raises
     ------
@@ -304,6 +317,34 @@ def read_capture(path: str | Path) -> Capture:
     >>> mp.read_capture("raw.exr").camera.lens_count
     (48, 48)
     """
+    path, suffix = Path(path), Path(path).suffix.lower()
+    picture = read_numbers(path) if suffix in RAW_SUFFIXES else None
+    stated = picture is None or states_detector(picture)
+    refuse_if(
+        black_level and (stated or not linear), f"black_level = {black_level}: it is for raw pictures that are linear"
+    )
+    if picture is not None and stated:
+        found = _raw_capture(path, picture)
+    elif of_extension := format_of(suffix, "capture", str(path)):
+        found = place(*of_extension)(path)
+    elif picture is not None:
+        refuse_if(
+            camera is None,
+            f"{path}: it states no camera and detector; such a raw picture needs its {argument('camera')}",
+        )
+        with refusing(f"{path}: it cannot be read as a picture:"):
+            found = Capture(picture.values(linear, black_level), require_camera(camera))
+    elif camera is not None and not read_attributes(path):
+        seen = require_camera(camera)
+        pixels = read_pixels(path, seen.resolution, seen.crop_offset, seen.crop_size)
+        with naming(path):
+            found = Capture(pixels, seen)
+    else:
+        found = _stored_capture(path)
+    return found if camera is None else replace(found, camera=camera)
+
+
+def _stored_capture(path: Path) -> Capture:
     image, noise, attributes = read_exr(path)
     with naming(path):
         refuse_if(
@@ -314,11 +355,6 @@ def read_capture(path: str | Path) -> Capture:
 
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
-
-_KEY = "mitsuba_plenoptic"
-"""Name of the PNG chunk, and of the object in a TIFF's description."""
-
-_PIXEL_BYTES = 16.0
 
 
 def write_raw(path: str | Path, capture: Capture) -> None:
@@ -339,11 +375,11 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     """
     path = require_writable(path, *RAW_SUFFIXES)
     numbers = digital_numbers(capture)
-    text = json.dumps({_KEY: stamped(_record(capture, "raw"))})
+    text = json.dumps({KEY: sealed(_record(capture, "raw"), [numbers])})
     if path.suffix.lower() == ".png":
         refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
-        information.add_text(_KEY, text)
+        information.add_text(KEY, text)
         with atomic_output(path) as temporary:
             Image.fromarray(numbers).save(temporary, format="PNG", pnginfo=information)
         return
@@ -365,22 +401,26 @@ def read_raw(path: str | Path) -> Capture:
     InputError
         If the file does not exist, is damaged, or states no detector and camera, as those of other programs.
     """
-    path = require_file(path)
-    numbers, text = _read(path)
+    return _raw_capture(Path(path), read_numbers(path))
+
+
+def _raw_capture(path: Path, picture: Picture) -> Capture:
     with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
-        about = json.loads(text)[_KEY]
+        about = json.loads(picture.text)[KEY]
         given = about["camera"], about["metadata"]["exposure"]
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     with naming(path):
+        require_seal(about, [picture.numbers.astype(picture.numbers.dtype.newbyteorder("="))])
+        refuse_if(picture.white != 65535, "it states a detector of 16 bits: another program changed it")
         gain, black, dark, unit = response_of(about["metadata"]["exposure"])
-        image = (((numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
+        image = (((picture.numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)
         return _capture_of(path, about, image)
 
 
-def states_detector(path: str | Path) -> bool:
-    """Return whether a picture states camera and detector, so that `read_raw` can read it."""
-    return f'"{_KEY}"' in _read(require_file(path))[1]
+def states_detector(picture: Picture) -> bool:
+    """Return whether a picture states camera and detector, as one of `write_raw`."""
+    return f'"{KEY}"' in picture.text
 
 
 def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
@@ -408,24 +448,3 @@ def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
     )
     black, dark = (require_number(name, exposure[name], minimum=0) for name in ("black_level", "dark_electrons"))
     return gain, black, dark, efficiency * photons
-
-
-def _read(path: Path) -> tuple[NDArray[Any], str]:
-    """Return the pixels of a picture and its description."""
-    require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
-    with refusing(f"{path}: it cannot be read as a picture:"):
-        if path.suffix.lower() == ".png":
-            with Image.open(path, formats=["PNG"]) as picture:
-                require_memory(_PIXEL_BYTES * picture.width * picture.height, f"{path}: its pixels")
-                text = str(picture.info.get(_KEY, ""))
-                return np.asarray(picture), text
-        with tifffile.TiffFile(path) as file:
-            page = file.pages[0]
-            require_memory(_PIXEL_BYTES * page.size, f"{path}: its pixels")
-            return page.asarray(), str(page.description)
-
-
-def scaled_from(capture: Capture, black_level: float) -> Capture:
-    """Return a capture with values 0 to 1 for digital numbers up to 65535, rescaled so that `black_level` becomes 0."""
-    black = require_number("black_level", black_level, minimum=0, maximum=65534) / 65535
-    return replace(capture, image=(capture.image - np.float32(black)) / np.float32(1 - black))

@@ -1,4 +1,4 @@
-"""Float32 OpenEXR images with one JSON attribute that states the version, written completely or not at all."""
+"""Float32 OpenEXR images with one JSON attribute, written completely or not at all, and those of other programs."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import contextlib
 import itertools
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
 
-from ..errors import InputError, advice, refuse_if, refusing
+from ..errors import InputError, advice, naming, refuse_if, refusing, short_repr
 from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
-from .versions import stamped
+from .versions import require_seal, sealed
 
 ATTRIBUTE = "mitsuba_plenoptic"
 
@@ -31,6 +31,9 @@ _LONGEST_NAME = 256
 
 _SEVERAL_PARTS = 0x1000
 """Bit of the version that says so."""
+
+_SRGB = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+"""Chromaticities of the primaries and of white (ITU-R BT.709), which files without any mean."""
 
 # The others lose precision, which is not for captures.
 _LOSSLESS = (
@@ -88,8 +91,11 @@ def _write(
     full_size: tuple[int, ...],
 ) -> None:
     written: list[OpenEXR.Part] = []
-    for name, channels in parts.items():
-        rows, columns = next(iter(channels.values())).shape
+    floats = [
+        {key: np.ascontiguousarray(plane, np.float32) for key, plane in channels.items()} for channels in parts.values()
+    ]
+    for name, planes in zip(parts, floats, strict=True):
+        rows, columns = next(iter(planes.values())).shape
         header = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
@@ -98,11 +104,17 @@ def _write(
         }
         if not written:
             with refusing(f"{path}: its attributes must be plain data for JSON:", TypeError, ValueError):
-                header[ATTRIBUTE] = json.dumps(stamped(attributes), sort_keys=True)
-        planes = {key: np.ascontiguousarray(plane, dtype=np.float32) for key, plane in channels.items()}
+                header[ATTRIBUTE] = json.dumps(sealed(attributes, _in_order(floats)), sort_keys=True)
         written.append(OpenEXR.Part(header, planes, name))
     with refusing(f"{path}: it cannot be written:", RuntimeError, OSError), atomic_output(path, ".exr") as temporary:
         OpenEXR.File(written).write(str(temporary))
+
+
+def _in_order(parts: Iterable[Mapping[str, np.ndarray]]) -> Iterator[np.ndarray]:
+    """Yield the channels of parts in the order of the digest."""
+    for planes in parts:
+        for name in sorted(planes):
+            yield planes[name]
 
 
 def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,20 +134,17 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
     parts = read_parts(path)
     with _undamaged(path):
         part = parts[0]
+        refuse_if(
+            ATTRIBUTE not in part.header,
+            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; give "
+            + advice(python="camera", shell="--camera, where a command has it"),
+        )
         _require_lossless(part)
         colours = set("YRGB").intersection(part.channels)
         names: tuple[str, ...] = ("Y",) if colours == {"Y"} else ("R", "G", "B")
         if colours != set(names):
             hint = ", as ground truth has: name the capture that it belongs to" if "depth.Z" in part.channels else ""
             raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B{hint}")
-        refuse_if(
-            ATTRIBUTE not in part.header,
-            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; "
-            + advice(
-                python="read the pixels yourself, and give them with a camera",
-                shell="write its pixels as .tiff, and give --camera",
-            ),
-        )
         attributes = _attributes(part)
         layers = [names]
         if any(name.startswith(_NOISE) for name in part.channels):
@@ -146,13 +155,71 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str,
         require_memory(4 * samples, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
         with _opened(path, parts) as file:
             found = file.channels()
-            images = []
+            images, planes = [], {}
             for layer in layers:
                 image = np.empty((part.rows, part.columns, len(layer)), dtype=np.float32)
                 for index, name in enumerate(layer):
                     image[..., index] = found.pop(name).pixels.reshape(part.rows, part.columns)
+                    planes[name] = image[..., index]
                 images.append(image if len(layer) == 3 else image[..., 0])
+        with naming(path):
+            require_seal(attributes, _in_order([planes]))
     return images[0], images[1] if len(images) == 2 else None, attributes
+
+
+def read_pixels(
+    path: str | Path, full_size: tuple[int, int] | None = None, offset: tuple[int, int] = (0, 0), size: Any = None
+) -> np.ndarray:
+    """Return the pixels, (rows, columns[, 3]) in single precision, in the display window of another program's file.
+
+    Shapes: `full_size`, `offset`, `size` (columns, rows): of a display window of the full size, a part is returned.
+    """
+    path = require_file(path)
+    parts = read_parts(path)
+    with _undamaged(path):
+        part, names = _only_layer(parts)
+        (left, top), (right, bottom) = (map(int, corner) for corner in part.header["displayWindow"])
+        columns, rows = right - left + 1, bottom - top + 1
+        if (columns, rows) == full_size:
+            left, top, (columns, rows) = left + offset[0], top + offset[1], size
+        left, top = left - part.origin[0], top - part.origin[1]
+        refuse_if(
+            min(left, top) < 0 or left + columns > part.columns or top + rows > part.rows,
+            f"{path}: its data window of {part.columns} x {part.rows} pixels at {part.origin} does not cover the "
+            f"{columns} x {rows} of the detector: write all, or give a camera with crop_offset and crop_size",
+        )
+        samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
+        require_memory(4 * samples + 12 * columns * rows, f"{path}: {samples} values")
+        with _opened(path, parts) as file:
+            found = file.parts[parts.index(part)].channels
+            planes = [found[name].pixels for name in names]
+            if any(plane.dtype.kind != "f" or plane.shape != (part.rows, part.columns) for plane in planes):
+                raise ValueError("its channels must be of half or single precision, with a sample for each pixel")
+            image = np.stack([plane[top : top + rows, left : left + columns] for plane in planes], -1, dtype=np.float32)
+    return image if len(names) == 3 else image[..., 0]
+
+
+def _only_layer(parts: list[ExrPart]) -> tuple[ExrPart, tuple[str, ...]]:
+    """Return the part and the channels of a file's picture, grey or of the primaries of sRGB; refuse other files."""
+    layers = []
+    for part in parts:
+        names = set(part.channels)
+        for prefix in sorted({name[: name.rfind(".") + 1] for name in names}):
+            if names.issuperset(prefix + name for name in "RGB"):
+                layers.append((prefix, part, tuple(prefix + name for name in "RGB")))
+            elif prefix + "Y" in names and not names.intersection(prefix + name for name in ("X", "Z", "RY", "BY")):
+                layers.append((prefix, part, (prefix + "Y",)))
+    chosen = [layer for layer in layers if not layer[0]] or layers
+    if len(chosen) != 1 or len(chosen[0][1].header.get("multiView", ())) > 1:
+        known = ", ".join(name for part in parts for name in part.channels)
+        raise ValueError(f"its channels are {known}: they must be one picture, R, G and B or Y")
+    _, part, names = chosen[0]
+    header, primaries = part.header, np.ravel(part.header.get("chromaticities", _SRGB))
+    if "deep" in str(header["type"]) or header.get("pixelAspectRatio", 1) != 1:
+        raise ValueError("its pixels must be square, and not deep")
+    if len(names) == 3 and (primaries.shape != (8,) or np.abs(primaries - _SRGB).max() > 2e-3):
+        raise ValueError(f"its chromaticities are {short_repr(primaries.tolist())}: convert it to those of sRGB")
+    return part, names
 
 
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
@@ -171,6 +238,8 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
                 shape = part.rows, part.columns
                 planes = {name: np.asarray(one.pixels, np.float32).copy() for name, one in read.channels.items()}
                 found[read.name()] = {name: plane.reshape(shape) for name, plane in planes.items()}
+        with naming(path):
+            require_seal(attributes, _in_order(found.values()))
     return found, attributes
 
 

@@ -1,4 +1,4 @@
-"""The version stated in a file, and the lens model of wave captures from versions that did not state one.
+"""What files state of themselves: their version, and a digest; and what files without a version mean.
 
 Up to version 1.0 files state no version, and wave captures treated a thin main lens as a parabolic phase, whatever the
 camera's `lens_model`, except in front of microlenses of fewer than 20 wavelengths. Ray captures, and cameras by
@@ -7,23 +7,54 @@ themselves, mean what they state.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
+
 from ..camera import PlenopticCamera, has_small_lenses
+from ..errors import advice, refuse_if
 from ..prescription.glass import LINE_D
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
 
-KEY = "version"
-"""Name of the entry that states it."""
+KEY, DIGEST = "version", "digest"
+"""Names of the entries that state it, and the digest of pixels and other entries."""
 
 
 def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a file's record with the version of this package added."""
     return {**record, KEY: VERSION}
+
+
+def sealed(record: Mapping[str, Any], planes: Iterable[np.ndarray]) -> dict[str, Any]:
+    """Return a file's record, as JSON keeps it, with the version of this package and the digest of its pixels added."""
+    plain = json.loads(json.dumps(stamped(record), sort_keys=True))
+    return {**plain, DIGEST: _digest(plain, planes)}
+
+
+def require_seal(record: dict[str, Any], planes: Iterable[np.ndarray]) -> None:
+    """Refuse a file whose pixels or record are not those of its digest; files of earlier versions have none."""
+    stated = record.get(DIGEST)
+    refuse_if(
+        stated is not None and stated != _digest(record, planes),
+        f"its pixels or data are not those of its digest, {str(stated)[:12]}: the file is damaged, or another program "
+        "has changed it and kept the text 'mitsuba_plenoptic'; without this text its pixels are read with "
+        + advice(python="a camera", shell="--camera"),
+    )
+
+
+def _digest(record: Mapping[str, Any], planes: Iterable[np.ndarray]) -> str:
+    rest = {name: value for name, value in record.items() if name != DIGEST}
+    found = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
+    for plane in planes:
+        found.update(f"{plane.dtype} {plane.shape}".encode())
+        found.update(np.ascontiguousarray(plane).data)
+    return found.hexdigest()
 
 
 def is_of_1_0(record: Mapping[str, Any]) -> bool:

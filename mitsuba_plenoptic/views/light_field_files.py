@@ -12,8 +12,9 @@ import xarray as xr
 from ..camera import PlenopticCamera, are_alike
 from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
 from ..extension import format_of, place
-from ..io.captures import Capture, read_capture
-from ..io.pictures import TIFF, read_picture
+from ..io.captures import RAW_SUFFIXES, Capture, read_capture, states_detector
+from ..io.exr import read_attributes, read_pixels
+from ..io.pictures import TIFF, read_numbers, read_picture
 from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
 from ..runtime.files import atomic_output, require_file, require_size, require_writable
 from ..runtime.limits import require_memory
@@ -78,7 +79,7 @@ def open_light_field(
         _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
         _refuse(path, views=views)
-        capture = read_capture(path)
+        capture = read_capture(path, camera=camera)
         known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
         by = None if white is None else read_recording(white, linear)
         return decode(capture, camera=camera, white=by, truth=known)
@@ -97,8 +98,8 @@ def open_light_field(
         reference = None if white is None else read_recording(white, linear)
         # Pictures have no camera, by which a white capture could be refused.
         reference = reference.image if isinstance(reference, Capture) else reference
-        if camera is not None:
-            return decode(read_picture(path, linear=linear), camera=camera, white=reference)
+        if camera is not None or states_detector(read_numbers(path)):
+            return decode(read_capture(path, camera=camera, linear=linear), white=reference)
         if reference is None:
             raise InputError(
                 f"{path}: give {argument('white')} or {argument('camera')} for a raw picture, or {argument('views')} "
@@ -143,7 +144,7 @@ def open_micro_images(
     if path.suffix.lower() != ".exr":
         return None
     by = None if white is None else read_recording(white, linear)
-    return micro_images(read_capture(path), camera=camera, white=by)
+    return micro_images(read_capture(path, camera=camera), camera=camera, white=by)
 
 
 def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
@@ -202,8 +203,10 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
 
 
 def read_recording(path: str | Path, linear: bool) -> Capture | np.ndarray:
-    """Read a capture with its camera, or the pixels of a picture without a camera."""
-    return read_capture(path) if Path(path).suffix.lower() == ".exr" else read_picture(path, linear=linear)
+    """Read a capture with its camera, or the pixels of another program's picture."""
+    if Path(path).suffix.lower() in RAW_SUFFIXES:
+        return read_picture(path, linear=linear)
+    return read_capture(path) if read_attributes(path) else read_pixels(path)
 
 
 def _refuse(path: Path, **options: object) -> None:

@@ -182,10 +182,11 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
 
 
 def _picture(path: Path, linear: bool) -> np.ndarray:
-    from ...io.captures import read_capture
-    from ...io.pictures import read_picture
+    from ...io.captures import Capture
+    from ...views.light_field_files import read_recording
 
-    return read_capture(path).image if path.suffix.lower() == ".exr" else read_picture(path, linear=linear)
+    found = read_recording(path, linear)
+    return found.image if isinstance(found, Capture) else found
 
 
 def _detect(

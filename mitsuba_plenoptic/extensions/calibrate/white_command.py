@@ -12,10 +12,11 @@ import typer
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming
-from ...io.captures import read_capture
-from ...io.pictures import read_picture
+from ...io.captures import RAW_SUFFIXES, Capture
+from ...io.pictures import read_numbers
 from ...runtime.files import write_text
 from ...runtime.progress import progress_bar
+from ...views.light_field_files import read_recording
 from .fitted_camera import stray_fraction
 from .photon_transfer import PhotonTransfer, photon_transfer
 from .white_fit import WhiteFit, fit_white
@@ -47,12 +48,11 @@ def fit_camera(
 
 
 def sensor_values(path: Path) -> np.ndarray:
-    """Return a sensor's values, proportional to light: the digital numbers of a picture of 8 or 16 bits."""
-    if path.suffix.lower() == ".exr":
-        return read_capture(path).image
-    values = read_picture(path, linear=True).astype(np.float64)
-    eight = np.abs(values * 255 - np.rint(values * 255)).max() < 1e-3
-    return np.rint(values * (255 if eight else 65535))
+    """Return a sensor's values, proportional to light: the numbers in a picture."""
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return read_numbers(path).numbers.astype(np.float64)
+    found = read_recording(path, linear=True)
+    return found.image if isinstance(found, Capture) else found
 
 
 def _noise(white: np.ndarray, dark: np.ndarray) -> PhotonTransfer | str:

@@ -16,7 +16,6 @@ from ...cli.inputs import (
     named_camera,
     numeric,
     output_option,
-    read_recorded,
     require_linear,
 )
 from ...cli.judging import ends_in
@@ -46,7 +45,7 @@ def demosaic(
     camera: CameraFile = None,
     linear: Linear = False,
     black_level: Annotated[
-        float, numeric("Number without light in a raw picture of 16 bits; needs --camera and --linear.")
+        float, numeric("Number without light in a raw picture, in its own numbers; needs --camera and --linear.")
     ] = 0,
 ) -> None:
     """Estimate all three colours of every pixel, micro-image by micro-image.
@@ -65,7 +64,7 @@ def demosaic(
 
       mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
-    from ...io.captures import mosaic_of, write_capture
+    from ...io.captures import mosaic_of, read_capture, write_capture
     from ...runtime.files import require_apart, require_writable
     from .lytro_file import nearest_white
 
@@ -81,12 +80,12 @@ def demosaic(
         black_level and not (linear and known),
         f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",
     )
-    recorded, reference = read_recorded(capture, known, linear, black_level), None
+    recorded, reference = read_capture(capture, camera=known, linear=linear, black_level=black_level), None
     if white is not None:
         if white.is_dir():
             white = nearest_white(white, recorded)
             typer.echo(f"{white}: the white picture of the nearest zoom and focus")
-        reference = read_recorded(white, known, linear)
+        reference = read_capture(white, camera=known, linear=linear)
         if (tile := mosaic_of(reference)) is not None:
             camera_seen = recorded.camera
             if known is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.inputs import CameraFile, Linear, named_camera, numeric, read_recorded, require_in_sight
+from ...cli.inputs import CameraFile, Linear, named_camera, numeric, require_in_sight
 from ...cli.judging import METHOD, RECORDING
 from ...errors import naming, refuse_if
 from ...refocus_options import METHODS
@@ -61,6 +61,7 @@ def mtf(
         require_in_sight(source, known, distance)
 
     # Brings libraries that take a while to load.
+    from ...io.captures import read_capture
     from ...refocus import read_reconstruction
     from ...refocus import reconstruct as refocus
     from .sharpness import edge_sharpness
@@ -71,7 +72,7 @@ def mtf(
             refuse_if(value is not None, f"--{name}: it is for captures, with --distance; leave it out")
         seen = _photograph(source) or read_reconstruction(source)
     else:
-        recorded = read_recorded(source, known, linear)
+        recorded = read_capture(source, camera=known, linear=linear)
         (seen,) = refocus(recorded, [distance], method=method or "ray", oversample=oversample or 1)
     left, top, width, height = _parsed(region, seen)
     with naming(source):

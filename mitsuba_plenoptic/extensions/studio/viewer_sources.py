@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +47,7 @@ def read_source(
         with naming(path):
             return _COMPUTED[kind](path)
     if path.suffix.lower() == ".exr":
-        capture = read_capture(path)
-        capture = capture if camera is None else replace(capture, camera=camera)
+        capture = read_capture(path, camera=camera)
         lens = capture.camera.lens_data
         if not lens.is_thin and not lens.images_stop and views is None:
             reference = None if white is None else read_recording(white, linear)
