@@ -160,7 +160,7 @@ class Aperture:
     transmission: Any
 
     def __post_init__(self) -> None:
-        name, values = "transmission", read_samples("transmission", self.transmission)
+        name, values = "transmission", read_samples("transmission", self.transmission, {})
         rows, columns = values.shape
         refuse_if(
             rows != columns or not 1 <= rows <= _LARGEST,

@@ -59,7 +59,7 @@ class LensTransmissions:
     first: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        values = read_samples("values", self.values)
+        values = read_samples("values", self.values, {})
         rows, columns = values.shape
         refuse_if(
             not (1 <= rows <= _LARGEST and 1 <= columns <= _LARGEST),

@@ -24,7 +24,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, read_samples
+from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, phases, read_samples
 from ..runtime.files import read_json_value
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
@@ -44,7 +44,8 @@ class PhaseScreen:
     ----------
     waves : array (rows, columns), nested lists, or path
         Path at the samples in waves of 633 nm, larger where light is delayed, in rows of rising y and columns of rising
-        x of the camera frame; or an NPY, EXR or FITS file of it. FITS needs the extra ``ao``.
+        x of the camera frame; or an NPY, EXR or FITS file of it. FITS needs the extra ``ao``; its ``BUNIT`` may be a
+        length (m, mm, um, nm), waves or radians, of ``WAVELEN`` in metres if it is stated.
     width : float
         Distance of the first and the last column in millimetres; rows are as far apart as columns.
 
@@ -69,7 +70,7 @@ class PhaseScreen:
     def __post_init__(self) -> None:
         put(
             self,
-            waves=known_samples("waves", self.waves),
+            waves=known_samples("waves", self.waves, phases(_MILLIMETRES)),
             width=require_number("width", self.width, positive=True),
         )
 
@@ -180,7 +181,7 @@ def frozen_flow(
     InputError
         If an argument is out of range, or the screen is too small for the distance that the wind moves it.
     """
-    large = read_samples("waves", waves)
+    large = read_samples("waves", waves, phases(_MILLIMETRES))
     step, width = (require_number(name, value, positive=True) for name, value in (("step", step), ("width", width)))
     velocity = np.array(require_numbers("wind", wind, count=2))
     interval = require_number("interval", interval, positive=True)

@@ -22,7 +22,6 @@ from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera, require_camera
 from ..errors import (
-    NO_ARRAY,
     NO_RECORD,
     InputError,
     argument,
@@ -37,6 +36,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
+from ..runtime.arrays import as_array
 from ..runtime.files import atomic_output, require_writable
 from ..served import attribute
 from .exr import read_attributes, read_exr, read_pixels, write_exr
@@ -98,7 +98,7 @@ class Capture(Displayed):
         channels = image.shape[2] if image.ndim == 3 else 1
         refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
         require_pixels("image", image)
-        put(self, image=np.asarray(image, dtype=np.float32))
+        put(self, image=image.astype(np.float32, copy=False))
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
             refuse_if(
@@ -119,7 +119,7 @@ class Capture(Displayed):
             require_pixels("noise", noise)
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
-            put(self, noise=np.asarray(noise, dtype=np.float32))
+            put(self, noise=noise.astype(np.float32, copy=False))
 
     def __repr__(self) -> str:
         """Return a description of the capture in one line."""
@@ -155,14 +155,6 @@ class Capture(Displayed):
             return None
         mean = float(self.image.mean(dtype=np.float64))
         return float(np.sqrt(np.mean(np.square(self.noise, dtype=np.float64)))) / mean if mean else 0.0
-
-
-def as_array(name: str, values: Any) -> np.ndarray:
-    """Return an array of real numbers; refuse anything else."""
-    with refusing(f"{name}: it must be an array:", *NO_ARRAY):
-        array = np.asarray(values)
-    refuse_if(array.dtype.kind not in "fiu", f"{name} of type {array.dtype}: it must hold real numbers")
-    return array
 
 
 def require_pixels(name: str, image: np.ndarray) -> None:

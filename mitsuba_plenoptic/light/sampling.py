@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import SHORTEST, InputError, refuse_if
 from ..lenses.main_lens import Light, MainLens
+from ..runtime.arrays import MILLIMETRES, POINTS, as_array
 
 _FARTHEST = 1e16
 """Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""
@@ -99,10 +100,8 @@ def check_positions(
     positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False
 ) -> NDArray[np.float64]:
     """Return scene points as a float64 array (n, 3); refuse anything else."""
-    try:
-        points = np.asarray(positions, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError("position: it must be numbers (X, Y, g)") from None
+    rule = "it must be numbers (X, Y, g)"
+    points = as_array("position", positions, np.float64, POINTS, rule=rule, units=MILLIMETRES)
     refuse_if(
         points.ndim != 2 or points.shape[1] != 3,
         f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",

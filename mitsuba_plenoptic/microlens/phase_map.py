@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import put, refuse_if, require_flag, require_number, require_wavelength, short_repr
 from ..prescription.glass import LINE_D
 from .sampled import fitted_power
-from .sampled_grid import SampledGrid, known_samples
+from .sampled_grid import SampledGrid, known_samples, phases
 from .shape import MM_PER_NM, MicrolensShape
 
 
@@ -68,7 +68,12 @@ class PhaseMap(MicrolensShape):
         )
         relief = require_flag("relief", self.relief)
         refuse_if(relief and len(wavelengths) > 1, "relief: it has one design wavelength; give one")
-        phases = np.stack([known_samples("phase", each) for each in maps])
+        phases = np.stack(
+            [
+                known_samples("phase", each, phases(wavelength * MM_PER_NM))
+                for each, wavelength in zip(maps, wavelengths, strict=True)
+            ]
+        )
         put(
             self,
             phase=phases,

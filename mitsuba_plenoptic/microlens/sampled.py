@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import put, require_number
 from ..prescription.glass import LINE_D
-from .sampled_grid import SampledGrid, known_samples
+from .sampled_grid import LENGTHS, SampledGrid, known_samples
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
 
@@ -48,7 +48,7 @@ class Sampled(MicrolensShape):
     def __post_init__(self) -> None:
         put(
             self,
-            height=known_samples("height", self.height),
+            height=known_samples("height", self.height, LENGTHS),
             width=require_number("width", self.width, positive=True),
             glass=known_index("glass", self.glass),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, short_repr
+from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
+from ..runtime.arrays import IMAGE, as_array, unit_of
 from ..runtime.backend import drjit_array, module_of
 from ..runtime.files import require_file
 
@@ -18,10 +20,29 @@ COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
 
 
-def known_samples(name: str, value: Any) -> NDArray[np.float64]:
+LENGTHS = {
+    **dict.fromkeys(("m", "meter", "metre"), 1e3),
+    "cm": 10.0,
+    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1.0),
+    **dict.fromkeys(("um", "µm", "μm", "micron", "micrometer", "micrometre"), 1e-3),
+    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-6),
+    "angstrom": 1e-7,
+}
+"""Millimetres in units of length."""
+
+_ANGLES = {"wave": 1.0, "rad": 0.5 / np.pi, "radian": 0.5 / np.pi}
+"""Waves in units of phase."""
+
+
+def phases(wave: float) -> dict[str, float]:
+    """Return waves of a length in millimetres in units of path and of phase."""
+    return {unit: length / wave for unit, length in LENGTHS.items()} | _ANGLES
+
+
+def known_samples(name: str, value: Any, units: Mapping[str, float]) -> NDArray[np.float64]:
     """Return samples (rows, columns) from numbers or a file, limited in number and rounded to short decimals."""
     # Single precision is enough for a path, and its decimals are short in files.
-    samples = read_samples(name, value).astype(np.float32)
+    samples = read_samples(name, value, units).astype(np.float32)
     low, high = COUNTS
     refuse_if(
         not all(low <= size <= high for size in samples.shape),
@@ -33,24 +54,38 @@ def known_samples(name: str, value: Any) -> NDArray[np.float64]:
     return held
 
 
-def read_samples(name: str, value: Any) -> NDArray[np.float64]:
-    """Return samples (rows, columns) from an array, nested lists, or a file: NPY, FITS, or an image of one channel."""
+def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> NDArray[np.float64]:
+    """Return samples (rows, columns) from an array, nested lists, or a file: NPY, FITS, or an image of one channel.
+
+    `units` are factors of the units that a file or a labelled array may state; others are refused. None stands for
+    numbers whose unit does not matter.
+    """
+    header: Mapping[str, Any] = {}
     if isinstance(value, (str, Path)):
-        value = _read(require_file(Path(value)))
-    with refusing(f"{name} = {short_repr(value)}: it must be rows of numbers", *NO_ARRAY):
-        given = np.asarray(value)
-        refuse_if(np.iscomplexobj(given), f"{name} of type {given.dtype}: it must hold real numbers")
-        samples = given.astype(np.float64)
+        value, header = _read(require_file(Path(value)))
+    unit = str(header.get("BUNIT", unit_of(value))).strip()
+    rule = "it must be rows of numbers"
+    samples = as_array(name, value, np.float64, IMAGE[:2], kinds="biuf", rule=rule, units=(unit,))
+    # Symbols of units differ by case.
+    plain = unit if len(unit) < 3 else unit.lower().removesuffix("s")
+    if units is not None and plain not in ("", "1", "dimensionless"):
+        known = ", ".join(each for each in units if each.isascii() and len(each) < 5) or "numbers without unit"
+        refuse_if(plain not in units, f"{name} in {unit!r}: it must be in {known}")
+        if plain in _ANGLES and "WAVELEN" in header:
+            nanometres = 1e9 * require_number("WAVELEN", header["WAVELEN"])
+            samples *= require_wavelength(nanometres, "WAVELEN") * units["nm"]
+        samples *= units[plain]
     refuse_if(samples.ndim != 2, f"{name} of shape {samples.shape}: it must be rows of as many columns")
     refuse_if(not np.isfinite(samples).all(), f"{name}: its numbers must be finite")
     return samples
 
 
-def _read(path: Path) -> Any:
+def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:
+    """Return the samples in a file, and the header of FITS."""
     ending = path.suffix.lower()
     if ending == ".npy":
         with refusing(f"{path}: it is no NPY file of numbers", OSError, *NO_ARRAY):
-            return np.load(path, allow_pickle=False)
+            return np.load(path, allow_pickle=False), {}
     if ending in (".exr", ".png"):
         import mitsuba as mi
 
@@ -60,11 +95,12 @@ def _read(path: Path) -> Any:
             image = np.array(bitmap.convert(bitmap.pixel_format(), mi.Struct.Type.Float32, srgb_gamma=False))
         channels = 1 if image.ndim == 2 else image.shape[2]
         refuse_if(channels > 1, f"{path}: it has {channels} channels; it must have one")
-        return image.reshape(image.shape[:2])
+        return image.reshape(image.shape[:2]), {}
     if ending in (".fits", ".fit"):
         fits = require_module("astropy.io.fits", f"{path}: FITS needs a package: pip install 'mitsuba-plenoptic[ao]'")
         with refusing(f"{path}: it is no FITS file with an image", OSError, *NO_ARRAY):
-            return fits.getdata(path)
+            samples, header = fits.getdata(path, header=True)
+            return samples, {**fits.getheader(path), **header}
     raise InputError(f"{path}: it must be an .npy, .exr, .png or .fits file")
 
 

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from ..errors import (
     InputError,
     refuse_if,
-    refusing,
     require_count,
     require_number,
     require_wavelength,
     suggest_keywords,
 )
+from ..runtime.arrays import as_array
 from ..runtime.files import read_table
 
 MOST_WAVELENGTHS = 1024
@@ -90,8 +90,8 @@ class Spectrum:
     def __post_init__(self) -> None:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
         object.__setattr__(self, "wavelengths", tuple(require_wavelength(value) for value in self.wavelengths))
-        with refusing("spectrum: responses must be numbers, as many for every channel", TypeError, ValueError):
-            matrix = np.array(self.responses, np.float64)
+        rule = "responses must be numbers, as many for every channel"
+        matrix = as_array("spectrum", self.responses, np.float64, ("channel", "wavelength"), rule=rule)
         refuse_if(
             matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
             f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "

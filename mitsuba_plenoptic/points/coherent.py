@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import Footprint, footprint
 from ..optics.waves import advance
+from ..runtime.arrays import as_array
 from ..runtime.backend import backend
 from ..runtime.fft import Field, fft, fft2, resting_drjit
 from ..runtime.limits import check_memory
@@ -160,10 +161,7 @@ def _whole_spectrum(field: Field, grids: FieldGrids, axis: int) -> Field:
 
 def complex_array(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
     """Return values as a complex array of a shape; refuse anything else."""
-    try:
-        array = np.asarray(values, np.complex64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name}: they must be complex numbers") from None
+    array = as_array(name, values, np.complex64, kinds="biufc", rule="they must be complex numbers")
     refuse_if(array.shape != shape, f"{name} of shape {array.shape}: it must be {shape}, {meaning}")
     refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
     return np.ascontiguousarray(array)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import NO_ARRAY, InputError, refuse_if, refusing
+from ..errors import InputError, refuse_if
 from ..light.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
+from ..runtime.arrays import POINTS, as_array
 from ..runtime.batches import Job
 from .pupil_weights import PupilWeights
 
@@ -94,8 +95,8 @@ class WeightChannels:
 
     def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> NDArray[Any]:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
-        with refusing("image: it must be numbers, (rows, columns) or (rows, columns, channels)", *NO_ARRAY):
-            pixels = np.asarray(image, dtype)
+        rule = "it must be numbers, (rows, columns) or (rows, columns, channels)"
+        pixels = as_array("image", image, dtype, kinds="biuf", rule=rule)
         rows, columns = shape
         refuse_if(
             pixels.ndim not in (2, 3) or pixels.shape[:2] != (rows, columns) or not np.isfinite(pixels).all(),
@@ -108,8 +109,8 @@ class WeightChannels:
 
     def check_weights(self, weights: Any, count: int) -> NDArray[np.float64]:
         """Return the weights of `count` points as an array (count, columns); refuse anything else."""
-        with refusing(f"weights: they must be numbers, ({count},) or ({count}, channels)", *NO_ARRAY):
-            factors = np.asarray(weights, np.float64)
+        rule = f"they must be numbers, ({count},) or ({count}, channels)"
+        factors = as_array("weights", weights, np.float64, POINTS, kinds="biuf", rule=rule)
         refuse_if(
             factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0),
             f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)",

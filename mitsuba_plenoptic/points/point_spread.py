@@ -13,6 +13,7 @@ from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
 from ..optics import guards
+from ..runtime.arrays import POINTS, as_array
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import Job, Threads
 from . import full_field
@@ -86,6 +87,6 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
 
 def _check(camera: PlenopticCamera, position: Any) -> NDArray[np.float64]:
     require_camera(camera)
-    point = np.asarray(position, object)
+    point = as_array("position", position, np.float64, POINTS[1:], rule="it must be three numbers (X, Y, g)")
     refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")
     return check_positions(point[None], camera)[0]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera.aperture import Opening
 from ..errors import refuse_if
+from ..runtime.arrays import IMAGE, as_array
 from ..runtime.backend import drjit_array
 
 STEEPEST = 0.98
@@ -52,9 +53,9 @@ class PupilWeights:
         )
         if isinstance(weights, PupilWeights):
             return weights
-        values = np.asarray(weights)
+        values = as_array("pupil_weights", weights, None, ("point", *IMAGE[:2]), kinds="biuf")
         refuse_if(
-            values.dtype.kind not in "biuf" or not np.isfinite(values).all() or (values < 0).any(),
+            not np.isfinite(values).all() or (values < 0).any(),
             "pupil_weights: they must be finite and not negative",
         )
         if values.dtype == np.bool_:

@@ -27,12 +27,13 @@ from ..errors import (
     warn,
 )
 from ..extension import missing
-from ..io.captures import Capture, as_array, require_demosaiced
+from ..io.captures import Capture, require_demosaiced
 from ..io.checkpoints import Checkpoint
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
 from ..refocus_options import METHODS as NAMES
 from ..refocus_options import OPTIONS
+from ..runtime.arrays import as_array
 from ..runtime.batches import BatchMap
 from ..runtime.limits import require_memory_for
 

@@ -13,6 +13,7 @@ import skimage.metrics
 
 from ..camera import PlenopticCamera
 from ..io.captures import Capture
+from ..runtime.arrays import as_array
 from ..views.white_image import white_image
 
 _WINDOW = 7
@@ -60,7 +61,7 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
 
     Pixels that are NaN in the image are not compared.
     """
-    image, reference = np.asarray(image, np.float32), np.asarray(reference, np.float32)
+    image, reference = (as_array(*each, np.float32) for each in (("image", image), ("reference", reference)))
     unknown = np.isnan(image)
     image, reference = np.where(unknown, 0, image), np.where(unknown, 0, reference)
     peak = float(reference.max())
@@ -78,7 +79,8 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:
     """Return the root of the summed squared differences over the root of the reference's squared sum."""
-    return float(np.linalg.norm(np.asarray(image, np.float64) - reference) / np.linalg.norm(reference))
+    image, reference = (as_array(*each, np.float64) for each in (("image", image), ("reference", reference)))
+    return float(np.linalg.norm(image - reference) / np.linalg.norm(reference))
 
 
 def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tuple[slice, slice]) -> float:
@@ -96,7 +98,8 @@ def interference(image: np.ndarray, limit: np.ndarray, region: np.ndarray | tupl
     region : array of bool, or pair of slice
         The bins that count, such as those of `lit_region`.
     """
-    difference = np.asarray(image, np.float64)[region] - limit[region]
+    limit = as_array("limit", limit)
+    difference = as_array("image", image, np.float64)[region] - limit[region]
     mean = float(np.nanmean(limit[region], dtype=np.float64))
     return float(np.sqrt(np.nanmean(difference**2)) / mean) if mean > 0 else 0.0
 
@@ -162,7 +165,7 @@ def window_sharpness(image: np.ndarray) -> EdgeTransfer:
 
     Shapes: `image` (rows, columns).
     """
-    image = np.asarray(image, np.float64)
+    image = as_array("image", image, np.float64)
     position, profile = _profile(image)
     low, high = np.mean(profile[:_OVERSAMPLING]), np.mean(profile[-_OVERSAMPLING:])
     if not abs(high - low) > 0.1 * np.abs(profile).max():

@@ -28,10 +28,14 @@ from ..errors import InputError, advice, refuse_if, refusing, require_number, sh
 from ..io.captures import require_pixels
 from ..optics import rays
 from ..prescription.lens_data import image_distance
+from ..runtime.arrays import MILLIMETRES, require_units
 from .lens_grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
 CHANNELS = ("R", "G", "B")
+
+_SAMPLES = "views", "lenses", "photodiodes", "samples", "pixels", "1"
+"""Names of units without a camera."""
 
 
 def light_field(
@@ -174,6 +178,8 @@ def require_light_field(lf: Any) -> xr.DataArray:
     )
     refuse_if(lf.dtype.kind not in "fiu", f"light field of type {lf.dtype}: it must hold real numbers")
     require_pixels("light field", lf.values)
+    angles, places = (MILLIMETRES, (*MILLIMETRES, "1")) if lf.attrs.get("camera") else (_SAMPLES, _SAMPLES)
+    require_units("light field", lf, {"u": angles, "v": angles, "s": places, "t": places})
     return lf
 
 

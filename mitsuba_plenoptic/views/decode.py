@@ -12,9 +12,10 @@ import xarray as xr
 from ..camera import PlenopticCamera, are_alike, require_camera
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..io.captures import Capture, as_array, require_demosaiced, require_pixels
+from ..io.captures import Capture, require_demosaiced, require_pixels
 from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
 from ..light.lens_kinds import regular_array
+from ..runtime.arrays import as_array
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views

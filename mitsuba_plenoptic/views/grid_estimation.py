@@ -9,7 +9,8 @@ import numpy as np
 import scipy.ndimage
 
 from ..errors import InputError, refuse_if
-from ..io.captures import as_array, require_pixels
+from ..io.captures import require_pixels
+from ..runtime.arrays import as_array
 from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Side of the middle part of the image whose spectrum gives the first guess.

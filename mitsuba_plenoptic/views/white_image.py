@@ -19,13 +19,14 @@ from ..camera import PlenopticCamera, are_alike
 from ..camera.aperture import Opening, Round
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
-from ..io.captures import Capture, as_array, recording_of, require_demosaiced, require_pixels
+from ..io.captures import Capture, recording_of, require_demosaiced, require_pixels
 from ..lattice.lens_shifts import hashed
 from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
+from ..runtime.arrays import as_array
 from ..runtime.backend import array_module
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ...errors import NO_ARRAY, refuse_if, refusing, require_count, short_repr, suggest_keywords
+from ...errors import refuse_if, require_count, suggest_keywords
 from ...light.detector import Detector
+from ...runtime.arrays import IMAGE, as_array
 
 _ORDERS = 2, 4, 6
 """Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high
@@ -206,8 +207,9 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
 
 def _frames(name: str, value: Any) -> NDArray[np.float64]:
     """Return one or more pictures as an array (n, rows, columns) of digital numbers."""
-    with refusing(f"{name} = {short_repr(value)}: it must be pictures of digital numbers", *NO_ARRAY):
-        frames = np.asarray(value, np.float64)
+    rule = "it must be pictures of digital numbers"
+    alone = getattr(value, "ndim", 3) == 2
+    frames = as_array(name, value, np.float64, IMAGE[:2] if alone else ("frame", *IMAGE[:2]), rule=rule)
     frames = frames[None] if frames.ndim == 2 else frames
     refuse_if(
         frames.ndim != 3 or min(frames.shape[1:], default=0) < _LEAST or not len(frames),

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import refuse_if
+from ...runtime.arrays import as_array
 from ...runtime.files import atomic_output
 from ...views import LensGrid, estimate_lens_grid
 from ...views.grid_estimation import centroids, pixels_around
@@ -89,10 +90,10 @@ def find_centres(*whites: np.ndarray) -> Centres:
     InputError
         If a picture shows no lattice of micro-images, or they differ in size.
     """
-    sizes = {np.shape(white)[:2] for white in whites}
+    images = [as_array("white", white, np.float64) for white in whites]
+    sizes = {image.shape[:2] for image in images}
     refuse_if(len(sizes) != 1, f"white images: they have {len(sizes)} sizes of pictures: one is needed, of one camera")
-    grid = estimate_lens_grid(whites[0])
-    images = [np.asarray(white, dtype=np.float64) for white in whites]
+    grid = estimate_lens_grid(images[0])
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
     first = grid.centres()
     radius = grid.nearest_distance / 2

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import refuse_if
-from ...io.captures import as_array, require_pixels
+from ...io.captures import require_pixels
+from ...runtime.arrays import as_array
 
 _SHARED = 1e-4
 """Part of the pixels with the picture's largest value from which on this value is saturation."""
@@ -87,7 +88,7 @@ class WhiteFrame:
 
 def single_channel(name: str, picture: np.ndarray) -> np.ndarray:
     """Return a picture of one channel as (rows, columns) numbers; refuse others."""
-    values = np.array(as_array(name, picture), np.float64)
+    values = as_array(name, picture, np.float64)
     refuse_if(
         values.ndim == 3 and values.shape[2] != 1,
         f"{name} of shape {values.shape}: it must have one channel, for one range of wavelengths",

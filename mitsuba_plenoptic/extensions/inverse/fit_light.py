@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
-from ...io.captures import Capture, as_array, require_demosaiced, require_pixels, response_of
+from ...io.captures import Capture, require_demosaiced, require_pixels, response_of
 from ...io.checkpoints import digest
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -23,6 +23,7 @@ from ...plugins.other_camera import with_camera
 from ...points.pupil_weights import PupilWeights
 from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
+from ...runtime.arrays import as_array
 from ...runtime.backend import one_at_a_time
 
 _LEAST_ELECTRONS = 1.0
@@ -209,7 +210,7 @@ class View:
         refuse_if(image.ndim != 2, f"image of shape {image.shape}: a camera is fitted to images of one channel")
         require_pixels("image", image)
         points = check_positions(self.points, virtual=self.virtual)
-        weights = np.asarray(as_array("weights", self.weights), np.float64)
+        weights = as_array("weights", self.weights, np.float64)
         refuse_if(
             weights.shape != (len(points),) or not np.isfinite(weights).all(),
             f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers",
@@ -224,12 +225,12 @@ class View:
         refuse_if(not weights.any(), "weights: all of them are 0: there is no light")
         noise = self.noise
         if noise is not None and not isinstance(noise, PixelNoise):
-            noise = np.asarray(as_array("noise", noise), np.float64)
+            noise = as_array("noise", noise, np.float64)
             refuse_if(
                 noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all(),
                 f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel",
             )
-        mask = None if self.mask is None else np.asarray(self.mask)
+        mask = None if self.mask is None else as_array("mask", self.mask, kinds="biuf")
         if mask is not None and (mask.dtype != bool or mask.shape != image.shape):
             raise InputError(
                 f"mask of type {mask.dtype} and shape {mask.shape}: it must be of booleans, {image.shape}: True where "

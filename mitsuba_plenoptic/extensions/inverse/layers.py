@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, refuse_if, require_number
+from ...runtime.arrays import IMAGE, as_array
 from ...runtime.backend import drjit_array
 
 
@@ -61,7 +62,9 @@ class Layers:
             require_number("depth", depth)
             require_number("width", width, positive=True)
         refuse_if(sorted(set(self.depths)) != list(self.depths), f"depths = {list(self.depths)}: they must increase")
-        radiance, opacity = (np.asarray(array, np.float32) for array in (self.radiance, self.opacity))
+        radiance, opacity = (
+            as_array(name, getattr(self, name), np.float32, ("z", *IMAGE)) for name in ("radiance", "opacity")
+        )
         if opacity.ndim != 3 or len(opacity) != count or radiance.ndim > 4 or radiance.shape[:3] != opacity.shape:
             raise InputError(
                 f"radiance of shape {radiance.shape} and opacity of shape {opacity.shape}: they must "

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
+from ...runtime.arrays import as_array
 
 
 @suggest_keywords
@@ -35,8 +36,8 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[NDArray[np.float
     InputError
         If the values are not finite or have a wrong shape, or the corners do not define a box.
     """
-    with refusing(f"values = {short_repr(values)}: they must be numbers, (planes, rows, columns)", *NO_ARRAY):
-        grid = np.array(values, np.float64)
+    rule = "they must be numbers, (planes, rows, columns)"
+    grid = as_array(f"values = {short_repr(values)}", values, np.float64, ("z", "y", "x"), kinds="biuf", rule=rule)
     # Mitsuba has its types once a variant is set.
     if mi.variant() and isinstance(values, mi.VolumeGrid) and grid.ndim == 4 and grid.shape[3] == 1:
         grid = grid[..., 0]

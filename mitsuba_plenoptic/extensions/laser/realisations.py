@@ -22,6 +22,7 @@ from ...optics import guards
 from ...points.coherent import CoherentFields
 from ...points.full_field import recorded_pixels
 from ...points.operator import CaptureOperator
+from ...runtime.arrays import POINTS, as_array
 from ...runtime.backend import one_at_a_time
 from ...runtime.batches import Job, Part, PartialSum, SumTask
 
@@ -151,10 +152,7 @@ class _Realisations:
 
 def _real(name: str, values: Any, count: int) -> NDArray[np.float64]:
     """Return values as a float64 array (count,), or refuse them."""
-    try:
-        array = np.asarray(values, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name}: they must be numbers") from None
+    array = as_array(name, values, np.float64, POINTS, kinds="biuf", rule="they must be numbers")
     refuse_if(array.shape != (count,), f"{name} of shape {array.shape}: it must be {(count,)}, one for each point")
     refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
     return array

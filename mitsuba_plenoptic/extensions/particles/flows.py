@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
 from ...errors import InputError, put, refuse_if, require_choice, require_length, require_number, require_numbers
+from ...runtime.arrays import MILLIMETRES, as_array, require_units
 from .labelled_files import read_netcdf
 
 Points = NDArray[np.float64]
@@ -30,8 +31,8 @@ _FASTEST = 1e9
 
 _AXES = "xyz"
 
-_UNITS = {"u": ("mm/s", "mm s-1", "mm s^-1", "mm.s-1"), "x": ("mm", "millimeter", "millimetre")}
-"""Units of velocities and of positions, as files write them."""
+_SPEEDS = "mm/s", "mm s-1", "mm s^-1", "mm.s-1"
+"""Names of the unit of velocities."""
 
 
 def _cylinder(axis: str) -> list[int]:
@@ -305,13 +306,11 @@ class ImportedFlow(Flow):
             f"{name}: it must be a data set with u, v and w on x, y and z",
         )
         try:
-            axes = [np.asarray(data[axis], np.float64) for axis in _AXES]
-            parts = [np.asarray(data[part].transpose(*_AXES), np.float64) for part in "uvw"]
+            axes = [as_array(axis, data[axis], np.float64) for axis in _AXES]
+            parts = [as_array(part, data[part].transpose(*_AXES), np.float64, _AXES) for part in "uvw"]
         except ValueError:
             raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
-        for part in (*"uvw", *_AXES):
-            known, unit = _UNITS["u" if part in "uvw" else "x"], data[part].attrs.get("units")
-            refuse_if(unit not in (None, *known), f"{name}: {part} is in {unit}: it must be in {known[0]}")
+        require_units(name, data, dict.fromkeys("uvw", _SPEEDS) | dict.fromkeys(_AXES, MILLIMETRES))
         for axis, values in zip(_AXES, axes, strict=True):
             refuse_if(len(values) < 2 or not (np.diff(values) > 0).all(), f"{name}: {axis} must rise, over two values")
         values = np.stack(parts, -1)

@@ -16,6 +16,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
+from ...runtime.arrays import POINTS, as_array
 from ...runtime.batches import Job, Progress, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
@@ -99,7 +100,7 @@ class VoxelProjector:
 
     def forward(self, weights: ArrayLike, *, job: Job | None = None) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        return self.points.forward(self._spread @ np.asarray(weights, np.float64), job=job)
+        return self.points.forward(self._spread @ as_array("weights", weights, np.float64, POINTS), job=job)
 
     def adjoint(self, image: ArrayLike, *, job: Job | None = None) -> NDArray[np.float64]:
         """Return each voxel's inner product with an image, (n,)."""
@@ -154,10 +155,10 @@ class RayProjector:
 
     def forward(self, weights: ArrayLike) -> NDArray[np.float32]:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        return np.asarray(self._matrix @ np.asarray(weights, np.float32)).reshape(self._shape)
+        return np.asarray(self._matrix @ as_array("weights", weights, np.float32, POINTS)).reshape(self._shape)
 
     def adjoint(self, image: ArrayLike) -> NDArray[np.float32]:
         """Return each voxel's inner product with an image, (n,)."""
-        image = np.asarray(image, np.float32)
+        image = as_array("image", image, np.float32)
         refuse_if(image.shape != self._shape, f"image of shape {image.shape}: the camera has {self._shape}")
         return np.asarray(self._matrix.T @ image.ravel())

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint, digest
+from ...runtime.arrays import as_array
 from ...runtime.batches import Progress
 from .voxels import VoxelGrid
 
@@ -135,7 +136,7 @@ def reconstruct_volume(
     iterations = require_count("iterations", iterations)
     relaxation = require_number("relaxation", relaxation, positive=True, maximum=2)
     tolerance = require_number("tolerance", tolerance, minimum=0, maximum=1)
-    image = np.asarray(capture.image if isinstance(capture, Capture) else capture, np.float64)
+    image = as_array("capture", capture.image if isinstance(capture, Capture) else capture, np.float64)
     refuse_if(not np.isfinite(image).all(), "capture: its pixels must be finite")
     image = np.maximum(image, 0)
     scale = math.sqrt(float((image**2).mean()))

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
 from ...io.captures import Capture
+from ...runtime.arrays import MILLIMETRES, POINTS, as_array
 from ...runtime.batches import Progress
 from ..inverse.stored import StoredOperator
 from .voxels import elongation, values_of
@@ -122,6 +123,8 @@ def refine_particles(
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
+    positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
+    light = as_array("light", light, np.float64, POINTS)
     camera, damping = capture.camera, _DAMPING
     levels = [level for level in bins for _ in range(iterations)]
     for step, level in enumerate(levels):
@@ -190,6 +193,8 @@ def match_particles(
         to that one.
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
+    given = (("first", first), ("second", second), ("predicted", predicted))
+    first, second, predicted = (as_array(*each, np.float64, POINTS, units=MILLIMETRES) for each in given)
     expected, there = (first + predicted) / semi_axes, second / semi_axes
     if not len(first) or not len(second):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
+from ...runtime.arrays import MILLIMETRES, POINTS, as_array, require_units
 
 MOST_VOXELS = 10**8
 
@@ -83,13 +84,15 @@ class VoxelGrid:
 
 def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
     """Return the values of volumes along z, y and x, whatever the order of dimensions; refuse different voxels."""
+    for each in volumes:
+        require_units("volume", each, dict.fromkeys("zyx", MILLIMETRES))
     for axis in "zyx":
         here = [each[axis].values for each in volumes]
         refuse_if(
             any(places.shape != here[0].shape or not np.allclose(places, here[0]) for places in here),
             f"volumes: they must be on the same voxels, but differ in {axis}",
         )
-    return [each.transpose(*"zyx").values.astype(np.float64) for each in volumes]
+    return [as_array("volume", each, np.float64, tuple("zyx")) for each in volumes]
 
 
 def drawn_particles(
@@ -118,6 +121,8 @@ def drawn_particles(
         (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
         f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
     )
+    positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
+    weights = as_array("weights", weights, np.float64, POINTS)
     for position, weight in zip(positions, weights, strict=True):
         spans, curves = [], []
         for centre, axis, size, deviation in zip(position, axes, grid.voxel, deviations, strict=True):
@@ -165,6 +170,7 @@ def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: 
         return 0.0
     lit = np.argwhere(values > 0)
     z, y, x = (volume[name].values[index] for name, index in zip("zyx", lit.T, strict=True))
+    positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
     if not len(positions):
         return 1.0
     away = cKDTree(positions / semi_axes).query(np.stack([x, y, z], -1) / semi_axes, distance_upper_bound=1.0)[0]

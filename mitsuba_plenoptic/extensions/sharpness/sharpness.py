@@ -11,6 +11,7 @@ from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import gaussian_filter
 
 from ...errors import refuse_if, refusing
+from ...runtime.arrays import as_array
 
 _LEAST_TILT, _MOST_TILT = 1.0, 20.0
 """Angles in degrees between edge and pixels, between which the pixels sample an edge finely and evenly."""
@@ -95,7 +96,7 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     >>> round(edge.angle, 1), edge.upright
     (5.7, True)
     """
-    whole = np.asarray(image, np.float64)
+    whole = as_array("image", image, np.float64)
     if whole.ndim == 3:
         whole = whole.mean(axis=2)
     refuse_if(whole.ndim != 2, f"image of shape {whole.shape}: it must have rows and columns")

@@ -120,7 +120,7 @@ def extended(picture: Any, *, width: float, direction: tuple[float, float] = (0.
     InputError
         If a value is out of range, or the picture is dark everywhere or negative somewhere.
     """
-    values = read_samples("picture", picture)
+    values = read_samples("picture", picture, None)
     refuse_if(not values.any() or bool((values < 0).any()), "picture: it must be bright somewhere and nowhere negative")
     rows, columns = values.shape
     pixel = require_number("width", width, positive=True, maximum=_WIDEST) / columns

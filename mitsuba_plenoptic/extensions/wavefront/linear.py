@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...io.captures import as_array, require_pixels
+from ...io.captures import require_pixels
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...points.units import brightness_at
+from ...runtime.arrays import as_array
 from .zone_search import Zone
 
 Array = NDArray[np.float64]
@@ -122,7 +123,7 @@ class InteractionMatrix:
         InputError
             If an input has a wrong shape or value, or both `prior` and `rank` are given.
         """
-        seen = np.asarray(as_array("image", image), np.float64)
+        seen = as_array("image", image, np.float64)
         refuse_if(
             seen.shape != self.reference.shape, f"image of shape {seen.shape}: the matrix is of {self.reference.shape}"
         )
@@ -139,7 +140,7 @@ class InteractionMatrix:
             kept = require_count("rank", count if rank is None else rank, maximum=count)
             found = right[:kept].T @ (left.T[:kept] @ misfit / singular[:kept])
         else:
-            deviation = np.asarray(as_array("prior", prior), np.float64)
+            deviation = as_array("prior", prior, np.float64)
             if deviation.shape not in ((), (count,)) or not (np.isfinite(deviation) & (deviation > 0)).all():
                 raise InputError(f"prior of shape {deviation.shape}: it must be positive, one or {count} numbers")
             found = np.linalg.solve(rows.T @ rows + np.diag(np.ones(count) / deviation**2), rows.T @ misfit)

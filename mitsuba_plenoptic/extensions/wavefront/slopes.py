@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
-from ...io.captures import as_array, require_pixels
+from ...io.captures import require_pixels
 from ...lenses.common import main_lens
 from ...lenses.thin import Wavefront
 from ...light.sampling import check_positions
 from ...optics import rays
+from ...runtime.arrays import as_array
 
 Array = NDArray[np.float64]
 
@@ -231,7 +232,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
 
 def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Array:
     """Return a capture of one channel with negative pixels set to 0; refuse other captures."""
-    seen = np.asarray(as_array("image", image), np.float64)
+    seen = as_array("image", image, np.float64)
     refuse_if(seen.ndim != 2, f"image of shape {seen.shape}: wavefronts are measured in images of one channel")
     require_pixels("image", seen)
     if camera is not None:
