@@ -36,7 +36,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime.arrays import as_array
+from ..runtime.arrays import as_pixels
 from ..runtime.files import atomic_output, require_writable
 from ..served import attribute
 from .exr import read_attributes, read_exr, read_pixels, write_exr
@@ -46,9 +46,6 @@ from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
 MODELS = ("ray", "wave")
 
 _log = logging.getLogger(__name__)
-
-BRIGHTEST = 1e30
-"""Magnitude of a pixel at most: what is summed and squared of it stays within single precision's 3e38."""
 
 
 @suggest_keywords
@@ -89,7 +86,7 @@ class Capture(Displayed):
 
     def __post_init__(self) -> None:
         require_camera(self.camera)
-        image = as_array("image", self.image)
+        image = as_pixels("image", self.image, np.float32)
         refuse_if(
             image.ndim not in (2, 3) or image.shape[:2] != self.camera.shape,
             f"image of shape {image.shape}: the camera records {self.camera.shape[0]} rows and "
@@ -97,8 +94,7 @@ class Capture(Displayed):
         )
         channels = image.shape[2] if image.ndim == 3 else 1
         refuse_if(channels not in (1, 3), f"image of shape {image.shape}: a capture has 1 channel or 3")
-        require_pixels("image", image)
-        put(self, image=image.astype(np.float32, copy=False))
+        put(self, image=image)
         require_choice("model", self.model, MODELS)
         if isinstance(self.wavelength, (tuple, list)):
             refuse_if(
@@ -111,15 +107,11 @@ class Capture(Displayed):
         if not isinstance(self.metadata, dict):
             raise InputError(f"metadata = {short_repr(self.metadata)}: it must be a dictionary")
         if self.noise is not None:
-            noise = as_array("noise", self.noise)
-            refuse_if(
-                noise.dtype.kind not in "fiu" or noise.shape != image.shape,
-                f"noise of type {noise.dtype} and shape {noise.shape}: it must be as the image",
-            )
-            require_pixels("noise", noise)
+            noise = as_pixels("noise", self.noise, np.float32)
+            refuse_if(noise.shape != image.shape, f"noise of shape {noise.shape}: it must be as the image")
             if noise.min(initial=0) < 0:
                 raise InputError(f"noise: {np.count_nonzero(noise < 0)} of its pixels are negative")
-            put(self, noise=noise.astype(np.float32, copy=False))
+            put(self, noise=noise)
 
     def __repr__(self) -> str:
         """Return a description of the capture in one line."""
@@ -155,23 +147,6 @@ class Capture(Displayed):
             return None
         mean = float(self.image.mean(dtype=np.float64))
         return float(np.sqrt(np.mean(np.square(self.noise, dtype=np.float64)))) / mean if mean else 0.0
-
-
-def require_pixels(name: str, image: np.ndarray) -> None:
-    """Refuse an image with pixels that are not finite or above `BRIGHTEST`, and name their number and the first one."""
-    # The largest and the smallest value show every NaN too, and cost far less than a test of each.
-    if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
-        return
-    bad = ~np.isfinite(image)
-    what, rule = "NaN or infinite", "finite"
-    if not bad.any():
-        bad, what, rule = (
-            np.abs(image.astype(np.float64)) > BRIGHTEST,
-            "too large",
-            f"{BRIGHTEST:g} at most in magnitude",
-        )
-    first = ", ".join(str(index) for index in np.argwhere(bad)[0])
-    raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
 
 
 EXPOSED, RECORDED = "exposure", "raw"
@@ -279,11 +254,11 @@ def read_capture(
 ) -> Capture:
     """Return the capture in a file, or in a picture of another program with its camera.
 
-    Files are those of `write_capture` and `write_raw`; raw pictures that extensions read, such as Lytro's; and, with
-    `camera`, pictures of other programs, ``.png``, ``.tiff`` or ``.exr``, grey or of three colours.
-
-    A wave capture of version 1.0 or earlier gets the ``lens_model`` with which it was computed: ``parabolic`` for a
-    thin main lens and microlenses of at least 20 wavelengths, with a remark in the log.
+    Files are those of `write_capture` and `write_raw`, the latter in the units of the capture that was exposed; raw
+    pictures of other cameras that extensions read; and, with `camera`, pictures of other programs, ``.png``, ``.tiff``
+    or ``.exr``, grey or of three colours. A wave capture of version 1.0 or earlier gets the ``lens_model`` with which
+    it was computed: ``parabolic`` for a thin main lens and microlenses of at least 20 wavelengths, with a remark in the
+    log.
 
     Parameters
     ----------
@@ -295,12 +270,12 @@ def read_capture(
         Whether whole numbers in a picture of another program are proportional to light, as in raw data, instead of
         encoded in sRGB; floating-point numbers always are.
     black_level : float
-        Number without light in such a picture, in its own numbers.
+        Number without light in such a picture.
 
     Raises
     ------
     InputError
-        If the file does not exist, is damaged, or is not a capture.
+        If the file does not exist, is damaged, is not a capture, or states no camera and none is given.
 
     Examples
     --------
@@ -311,40 +286,33 @@ def read_capture(
     """
     path, suffix = Path(path), Path(path).suffix.lower()
     picture = read_numbers(path) if suffix in RAW_SUFFIXES else None
-    stated = picture is None or states_detector(picture)
-    refuse_if(
-        black_level and (stated or not linear), f"black_level = {black_level}: it is for raw pictures that are linear"
-    )
-    if picture is not None and stated:
+    foreign = picture is not None and not states_detector(picture)
+    rule = "it is for raw pictures of other programs that are linear"
+    refuse_if(black_level and not (foreign and linear), f"black_level = {black_level}: {rule}")
+    if picture is not None and foreign:
+        rule = f"it states no camera and detector; such a raw picture needs its {argument('camera')}"
+        refuse_if(camera is None, f"{path}: {rule}")
+        with refusing(f"{path}: it cannot be read as a picture:"):
+            return Capture(picture.values(linear, black_level), require_camera(camera))
+    if picture is not None:
         found = _raw_capture(path, picture)
     elif of_extension := format_of(suffix, "capture", str(path)):
         found = place(*of_extension)(path)
-    elif picture is not None:
-        refuse_if(
-            camera is None,
-            f"{path}: it states no camera and detector; such a raw picture needs its {argument('camera')}",
-        )
-        with refusing(f"{path}: it cannot be read as a picture:"):
-            found = Capture(picture.values(linear, black_level), require_camera(camera))
     elif camera is not None and not read_attributes(path):
-        seen = require_camera(camera)
-        pixels = read_pixels(path, seen.resolution, seen.crop_offset, seen.crop_size)
+        pixels = read_pixels(path, require_camera(camera))
         with naming(path):
-            found = Capture(pixels, seen)
+            found = Capture(pixels, camera)
     else:
-        found = _stored_capture(path)
+        image, noise, record = read_exr(path)
+        with naming(path):
+            refuse_if(record.get("kind") != "capture", f"it holds a {short_repr(record.get('kind'))}, not a capture")
+            refuse_if(not isinstance(record.get("camera"), dict), "its header has no camera")
+            found = _capture_of(path, record, image, noise)
     return found if camera is None else replace(found, camera=camera)
 
 
-def _stored_capture(path: Path) -> Capture:
-    image, noise, attributes = read_exr(path)
-    with naming(path):
-        refuse_if(
-            attributes.get("kind") != "capture", f"it holds a {short_repr(attributes.get('kind'))}, not a capture"
-        )
-        refuse_if(not isinstance(attributes.get("camera"), dict), "its header has no camera")
-        return _capture_of(path, attributes, image, noise)
-
+read_raw = read_capture
+"""The same function, by its name for raw pictures in version 1.0."""
 
 RAW_SUFFIXES = (".png", ".tif", ".tiff")
 
@@ -367,7 +335,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
     """
     path = require_writable(path, *RAW_SUFFIXES)
     numbers = digital_numbers(capture)
-    text = json.dumps({KEY: sealed(_record(capture, "raw"), [numbers])})
+    text = json.dumps({KEY: sealed(_record(capture, "raw"), [{"": numbers}])})
     if path.suffix.lower() == ".png":
         refuse_if(numbers.ndim == 3, f"{path}: raw pictures of three channels are written as .tiff")
         information = PngInfo()
@@ -380,22 +348,6 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         tifffile.imwrite(temporary, numbers, photometric=photometric, description=text, metadata=None)
 
 
-def read_raw(path: str | Path) -> Capture:
-    """Return the capture in a file of `write_raw`, in the units of the capture that was exposed.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, is damaged, or states no detector and camera, as those of other programs.
-    """
-    return _raw_capture(Path(path), read_numbers(path))
-
-
 def _raw_capture(path: Path, picture: Picture) -> Capture:
     with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
         about = json.loads(picture.text)[KEY]
@@ -403,7 +355,7 @@ def _raw_capture(path: Path, picture: Picture) -> Capture:
         if not all(isinstance(part, dict) for part in given):
             raise TypeError("camera and exposure are no objects")
     with naming(path):
-        require_seal(about, [picture.numbers.astype(picture.numbers.dtype.newbyteorder("="))])
+        require_seal(about, [{"": picture.numbers.astype(picture.numbers.dtype.name)}])
         refuse_if(picture.white != 65535, "it states a detector of 16 bits: another program changed it")
         gain, black, dark, unit = response_of(about["metadata"]["exposure"])
         image = (((picture.numbers.astype(np.float64) - black) / gain - dark) / unit).astype(np.float32)

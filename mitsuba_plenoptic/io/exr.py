@@ -6,13 +6,14 @@ import contextlib
 import itertools
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
 
+from ..camera import PlenopticCamera
 from ..errors import InputError, advice, naming, refuse_if, refusing, short_repr
 from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
@@ -71,50 +72,35 @@ def write_exr(
     channels = image_channels(image)
     if noise is not None:
         channels |= {_NOISE + name: values for name, values in image_channels(noise).items()}
-    _write(path, {"": channels}, attributes, offset, full_size or image.shape[1::-1])
+    write_exr_parts(path, {"": channels}, attributes, offset=offset, full_size=full_size)
 
 
 def write_exr_parts(
-    path: str | Path, parts: Mapping[str, Mapping[str, np.ndarray]], attributes: dict[str, Any]
-) -> None:
-    """Write the parts of an OpenEXR file, each of channels (rows, columns) by name; the first has attributes."""
-    # All parts of a file must share one display window.
-    shapes = [plane.shape for channels in parts.values() for plane in channels.values()]
-    _write(path, parts, attributes, (0, 0), (max(shape[1] for shape in shapes), max(shape[0] for shape in shapes)))
-
-
-def _write(
     path: str | Path,
     parts: Mapping[str, Mapping[str, np.ndarray]],
     attributes: dict[str, Any],
-    offset: tuple[int, int],
-    full_size: tuple[int, ...],
+    *,
+    offset: tuple[int, int] = (0, 0),
+    full_size: tuple[int, int] | None = None,
 ) -> None:
+    """Write the parts of an OpenEXR file, each of channels (rows, columns) by name; the first has attributes."""
+    floats = [{key: np.ascontiguousarray(plane, np.float32) for key, plane in part.items()} for part in parts.values()]
+    shapes = [next(iter(planes.values())).shape for planes in floats]
+    # All parts of a file must share one display window.
+    display = _window(0, 0, *(full_size or (max(columns for _, columns in shapes), max(rows for rows, _ in shapes))))
+    with refusing(f"{path}: its attributes must be plain data for JSON:", TypeError, ValueError):
+        record = {ATTRIBUTE: json.dumps(sealed(attributes, floats), sort_keys=True)}
     written: list[OpenEXR.Part] = []
-    floats = [
-        {key: np.ascontiguousarray(plane, np.float32) for key, plane in channels.items()} for channels in parts.values()
-    ]
-    for name, planes in zip(parts, floats, strict=True):
-        rows, columns = next(iter(planes.values())).shape
+    for name, planes, (rows, columns) in zip(parts, floats, shapes, strict=True):
         header = {
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
             "dataWindow": _window(*offset, columns, rows),
-            "displayWindow": _window(0, 0, *full_size),
+            "displayWindow": display,
         }
-        if not written:
-            with refusing(f"{path}: its attributes must be plain data for JSON:", TypeError, ValueError):
-                header[ATTRIBUTE] = json.dumps(sealed(attributes, _in_order(floats)), sort_keys=True)
-        written.append(OpenEXR.Part(header, planes, name))
+        written.append(OpenEXR.Part(header if written else header | record, planes, name))
     with refusing(f"{path}: it cannot be written:", RuntimeError, OSError), atomic_output(path, ".exr") as temporary:
         OpenEXR.File(written).write(str(temporary))
-
-
-def _in_order(parts: Iterable[Mapping[str, np.ndarray]]) -> Iterator[np.ndarray]:
-    """Yield the channels of parts in the order of the digest."""
-    for planes in parts:
-        for name in sorted(planes):
-            yield planes[name]
 
 
 def _window(x: int, y: int, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -130,96 +116,20 @@ def image_channels(image: np.ndarray) -> dict[str, np.ndarray]:
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Return the image, the noise if any, and the attributes of a file of `write_exr`."""
-    path = require_file(path)
-    parts = read_parts(path)
-    with _undamaged(path):
-        part = parts[0]
-        refuse_if(
-            ATTRIBUTE not in part.header,
-            f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; give "
-            + advice(python="camera", shell="--camera, where a command has it"),
-        )
-        _require_lossless(part)
-        colours = set("YRGB").intersection(part.channels)
-        names: tuple[str, ...] = ("Y",) if colours == {"Y"} else ("R", "G", "B")
-        if colours != set(names):
-            hint = ", as ground truth has: name the capture that it belongs to" if "depth.Z" in part.channels else ""
-            raise ValueError(f"it has the channels {', '.join(part.channels)} instead of Y or R, G, B{hint}")
-        attributes = _attributes(part)
-        layers = [names]
-        if any(name.startswith(_NOISE) for name in part.channels):
-            layers.append(tuple(_NOISE + name for name in names))
-        # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
-        samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
-        samples += part.columns * part.rows * len(names) * len(layers)
-        require_memory(4 * samples, f"{path}: {part.columns} x {part.rows} pixels of {len(part.channels)} channels")
-        with _opened(path, parts) as file:
-            found = file.channels()
-            images, planes = [], {}
-            for layer in layers:
-                image = np.empty((part.rows, part.columns, len(layer)), dtype=np.float32)
-                for index, name in enumerate(layer):
-                    image[..., index] = found.pop(name).pixels.reshape(part.rows, part.columns)
-                    planes[name] = image[..., index]
-                images.append(image if len(layer) == 3 else image[..., 0])
-        with naming(path):
-            require_seal(attributes, _in_order([planes]))
-    return images[0], images[1] if len(images) == 2 else None, attributes
-
-
-def read_pixels(
-    path: str | Path, full_size: tuple[int, int] | None = None, offset: tuple[int, int] = (0, 0), size: Any = None
-) -> np.ndarray:
-    """Return the pixels, (rows, columns[, 3]) in single precision, in the display window of another program's file.
-
-    Shapes: `full_size`, `offset`, `size` (columns, rows): of a display window of the full size, a part is returned.
-    """
-    path = require_file(path)
-    parts = read_parts(path)
-    with _undamaged(path):
-        part, names = _only_layer(parts)
-        (left, top), (right, bottom) = (map(int, corner) for corner in part.header["displayWindow"])
-        columns, rows = right - left + 1, bottom - top + 1
-        if (columns, rows) == full_size:
-            left, top, (columns, rows) = left + offset[0], top + offset[1], size
-        left, top = left - part.origin[0], top - part.origin[1]
-        refuse_if(
-            min(left, top) < 0 or left + columns > part.columns or top + rows > part.rows,
-            f"{path}: its data window of {part.columns} x {part.rows} pixels at {part.origin} does not cover the "
-            f"{columns} x {rows} of the detector: write all, or give a camera with crop_offset and crop_size",
-        )
-        samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
-        require_memory(4 * samples + 12 * columns * rows, f"{path}: {samples} values")
-        with _opened(path, parts) as file:
-            found = file.parts[parts.index(part)].channels
-            planes = [found[name].pixels for name in names]
-            if any(plane.dtype.kind != "f" or plane.shape != (part.rows, part.columns) for plane in planes):
-                raise ValueError("its channels must be of half or single precision, with a sample for each pixel")
-            image = np.stack([plane[top : top + rows, left : left + columns] for plane in planes], -1, dtype=np.float32)
-    return image if len(names) == 3 else image[..., 0]
-
-
-def _only_layer(parts: list[ExrPart]) -> tuple[ExrPart, tuple[str, ...]]:
-    """Return the part and the channels of a file's picture, grey or of the primaries of sRGB; refuse other files."""
-    layers = []
-    for part in parts:
-        names = set(part.channels)
-        for prefix in sorted({name[: name.rfind(".") + 1] for name in names}):
-            if names.issuperset(prefix + name for name in "RGB"):
-                layers.append((prefix, part, tuple(prefix + name for name in "RGB")))
-            elif prefix + "Y" in names and not names.intersection(prefix + name for name in ("X", "Z", "RY", "BY")):
-                layers.append((prefix, part, (prefix + "Y",)))
-    chosen = [layer for layer in layers if not layer[0]] or layers
-    if len(chosen) != 1 or len(chosen[0][1].header.get("multiView", ())) > 1:
-        known = ", ".join(name for part in parts for name in part.channels)
-        raise ValueError(f"its channels are {known}: they must be one picture, R, G and B or Y")
-    _, part, names = chosen[0]
-    header, primaries = part.header, np.ravel(part.header.get("chromaticities", _SRGB))
-    if "deep" in str(header["type"]) or header.get("pixelAspectRatio", 1) != 1:
-        raise ValueError("its pixels must be square, and not deep")
-    if len(names) == 3 and (primaries.shape != (8,) or np.abs(primaries - _SRGB).max() > 2e-3):
-        raise ValueError(f"its chromaticities are {short_repr(primaries.tolist())}: convert it to those of sRGB")
-    return part, names
+    parts, attributes = read_exr_parts(path)
+    planes = next(iter(parts.values()))
+    names = ("Y",) if planes.keys().isdisjoint("RGB") else ("R", "G", "B")
+    hint = ", as ground truth has: name the capture that it belongs to" if "depth.Z" in planes else ""
+    refuse_if(
+        planes.keys() & set("YRGB") != set(names),
+        f"{path}: it cannot be read as an OpenEXR image: it has the channels {', '.join(planes)} instead of Y or R, G, "
+        f"B{hint}",
+    )
+    if len(names) == 1:
+        return planes["Y"], planes.get(_NOISE + "Y"), attributes
+    noisy = all(_NOISE + name in planes for name in names)
+    image, noise = (np.stack([planes[layer + name] for name in names], -1) for layer in ("", _NOISE * noisy))
+    return image, noise if noisy else None, attributes
 
 
 def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any]]:
@@ -227,20 +137,69 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
-        attributes = _attributes(parts[0])
-        for part in parts:
-            _require_lossless(part)
-        samples = sum(one.columns * one.rows * len(one.channels) for one in parts)
-        require_memory(8 * samples, f"{path}: {len(parts)} parts of {samples} values")
+        attributes = _attributes(path, parts[0])
+        if any(
+            part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS
+            for part in parts
+        ):
+            raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
         with _opened(path, parts) as file:
             found = {}
             for part, read in zip(parts, file.parts, strict=True):
                 shape = part.rows, part.columns
-                planes = {name: np.asarray(one.pixels, np.float32).copy() for name, one in read.channels.items()}
+                planes = {name: np.array(one.pixels, np.float32) for name, one in read.channels.items()}
                 found[read.name()] = {name: plane.reshape(shape) for name, plane in planes.items()}
         with naming(path):
-            require_seal(attributes, _in_order(found.values()))
+            require_seal(attributes, [*found.values()])
     return found, attributes
+
+
+def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> np.ndarray:
+    """Return the pixels, (rows, columns[, 3]) in single precision, in the display window of another program's file.
+
+    Of a display window as large as the camera's whole detector, the part that the camera records is returned.
+    """
+    path = require_file(path)
+    parts = read_parts(path)
+    with _undamaged(path):
+        part, names = _only_layer(parts)
+        (left, top), (right, bottom) = (map(int, corner) for corner in part.header["displayWindow"])
+        left, top, size = left - part.origin[0], top - part.origin[1], (right - left + 1, bottom - top + 1)
+        if camera is not None and size == camera.resolution:
+            left, top, size = left + camera.crop_offset[0], top + camera.crop_offset[1], camera.crop_size
+        refuse_if(
+            min(left, top) < 0 or left + size[0] > part.columns or top + size[1] > part.rows,
+            f"{path}: its data window of {part.columns} x {part.rows} pixels at {part.origin} does not cover the "
+            f"{size[0]} x {size[1]} of the detector: write all, or give a camera with crop_offset and crop_size",
+        )
+        with _opened(path, parts) as file:
+            found = file.parts[parts.index(part)].channels
+            planes = [found[name].pixels for name in names]
+            if any(plane.dtype.kind != "f" or plane.shape != (part.rows, part.columns) for plane in planes):
+                raise ValueError("its channels must be of half or single precision, with a sample for each pixel")
+            cut = np.s_[top : top + size[1], left : left + size[0]]
+            image = np.stack([plane[cut] for plane in planes], -1, dtype=np.float32)
+    return image if len(names) == 3 else image[..., 0]
+
+
+def _only_layer(parts: list[ExrPart]) -> tuple[ExrPart, tuple[str, ...]]:
+    """Return the part and the channels of a file's picture, grey or of the primaries of sRGB; refuse other files."""
+    layers = []
+    for part in parts:
+        for prefix in sorted({name[: name.rfind(".") + 1] for name in part.channels}):
+            own = {name.removeprefix(prefix) for name in part.channels if name.rfind(".") + 1 == len(prefix)}
+            names = tuple("RGB") if own.issuperset("RGB") else ("Y",)
+            if own.issuperset(names) and (len(names) == 3 or own.isdisjoint(("X", "Z", "RY", "BY"))):
+                layers.append((prefix, part, tuple(prefix + name for name in names)))
+    chosen = [layer for layer in layers if not layer[0]] or layers
+    if len(chosen) != 1 or len(chosen[0][1].header.get("multiView", ())) > 1:
+        known = ", ".join(name for part in parts for name in part.channels)
+        raise ValueError(f"its channels are {known}: they must be one picture, R, G and B or Y")
+    _, part, names = chosen[0]
+    primaries = tuple(part.header.get("chromaticities", _SRGB)) if len(names) == 3 else _SRGB
+    if part.header.get("pixelAspectRatio", 1) != 1 or not np.allclose(primaries, _SRGB, atol=2e-3):
+        raise ValueError(f"its pixels must be square, and its chromaticities, {short_repr(primaries)}, those of sRGB")
+    return part, names
 
 
 def read_attributes(path: str | Path) -> dict[str, Any]:
@@ -248,12 +207,17 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
     path = require_file(path)
     parts = read_parts(path)
     with _undamaged(path):
-        return _attributes(parts[0]) if ATTRIBUTE in parts[0].header else {}
+        return _attributes(path, parts[0]) if ATTRIBUTE in parts[0].header else {}
 
 
-def _attributes(part: ExrPart) -> dict[str, Any]:
+def _attributes(path: Path, part: ExrPart) -> dict[str, Any]:
     """Return the content of this package's attribute in an OpenEXR header."""
-    attributes = json.loads(part.header.get(ATTRIBUTE, "null"))
+    refuse_if(
+        ATTRIBUTE not in part.header,
+        f"{path}: it has no attribute '{ATTRIBUTE}' in its header, so its camera is unknown; give "
+        + advice(python="camera", shell="--camera, where a command has it"),
+    )
+    attributes = json.loads(part.header[ATTRIBUTE])
     if not isinstance(attributes, dict):
         raise ValueError(f"attribute '{ATTRIBUTE}' is not a JSON object")
     return attributes
@@ -316,12 +280,11 @@ def _undamaged(path: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
     """Open the pixels of a file with given parts."""
+    # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
+    samples, first = sum(one.columns * one.rows * len(one.channels) for one in parts), parts[0]
+    size = f"{first.columns} x {first.rows} pixels of {len(first.channels)} channels"
+    require_memory(8 * samples, f"{path}: {size}")
     with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:
         if len(file.parts) < len(parts):
             raise ValueError("its pixels are damaged or incomplete")
         yield file
-
-
-def _require_lossless(part: ExrPart) -> None:
-    if part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS:
-        raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")

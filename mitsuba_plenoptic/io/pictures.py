@@ -7,7 +7,7 @@ refused.
 
 from __future__ import annotations
 
-import io
+import contextlib
 import struct
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import mitsuba as mi
 import numpy as np
 import tifffile
-from PIL import Image, ImageCms
+from PIL import Image
 from tifffile import EXTRASAMPLE, PHOTOMETRIC
 
 from ..errors import refusing, require_number
@@ -28,13 +28,10 @@ KEY = "mitsuba_plenoptic"
 """Name of the PNG chunk that states camera and detector, and of the object in a TIFF's description."""
 
 # Bytes of a sample while it is read: as a number, in double and in single precision.
-_SAMPLE_BYTES = 4 + 8 + 4
+_SAMPLE_BYTES = 16
 
 _COLOURS = {PHOTOMETRIC.MINISWHITE: 1, PHOTOMETRIC.MINISBLACK: 1, PHOTOMETRIC.RGB: 3, PHOTOMETRIC.PALETTE: 1}
 """Samples of a pixel's colour in TIFF files, by the meanings of samples that are read."""
-
-_ORIENTATION, _PROFILE = 274, 34675
-"""Tags of TIFF: how the picture is turned, and the colour profile of the ICC."""
 
 
 class Picture(NamedTuple):
@@ -47,18 +44,14 @@ class Picture(NamedTuple):
 
     def values(self, linear: bool, black_level: float = 0) -> np.ndarray:
         """Return linear values in single precision, 0 at the black level, and 1 where whole numbers are white."""
-        black = require_number("black_level", black_level, minimum=0)
-        values = self.numbers.astype(np.float64) - black
+        most = None if self.white is None else self.white - 1
+        values = self.numbers - np.float64(require_number("black_level", black_level, minimum=0, maximum=most))
         if self.white is not None:
-            require_number("black_level", black_level, maximum=self.white - 1)
-            values /= self.white - black
-            if not linear and isinstance(self.encoding, bytes):
-                profile = ImageCms.ImageCmsProfile(io.BytesIO(self.encoding))
-                name = ImageCms.getProfileDescription(profile).strip()
-                if "srgb" not in name.lower():
-                    raise ValueError(f"its colour profile is {name}: convert it to sRGB, or to numbers that are linear")
-            if not linear:
-                values = values ** (1 / self.encoding) if isinstance(self.encoding, float) else linear_of(values)
+            values /= self.white - black_level
+        if self.white is not None and not linear:
+            if isinstance(self.encoding, bytes) and b"sRGB" not in self.encoding.replace(b"\0", b""):
+                raise ValueError("its colour profile is not sRGB: convert it, or say that its numbers are linear")
+            values = values ** (1 / self.encoding) if isinstance(self.encoding, float) else linear_of(values)
         return values.astype(np.float32)
 
 
@@ -68,8 +61,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     Parameters
     ----------
     path : path
-        File to read, of one picture. Samples are unsigned whole numbers of up to 32 bits or, in TIFF files, floating
-        point.
+        File of one picture. Its samples are unsigned whole numbers or, in TIFF files, floating point.
     linear : bool
         Whether whole numbers are proportional to light, as in raw data, instead of encoded in sRGB or by the exponent
         that a PNG states.
@@ -77,8 +69,8 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
     Returns
     -------
     (rows, columns[, 3]) float32 array
-        Values from 0 to 1 of whole numbers; floating-point values as they are. Without a channel axis where the picture
-        is grey. Transparency is dropped.
+        From 0 to 1 for whole numbers, else as they are; without a channel axis where the picture is grey. Transparency
+        is dropped.
 
     Raises
     ------
@@ -107,61 +99,46 @@ def _read_png(path: Path) -> Picture:
     columns, rows = struct.unpack(">II", head[16:])
     require_memory(4.0 * _SAMPLE_BYTES * columns * rows, f"{path}: {columns} x {rows} pixels")
     with Image.open(path, formats=["PNG"]) as described:
-        stated, text = described.info, str(described.info.get(KEY, ""))
-        if getattr(described, "n_frames", 1) > 1:
-            raise ValueError(f"it holds {described.n_frames} pictures: write the one that is meant alone")  # type: ignore[attr-defined]
+        stated, count = described.info, getattr(described, "n_frames", 1)
+    if count > 1:
+        raise ValueError(f"it holds {count} pictures: write one")
     with native_output_dropped():
-        bitmap = mi.Bitmap(str(path))
-    numbers = np.array(bitmap)
-    if bitmap.pixel_format() in (mi.Bitmap.PixelFormat.Y, mi.Bitmap.PixelFormat.YA):
-        numbers = numbers.reshape(rows, columns, -1)[..., 0]
+        numbers = np.array(mi.Bitmap(str(path))).reshape(rows, columns, -1)
+    numbers = numbers[..., :3] if numbers.shape[2] > 2 else numbers[..., 0]
     encoding = stated.get("icc_profile", None if "srgb" in stated else stated.get("gamma") or None)
-    return Picture(numbers[..., :3] if numbers.ndim == 3 else numbers, np.iinfo(numbers.dtype).max, encoding, text)
+    return Picture(numbers, np.iinfo(numbers.dtype).max, encoding, str(stated.get(KEY, "")))
 
 
 def _read_tiff(path: Path) -> Picture:
     # Series of these kinds may name other files.
     with tifffile.TiffFile(path, is_ome=False, is_mmstack=False, is_ndtiff=False) as file:
         pages = [page for page in file.pages if not page.is_reduced]
-        if not pages:
-            raise ValueError("it holds no picture")
-        page, colours = pages[0], _COLOURS.get(pages[0].photometric, 0)
-        require_memory(_SAMPLE_BYTES * page.size, f"{path}: its pixels")
-        held = file.series[0].size if len(pages) == 1 else len(pages) * page.size
-        count = page.imagedepth * held // max(page.size, 1)
-        kind, bits, extra = page.dtype, page.bitspersample, page.extrasamples
-        floats, meaning = kind is not None and kind.kind == "f", getattr(page.photometric, "name", page.photometric)
-        turned = page.tags.valueof(_ORIENTATION, default=1)
-        for broken, rule in (
-            (count != 1, f"it holds {count} pictures: write the one that is meant alone"),
-            (not colours, f"its samples mean {meaning}: convert it to grey or RGB"),
-            (
-                kind is None or kind.kind not in "buf",
-                f"its samples are {kind}: write unsigned numbers or floating point",
-            ),
-            (floats and meaning not in ("MINISBLACK", "RGB"), f"its samples are {kind} and mean {meaning}: black is 0"),
-            (turned != 1, f"its orientation is {turned}: write it upright, with orientation 1"),
-            (
-                len(extra) > 1 or EXTRASAMPLE.UNSPECIFIED in extra or page.samplesperpixel != colours + len(extra),
-                f"it has {page.samplesperpixel} channels: write it in grey or RGB",
-            ),
+        page = pages[0]
+        kind, meaning, colours = page.dtype, page.photometric, _COLOURS.get(page.photometric, 0)
+        count = page.imagedepth * max(len(pages), file.series[0].size // max(page.size, 1))
+        floats, turned = str(kind).startswith("float"), page.tags.valueof("Orientation", default=1)
+        extra = page.samplesperpixel - colours
+        if (
+            (count, turned) != (1, 1)
+            or not (floats or str(kind) in ("bool", "uint8", "uint16", "uint32"))
+            or not colours
+            or (floats and meaning in (PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.PALETTE))
+            or (extra and tuple(page.extrasamples) != (EXTRASAMPLE.UNASSALPHA,))
         ):
-            if broken:
-                raise ValueError(rule)
-        numbers = _decoded(page, path)
+            raise ValueError(
+                f"it holds {count} pictures of {page.samplesperpixel} channels, {getattr(meaning, 'name', meaning)}, "
+                f"{kind}, with orientation {turned}: write one in grey or RGB, upright, of unsigned numbers or "
+                "floating point, without premultiplied transparency"
+            )
+        require_memory(_SAMPLE_BYTES * page.size, f"{path}: its pixels")
+        numbers, white = _decoded(page, path), None if floats else 2**page.bitspersample - 1
         if "S" in page.axes:
-            numbers = np.moveaxis(numbers, page.axes.index("S"), -1)
-        numbers = numbers.astype(np.uint8) if kind.kind == "b" else numbers
-        white = None if floats else 2**bits - 1
-        if EXTRASAMPLE.ASSOCALPHA in extra and (numbers[..., -1] != (white or 1)).any():
-            raise ValueError("its colours are multiplied by its transparency: write it without")
-        numbers = numbers[..., :colours] if "S" in page.axes else numbers
-        numbers = numbers[..., 0] if numbers.ndim == 3 and numbers.shape[2] == 1 else numbers
-        if page.photometric == PHOTOMETRIC.MINISWHITE:
-            numbers = numbers.dtype.type(white) - numbers
-        if page.photometric == PHOTOMETRIC.PALETTE:
+            numbers = np.moveaxis(numbers, page.axes.index("S"), -1)[..., slice(3) if colours == 3 else 0]
+        if meaning == PHOTOMETRIC.MINISWHITE:
+            numbers = np.int64(white or 0) - numbers
+        if meaning == PHOTOMETRIC.PALETTE:
             numbers, white = np.moveaxis(page.colormap[:, numbers], 0, -1), 65535
-        return Picture(numbers, white, page.tags.valueof(_PROFILE), str(page.description))
+        return Picture(numbers, white, page.tags.valueof("InterColorProfile"), str(page.description))
 
 
 def _decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:
@@ -169,16 +146,14 @@ def _decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:
     try:
         return page.asarray()
     except ValueError as error:
-        if "imagecodecs" not in str(error):
-            raise
-        with Image.open(path, formats=["TIFF"]) as picture:
-            samples = np.asarray(picture)
         # Pillow converts some kinds as it reads them.
-        alike = samples.shape == page.shape and samples.dtype.newbyteorder("=") == page.dtype.newbyteorder("=")
-        if not alike or page.bitspersample < 8 or page.photometric == PHOTOMETRIC.MINISWHITE or page.index:
-            name = getattr(page.compression, "name", page.compression)
-            raise ValueError(f"its compression {name} needs the package imagecodecs: write it without") from None
-        return samples
+        converted = page.bitspersample < 8 or page.photometric == PHOTOMETRIC.MINISWHITE or page.index
+        if "imagecodecs" in str(error) and not converted:
+            with contextlib.suppress(OSError, ValueError), Image.open(path, formats=["TIFF"]) as picture:
+                samples = np.asarray(picture)
+                if (samples.shape, samples.dtype.name) == (page.shape, page.dtype.name):
+                    return samples
+        raise
 
 
 def linear_of(encoded: np.ndarray) -> np.ndarray:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from ..camera import PlenopticCamera, has_small_lenses
-from ..errors import advice, refuse_if
+from ..errors import refuse_if
 from ..prescription.glass import LINE_D
 
 VERSION = version("mitsuba-plenoptic")
@@ -31,29 +31,27 @@ def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
     return {**record, KEY: VERSION}
 
 
-def sealed(record: Mapping[str, Any], planes: Iterable[np.ndarray]) -> dict[str, Any]:
-    """Return a file's record, as JSON keeps it, with the version of this package and the digest of its pixels added."""
+def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Any]:
+    """Return a file's record, as JSON keeps it, with the version, and the digest of it and the planes of its pixels."""
     plain = json.loads(json.dumps(stamped(record), sort_keys=True))
-    return {**plain, DIGEST: _digest(plain, planes)}
+    return {**plain, DIGEST: _digest(plain, parts)}
 
 
-def require_seal(record: dict[str, Any], planes: Iterable[np.ndarray]) -> None:
+def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> None:
     """Refuse a file whose pixels or record are not those of its digest; files of earlier versions have none."""
     stated = record.get(DIGEST)
     refuse_if(
-        stated is not None and stated != _digest(record, planes),
-        f"its pixels or data are not those of its digest, {str(stated)[:12]}: the file is damaged, or another program "
-        "has changed it and kept the text 'mitsuba_plenoptic'; without this text its pixels are read with "
-        + advice(python="a camera", shell="--camera"),
+        stated is not None and stated != _digest(record, parts),
+        f"its digest, {str(stated)[:12]}, is not that of its pixels and data: it is damaged, or another program has "
+        "changed it and kept the text 'mitsuba_plenoptic'; without this text its pixels are read with a given camera",
     )
 
 
-def _digest(record: Mapping[str, Any], planes: Iterable[np.ndarray]) -> str:
+def _digest(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> str:
     rest = {name: value for name, value in record.items() if name != DIGEST}
     found = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
-    for plane in planes:
-        found.update(f"{plane.dtype} {plane.shape}".encode())
-        found.update(np.ascontiguousarray(plane).data)
+    for name, plane in ((name, planes[name]) for planes in parts for name in sorted(planes)):
+        found.update(f"{name} {plane.dtype.name} {plane.shape}".encode() + np.ascontiguousarray(plane).tobytes())
     return found.hexdigest()
 
 

@@ -68,15 +68,11 @@ class PhaseMap(MicrolensShape):
         )
         relief = require_flag("relief", self.relief)
         refuse_if(relief and len(wavelengths) > 1, "relief: it has one design wavelength; give one")
-        phases = np.stack(
-            [
-                known_samples("phase", each, phases(wavelength * MM_PER_NM))
-                for each, wavelength in zip(maps, wavelengths, strict=True)
-            ]
-        )
+        units = [phases(wavelength * MM_PER_NM) for wavelength in wavelengths]
+        known = np.stack([known_samples("phase", *each) for each in zip(maps, units, strict=True)])
         put(
             self,
-            phase=phases,
+            phase=known,
             width=require_number("width", self.width, positive=True),
             wavelengths=wavelengths,
             relief=relief,

@@ -20,14 +20,9 @@ COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
 
 
-LENGTHS = {
-    **dict.fromkeys(("m", "meter", "metre"), 1e3),
-    "cm": 10.0,
-    **dict.fromkeys(("mm", "millimeter", "millimetre"), 1.0),
-    **dict.fromkeys(("um", "µm", "μm", "micron", "micrometer", "micrometre"), 1e-3),
-    **dict.fromkeys(("nm", "nanometer", "nanometre"), 1e-6),
-    "angstrom": 1e-7,
-}
+_LENGTHS = "m meter metre", "mm millimeter millimetre", "um µm micron micrometer micrometre", "nm nanometer nanometre"
+
+LENGTHS = {unit: 1e3 ** (1 - step) for step, units in enumerate(_LENGTHS) for unit in units.split()}
 """Millimetres in units of length."""
 
 _ANGLES = {"wave": 1.0, "rad": 0.5 / np.pi, "radian": 0.5 / np.pi}
@@ -65,7 +60,7 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> ND
         value, header = _read(require_file(Path(value)))
     unit = str(header.get("BUNIT", unit_of(value))).strip()
     rule = "it must be rows of numbers"
-    samples = as_array(name, value, np.float64, IMAGE[:2], kinds="biuf", rule=rule, units=(unit,))
+    samples = as_array(name, value, np.float64, IMAGE[:2], rule=rule, units=(unit,))
     # Symbols of units differ by case.
     plain = unit if len(unit) < 3 else unit.lower().removesuffix("s")
     if units is not None and plain not in ("", "1", "dimensionless"):

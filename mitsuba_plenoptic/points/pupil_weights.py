@@ -53,7 +53,7 @@ class PupilWeights:
         )
         if isinstance(weights, PupilWeights):
             return weights
-        values = as_array("pupil_weights", weights, None, ("point", *IMAGE[:2]), kinds="biuf")
+        values = as_array("pupil_weights", weights, None, ("point", *IMAGE[:2]))
         refuse_if(
             not np.isfinite(values).all() or (values < 0).any(),
             "pupil_weights: they must be finite and not negative",

@@ -25,10 +25,9 @@ import xarray as xr
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
-from ..io.captures import require_pixels
 from ..optics import rays
 from ..prescription.lens_data import image_distance
-from ..runtime.arrays import MILLIMETRES, require_units
+from ..runtime.arrays import MILLIMETRES, require_pixels, require_units
 from .lens_grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")

@@ -12,10 +12,10 @@ import xarray as xr
 from ..camera import PlenopticCamera, are_alike, require_camera
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..io.captures import Capture, require_demosaiced, require_pixels
+from ..io.captures import Capture, require_demosaiced
 from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
 from ..light.lens_kinds import regular_array
-from ..runtime.arrays import as_array
+from ..runtime.arrays import as_pixels
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
@@ -138,12 +138,11 @@ def checked_images(
         require_demosaiced(capture)
         cameras.append(capture.camera)
         capture = capture.image
-    image = as_array("capture", capture)
+    image = as_pixels("capture", capture)
     refuse_if(
         image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] not in (1, 3)),
         f"capture of shape {image.shape}: it must be an image of 1 or 3 channels",
     )
-    require_pixels("capture", image)
     refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
     refuse_if(
         not cameras and grid is None,

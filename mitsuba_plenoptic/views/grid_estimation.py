@@ -9,8 +9,7 @@ import numpy as np
 import scipy.ndimage
 
 from ..errors import InputError, refuse_if
-from ..io.captures import require_pixels
-from ..runtime.arrays import as_array
+from ..runtime.arrays import as_pixels
 from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Side of the middle part of the image whose spectrum gives the first guess.
@@ -58,12 +57,11 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     InputError
         If the array is not an image, or shows no lattice of at least 4 x 4 micro-images.
     """
-    given = as_array("white", white)
+    given = as_pixels("white", white)
     refuse_if(
         given.ndim not in (2, 3) or min(given.shape[:2]) < 16 or not given.size,
         f"white of shape {given.shape}: it must be an image, 16 x 16 or larger",
     )
-    require_pixels("white", given)
     image = given.astype(np.float32, copy=False)
     if image.ndim == 3:
         image = image.mean(axis=2)

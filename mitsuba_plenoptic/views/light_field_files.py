@@ -98,7 +98,7 @@ def open_light_field(
         reference = None if white is None else read_recording(white, linear)
         # Pictures have no camera, by which a white capture could be refused.
         reference = reference.image if isinstance(reference, Capture) else reference
-        if camera is not None or states_detector(read_numbers(path)):
+        if camera is not None or (path.is_file() and states_detector(read_numbers(path))):
             return decode(read_capture(path, camera=camera, linear=linear), white=reference)
         if reference is None:
             raise InputError(

@@ -19,14 +19,14 @@ from ..camera import PlenopticCamera, are_alike
 from ..camera.aperture import Opening, Round
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
-from ..io.captures import Capture, recording_of, require_demosaiced, require_pixels
+from ..io.captures import Capture, recording_of, require_demosaiced
 from ..lattice.lens_shifts import hashed
 from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
-from ..runtime.arrays import as_array
+from ..runtime.arrays import as_pixels
 from ..runtime.backend import array_module
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
@@ -266,7 +266,7 @@ def recorded_white(
         If the image is a mosaic of colours, has many saturated pixels, is by another camera or of another shape, or
         does not fill the view.
     """
-    given = white.image if isinstance(white, Capture) else as_array("white", white)
+    given = white.image if isinstance(white, Capture) else as_pixels("white", white)
     if isinstance(white, Capture):
         require_demosaiced(white)
         saturated, pixels = recording_of(white).get("saturated_pixels", 0), math.prod(white.camera.shape)
@@ -282,7 +282,6 @@ def recorded_white(
                 f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
                 f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
             )
-    require_pixels("white", given)
     if given.shape not in (shape[:2], (*shape[:2], 1), shape):
         raise InputError(f"white of shape {given.shape}: it must have the pixels of the capture, {shape[:2]}")
     image = np.atleast_3d(given)

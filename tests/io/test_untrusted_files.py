@@ -106,12 +106,16 @@ class TestCaptures:
         ],
     )
     def test_other_programs_may_pack_it_anew_without_loss(self, capture, kind, keeps_all):
+        image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
+        write_capture(capture, Capture(image, CAMERA))
         with OpenEXR.File(str(capture)) as file:
             text = file.header()["mitsuba_plenoptic"]
-        image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
         OpenEXR.File({"mitsuba_plenoptic": text, "compression": kind}, {"Y": image}).write(str(capture))
         if keeps_all:
             np.testing.assert_array_equal(read_capture(capture).image, image)
+            OpenEXR.File({"mitsuba_plenoptic": text, "compression": kind}, {"Y": 2 * image}).write(str(capture))
+            with pytest.raises(InputError, match=r"raw\.exr: its digest, .*another program has changed it"):
+                read_capture(capture)
         else:
             with pytest.raises(InputError, match="lossy or unknown"):
                 read_capture(capture)

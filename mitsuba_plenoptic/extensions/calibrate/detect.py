@@ -15,8 +15,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...io.captures import require_pixels
-from ...runtime.arrays import as_array
+from ...runtime.arrays import as_pixels
 from ...runtime.files import atomic_output
 from ...runtime.limits import require_memory
 from ...views.lens_grid import lens_types
@@ -186,9 +185,8 @@ def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
 
 
 def _grey(name: str, image: np.ndarray) -> np.ndarray:
-    values = as_array(name, image, np.float64)
+    values = as_pixels(name, image, np.float64)
     refuse_if(values.ndim not in (2, 3), f"{name} of shape {values.shape}: it must be an image")
-    require_pixels(name, values)
     return values if values.ndim == 2 else values.mean(axis=2)
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import refuse_if
-from ...io.captures import require_pixels
-from ...runtime.arrays import as_array
+from ...runtime.arrays import as_pixels
 
 _SHARED = 1e-4
 """Part of the pixels with the picture's largest value from which on this value is saturation."""
@@ -88,12 +87,11 @@ class WhiteFrame:
 
 def single_channel(name: str, picture: np.ndarray) -> np.ndarray:
     """Return a picture of one channel as (rows, columns) numbers; refuse others."""
-    values = as_array(name, picture, np.float64)
+    values = as_pixels(name, picture, np.float64)
     refuse_if(
         values.ndim == 3 and values.shape[2] != 1,
         f"{name} of shape {values.shape}: it must have one channel, for one range of wavelengths",
     )
     values = values[..., 0] if values.ndim == 3 else values
     refuse_if(values.ndim != 2, f"{name} of shape {values.shape}: it must be a picture")
-    require_pixels(name, values)
     return values

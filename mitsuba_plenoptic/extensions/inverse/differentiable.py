@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_ideal, require_no_shape, require_no_warp
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
-from ...io.captures import require_pixels
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
@@ -38,7 +37,7 @@ from ...refocus.radiance import LensSpread, divisors, is_reached, lens_scale, wh
 from ...refocus.ray_sums import pupil_radius, ray_sums, ray_sums_vjp
 from ...refocus.wave_methods import BackwardFields, signed_parts
 from ...refocus_options import FOOTPRINTS
-from ...runtime.arrays import as_array
+from ...runtime.arrays import as_array, require_pixels
 from ...runtime.backend import backend, drjit_array, one_at_a_time
 from ...runtime.fft import resting_drjit
 from ...runtime.limits import check_memory

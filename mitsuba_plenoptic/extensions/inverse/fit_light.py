@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
-from ...io.captures import Capture, require_demosaiced, require_pixels, response_of
+from ...io.captures import Capture, require_demosaiced, response_of
 from ...io.checkpoints import digest
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -23,7 +23,7 @@ from ...plugins.other_camera import with_camera
 from ...points.pupil_weights import PupilWeights
 from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
-from ...runtime.arrays import as_array
+from ...runtime.arrays import as_array, as_pixels
 from ...runtime.backend import one_at_a_time
 
 _LEAST_ELECTRONS = 1.0
@@ -206,9 +206,8 @@ class View:
     virtual: bool = False
 
     def __post_init__(self) -> None:
-        image = as_array("image", self.image)
+        image = as_pixels("image", self.image)
         refuse_if(image.ndim != 2, f"image of shape {image.shape}: a camera is fitted to images of one channel")
-        require_pixels("image", image)
         points = check_positions(self.points, virtual=self.virtual)
         weights = as_array("weights", self.weights, np.float64)
         refuse_if(
@@ -230,7 +229,7 @@ class View:
                 noise.shape not in ((), image.shape) or not (np.isfinite(noise) & (noise > 0)).all(),
                 f"noise of shape {noise.shape}: it must be positive and finite, one number or one for each pixel",
             )
-        mask = None if self.mask is None else as_array("mask", self.mask, kinds="biuf")
+        mask = None if self.mask is None else as_array("mask", self.mask)
         if mask is not None and (mask.dtype != bool or mask.shape != image.shape):
             raise InputError(
                 f"mask of type {mask.dtype} and shape {mask.shape}: it must be of booleans, {image.shape}: True where "

@@ -152,7 +152,7 @@ class _Realisations:
 
 def _real(name: str, values: Any, count: int) -> NDArray[np.float64]:
     """Return values as a float64 array (count,), or refuse them."""
-    array = as_array(name, values, np.float64, POINTS, kinds="biuf", rule="they must be numbers")
+    array = as_array(name, values, np.float64, POINTS, rule="they must be numbers")
     refuse_if(array.shape != (count,), f"{name} of shape {array.shape}: it must be {(count,)}, one for each point")
     refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
     return array

@@ -307,7 +307,7 @@ class ImportedFlow(Flow):
         )
         try:
             axes = [as_array(axis, data[axis], np.float64) for axis in _AXES]
-            parts = [as_array(part, data[part].transpose(*_AXES), np.float64, _AXES) for part in "uvw"]
+            parts = [as_array(part, data[part].transpose(*_AXES), np.float64, tuple(_AXES)) for part in "uvw"]
         except ValueError:
             raise InputError(f"{name}: u, v and w must have the dimensions x, y and z, and no other") from None
         require_units(name, data, dict.fromkeys("uvw", _SPEEDS) | dict.fromkeys(_AXES, MILLIMETRES))

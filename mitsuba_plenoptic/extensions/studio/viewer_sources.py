@@ -11,7 +11,7 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_number
-from ...io.captures import Capture, read_capture
+from ...io.captures import RAW_SUFFIXES, Capture, read_capture
 from ...io.exr import read_attributes, read_exr, read_exr_parts
 from ...io.pictures import read_picture
 from ...views.light_field_files import open_light_field, read_recording
@@ -57,11 +57,8 @@ def read_source(
     if path.suffix.lower() == ".exr":
         return Recording.of(capture, path.stem, lf)
     # Raw pictures were decoded; of mosaics and light fields there is no raw picture.
-    raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and path.suffix.lower() in _PICTURES else None
+    raw = read_picture(path, linear=linear) if lf.attrs.get("grid") and path.suffix.lower() in RAW_SUFFIXES else None
     return Recording(path.stem, lf, raw)
-
-
-_PICTURES = (".png", ".tif", ".tiff")
 
 
 def _stack(path: Path) -> xr.DataArray:

@@ -24,11 +24,10 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_accuracy, require_count, require_wavelength, suggest_keywords
-from ...io.captures import require_pixels
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...points.units import brightness_at
-from ...runtime.arrays import as_array
+from ...runtime.arrays import as_array, as_pixels
 from .zone_search import Zone
 
 Array = NDArray[np.float64]
@@ -123,11 +122,10 @@ class InteractionMatrix:
         InputError
             If an input has a wrong shape or value, or both `prior` and `rank` are given.
         """
-        seen = as_array("image", image, np.float64)
+        seen = as_pixels("image", image, np.float64)
         refuse_if(
             seen.shape != self.reference.shape, f"image of shape {seen.shape}: the matrix is of {self.reference.shape}"
         )
-        require_pixels("image", seen)
         photons = float(seen.sum())
         refuse_if(photons <= 0, "image: it is black: nothing can be found by it")
         refuse_if(prior is not None and rank is not None, "prior, rank: give one of the two")

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import LONGEST, SHORTEST, InputError, refuse_if, require_count, require_length, require_number
-from ...io.captures import require_pixels
 from ...lenses.common import main_lens
 from ...lenses.thin import Wavefront
 from ...light.sampling import check_positions
 from ...optics import rays
-from ...runtime.arrays import as_array
+from ...runtime.arrays import as_pixels
 
 Array = NDArray[np.float64]
 
@@ -232,9 +231,8 @@ def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Array, Array]:
 
 def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Array:
     """Return a capture of one channel with negative pixels set to 0; refuse other captures."""
-    seen = as_array("image", image, np.float64)
+    seen = as_pixels("image", image, np.float64)
     refuse_if(seen.ndim != 2, f"image of shape {seen.shape}: wavefronts are measured in images of one channel")
-    require_pixels("image", seen)
     if camera is not None:
         refuse_if(seen.shape != camera.shape, f"image of shape {seen.shape}: the camera records {camera.shape}")
     return np.maximum(seen, 0)
