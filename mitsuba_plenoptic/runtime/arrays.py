@@ -32,7 +32,7 @@ def as_array(
     unit = "" if units is None and hasattr(values, "attrs") else unit_of(values)
     plain = f"give plain numbers{f' in {units[0]}' if units else ''}"
     refuse_if(unit not in ("", "1", "dimensionless", *(units or ())), f"{name} in {short_repr(unit)}: {plain}")
-    masked = np.ma.count_masked(values) if isinstance(values, np.ma.MaskedArray) else 0
+    masked = np.count_nonzero(values.mask) if isinstance(values, np.ma.MaskedArray) else 0
     refuse_if(masked, f"{name}: {masked} of its values are masked: give an array without a mask")
     if isinstance(values, (list, tuple)):
         # NumPy would drop masks, units and names of arrays in a list.

@@ -33,9 +33,6 @@ from .lens_grid import LensGrid
 DIMS = ("v", "u", "t", "s")
 CHANNELS = ("R", "G", "B")
 
-_SAMPLES = "views", "lenses", "photodiodes", "samples", "pixels", "1"
-"""Names of units without a camera."""
-
 
 def light_field(
     values: np.ndarray,
@@ -177,8 +174,8 @@ def require_light_field(lf: Any) -> xr.DataArray:
     )
     refuse_if(lf.dtype.kind not in "fiu", f"light field of type {lf.dtype}: it must hold real numbers")
     require_pixels("light field", lf.values)
-    angles, places = (MILLIMETRES, (*MILLIMETRES, "1")) if lf.attrs.get("camera") else (_SAMPLES, _SAMPLES)
-    require_units("light field", lf, {"u": angles, "v": angles, "s": places, "t": places})
+    if lf.attrs.get("camera"):
+        require_units("light field", lf, dict.fromkeys("uvst", (*MILLIMETRES, "1")))
     return lf
 
 
