@@ -36,11 +36,11 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime.arrays import as_pixels
+from ..runtime.backend import as_pixels
 from ..runtime.files import atomic_output, require_writable
 from ..served import attribute
 from .exr import read_attributes, read_exr, read_pixels, write_exr
-from .pictures import KEY, Picture, read_numbers
+from .pictures import KEY, StoredPicture, read_numbers
 from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
 
 MODELS = ("ray", "wave")
@@ -348,7 +348,7 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         tifffile.imwrite(temporary, numbers, photometric=photometric, description=text, metadata=None)
 
 
-def _raw_capture(path: Path, picture: Picture) -> Capture:
+def _raw_capture(path: Path, picture: StoredPicture) -> Capture:
     with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
         about = json.loads(picture.text)[KEY]
         given = about["camera"], about["metadata"]["exposure"]
@@ -362,7 +362,7 @@ def _raw_capture(path: Path, picture: Picture) -> Capture:
         return _capture_of(path, about, image)
 
 
-def states_detector(picture: Picture) -> bool:
+def states_detector(picture: StoredPicture) -> bool:
     """Return whether a picture states camera and detector, as one of `write_raw`."""
     return f'"{KEY}"' in picture.text
 

@@ -34,7 +34,7 @@ _COLOURS = {PHOTOMETRIC.MINISWHITE: 1, PHOTOMETRIC.MINISBLACK: 1, PHOTOMETRIC.RG
 """Samples of a pixel's colour in TIFF files, by the meanings of samples that are read."""
 
 
-class Picture(NamedTuple):
+class StoredPicture(NamedTuple):
     """The numbers in a file, (rows, columns[, 3]), and what it says of them."""
 
     numbers: np.ndarray
@@ -83,7 +83,7 @@ def read_picture(path: str | Path, *, linear: bool = False) -> np.ndarray:
         return picture.values(linear)
 
 
-def read_numbers(path: str | Path) -> Picture:
+def read_numbers(path: str | Path) -> StoredPicture:
     """Return the numbers in a PNG or TIFF; refuse numbers whose meaning the file does not say."""
     path = require_file(path)
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
@@ -91,7 +91,7 @@ def read_numbers(path: str | Path) -> Picture:
         return _read_tiff(path) if path.suffix.lower() in TIFF else _read_png(path)
 
 
-def _read_png(path: Path) -> Picture:
+def _read_png(path: Path) -> StoredPicture:
     with path.open("rb") as file:
         head = file.read(24)
     if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
@@ -106,10 +106,10 @@ def _read_png(path: Path) -> Picture:
         numbers = np.array(mi.Bitmap(str(path))).reshape(rows, columns, -1)
     numbers = numbers[..., :3] if numbers.shape[2] > 2 else numbers[..., 0]
     encoding = stated.get("icc_profile", None if "srgb" in stated else stated.get("gamma") or None)
-    return Picture(numbers, np.iinfo(numbers.dtype).max, encoding, str(stated.get(KEY, "")))
+    return StoredPicture(numbers, np.iinfo(numbers.dtype).max, encoding, str(stated.get(KEY, "")))
 
 
-def _read_tiff(path: Path) -> Picture:
+def _read_tiff(path: Path) -> StoredPicture:
     # Series of these kinds may name other files.
     with tifffile.TiffFile(path, is_ome=False, is_mmstack=False, is_ndtiff=False) as file:
         pages = [page for page in file.pages if not page.is_reduced]
@@ -138,7 +138,7 @@ def _read_tiff(path: Path) -> Picture:
             numbers = np.int64(white or 0) - numbers
         if meaning == PHOTOMETRIC.PALETTE:
             numbers, white = np.moveaxis(page.colormap[:, numbers], 0, -1), 65535
-        return Picture(numbers, white, page.tags.valueof("InterColorProfile"), str(page.description))
+        return StoredPicture(numbers, white, page.tags.valueof("InterColorProfile"), str(page.description))
 
 
 def _decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:

@@ -27,7 +27,7 @@ from ..errors import (
     require_wavelength,
     suggest_keywords,
 )
-from ..runtime.arrays import as_array
+from ..runtime.backend import as_array
 from ..runtime.files import read_table
 
 MOST_WAVELENGTHS = 1024

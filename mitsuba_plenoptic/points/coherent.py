@@ -22,8 +22,7 @@ from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import Footprint, footprint
 from ..optics.waves import advance
-from ..runtime.arrays import as_array
-from ..runtime.backend import backend
+from ..runtime.backend import as_array, backend
 from ..runtime.fft import Field, fft, fft2, resting_drjit
 from ..runtime.limits import check_memory
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around

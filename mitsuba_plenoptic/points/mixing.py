@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..light.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
-from ..runtime.arrays import POINTS, as_array
+from ..runtime.backend import POINTS, as_array
 from ..runtime.batches import Job
 from .pupil_weights import PupilWeights
 

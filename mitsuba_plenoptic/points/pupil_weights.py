@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera.aperture import Opening
 from ..errors import refuse_if
-from ..runtime.arrays import IMAGE, as_array
-from ..runtime.backend import drjit_array
+from ..runtime.backend import IMAGE, as_array, drjit_array
 
 STEEPEST = 0.98
 """Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden."""

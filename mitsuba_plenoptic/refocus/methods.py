@@ -33,7 +33,7 @@ from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
 from ..refocus_options import METHODS as NAMES
 from ..refocus_options import OPTIONS
-from ..runtime.arrays import as_array
+from ..runtime.backend import as_array
 from ..runtime.batches import BatchMap
 from ..runtime.limits import require_memory_for
 

@@ -13,7 +13,7 @@ import skimage.metrics
 
 from ..camera import PlenopticCamera
 from ..io.captures import Capture
-from ..runtime.arrays import as_array
+from ..runtime.backend import as_array
 from ..views.white_image import white_image
 
 _WINDOW = 7

@@ -27,7 +27,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
 from ..optics import rays
 from ..prescription.lens_data import image_distance
-from ..runtime.arrays import MILLIMETRES, require_pixels, require_units
+from ..runtime.backend import MILLIMETRES, require_pixels, require_units
 from .lens_grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")

@@ -15,7 +15,7 @@ from ..errors import InputError, refuse_if, short_repr, suggest_keywords
 from ..io.captures import Capture, require_demosaiced
 from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
 from ..light.lens_kinds import regular_array
-from ..runtime.arrays import as_pixels
+from ..runtime.backend import as_pixels
 from ..runtime.limits import require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.ndimage
 
 from ..errors import InputError, refuse_if
-from ..runtime.arrays import as_pixels
+from ..runtime.backend import as_pixels
 from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Side of the middle part of the image whose spectrum gives the first guess.

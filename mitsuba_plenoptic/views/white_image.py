@@ -26,8 +26,7 @@ from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
-from ..runtime.arrays import as_pixels
-from ..runtime.backend import array_module
+from ..runtime.backend import array_module, as_pixels
 from ..runtime.fft import blur
 from ..runtime.limits import require_memory
 from .lens_grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime.arrays import as_pixels
+from ...runtime.backend import as_pixels
 from ...runtime.files import atomic_output
 from ...runtime.limits import require_memory
 from ...views.lens_grid import lens_types

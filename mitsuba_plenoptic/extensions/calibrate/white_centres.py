@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import refuse_if
-from ...runtime.arrays import as_array
+from ...runtime.backend import as_array
 from ...runtime.files import atomic_output
 from ...views import LensGrid, estimate_lens_grid
 from ...views.grid_estimation import centroids, pixels_around

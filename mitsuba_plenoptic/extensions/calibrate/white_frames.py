@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import refuse_if
-from ...runtime.arrays import as_pixels
+from ...runtime.backend import as_pixels
 
 _SHARED = 1e-4
 """Part of the pixels with the picture's largest value from which on this value is saturation."""

@@ -37,8 +37,7 @@ from ...refocus.radiance import LensSpread, divisors, is_reached, lens_scale, wh
 from ...refocus.ray_sums import pupil_radius, ray_sums, ray_sums_vjp
 from ...refocus.wave_methods import BackwardFields, signed_parts
 from ...refocus_options import FOOTPRINTS
-from ...runtime.arrays import as_array, require_pixels
-from ...runtime.backend import backend, drjit_array, one_at_a_time
+from ...runtime.backend import as_array, backend, drjit_array, one_at_a_time, require_pixels
 from ...runtime.fft import resting_drjit
 from ...runtime.limits import check_memory
 from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN

@@ -23,8 +23,7 @@ from ...plugins.other_camera import with_camera
 from ...points.pupil_weights import PupilWeights
 from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
-from ...runtime.arrays import as_array, as_pixels
-from ...runtime.backend import one_at_a_time
+from ...runtime.backend import as_array, as_pixels, one_at_a_time
 
 _LEAST_ELECTRONS = 1.0
 """Variance, in squared electrons, by which pixels are weighted at least: of a stray count in the dark."""

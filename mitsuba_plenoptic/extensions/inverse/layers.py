@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, refuse_if, require_number
-from ...runtime.arrays import IMAGE, as_array
-from ...runtime.backend import drjit_array
+from ...runtime.backend import IMAGE, as_array, drjit_array
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ from ...optics import guards
 from ...points.coherent import CoherentFields
 from ...points.full_field import recorded_pixels
 from ...points.operator import CaptureOperator
-from ...runtime.arrays import POINTS, as_array
-from ...runtime.backend import one_at_a_time
+from ...runtime.backend import POINTS, as_array, one_at_a_time
 from ...runtime.batches import Job, Part, PartialSum, SumTask
 
 _BRIGHTEST = 1e30

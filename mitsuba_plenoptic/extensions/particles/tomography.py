@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint, digest
-from ...runtime.arrays import as_array
+from ...runtime.backend import as_array
 from ...runtime.batches import Progress
 from .voxels import VoxelGrid
 

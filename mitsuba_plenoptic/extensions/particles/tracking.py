@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
 from ...io.captures import Capture
-from ...runtime.arrays import MILLIMETRES, POINTS, as_array
+from ...runtime.backend import MILLIMETRES, POINTS, as_array
 from ...runtime.batches import Progress
 from ..inverse.stored import StoredOperator
 from .voxels import elongation, values_of

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
-from ...runtime.arrays import MILLIMETRES, POINTS, as_array, require_units
+from ...runtime.backend import MILLIMETRES, POINTS, as_array, require_units
 
 MOST_VOXELS = 10**8
 

@@ -11,7 +11,7 @@ from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import gaussian_filter
 
 from ...errors import refuse_if, refusing
-from ...runtime.arrays import as_array
+from ...runtime.backend import as_array
 
 _LEAST_TILT, _MOST_TILT = 1.0, 20.0
 """Angles in degrees between edge and pixels, between which the pixels sample an edge finely and evenly."""
