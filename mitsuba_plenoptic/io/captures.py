@@ -295,7 +295,7 @@ def read_capture(
         with refusing(f"{path}: it cannot be read as a picture:"):
             return Capture(picture.values(linear, black_level), require_camera(camera))
     if picture is not None:
-        found = _raw_capture(path, picture)
+        found = raw_capture(path, picture)
     elif of_extension := format_of(suffix, "capture", str(path)):
         found = place(*of_extension)(path)
     elif camera is not None and not read_attributes(path):
@@ -348,7 +348,8 @@ def write_raw(path: str | Path, capture: Capture) -> None:
         tifffile.imwrite(temporary, numbers, photometric=photometric, description=text, metadata=None)
 
 
-def _raw_capture(path: Path, picture: StoredPicture) -> Capture:
+def raw_capture(path: Path, picture: StoredPicture) -> Capture:
+    """Return the capture in a picture of `write_raw`."""
     with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
         about = json.loads(picture.text)[KEY]
         given = about["camera"], about["metadata"]["exposure"]

@@ -88,10 +88,11 @@ def read_numbers(path: str | Path) -> StoredPicture:
     path = require_file(path)
     require_memory(2 * path.stat().st_size, f"{path}: {path.stat().st_size} bytes")
     with refusing(f"{path}: it cannot be read as a picture:"):
-        return _read_tiff(path) if path.suffix.lower() in TIFF else _read_png(path)
+        return read_tiff(path) if path.suffix.lower() in TIFF else read_png(path)
 
 
-def _read_png(path: Path) -> StoredPicture:
+def read_png(path: Path) -> StoredPicture:
+    """Return the numbers in a PNG."""
     with path.open("rb") as file:
         head = file.read(24)
     if len(head) < 24 or head[:8] != b"\x89PNG\r\n\x1a\n" or head[12:16] != b"IHDR":
@@ -109,7 +110,8 @@ def _read_png(path: Path) -> StoredPicture:
     return StoredPicture(numbers, np.iinfo(numbers.dtype).max, encoding, str(stated.get(KEY, "")))
 
 
-def _read_tiff(path: Path) -> StoredPicture:
+def read_tiff(path: Path) -> StoredPicture:
+    """Return the numbers in a TIFF."""
     # Series of these kinds may name other files.
     with tifffile.TiffFile(path, is_ome=False, is_mmstack=False, is_ndtiff=False) as file:
         pages = [page for page in file.pages if not page.is_reduced]
@@ -131,7 +133,7 @@ def _read_tiff(path: Path) -> StoredPicture:
                 "floating point, without premultiplied transparency"
             )
         require_memory(_SAMPLE_BYTES * page.size, f"{path}: its pixels")
-        numbers, white = _decoded(page, path), None if floats else 2**page.bitspersample - 1
+        numbers, white = decoded(page, path), None if floats else 2**page.bitspersample - 1
         if "S" in page.axes:
             numbers = np.moveaxis(numbers, page.axes.index("S"), -1)[..., slice(3) if colours == 3 else 0]
         if meaning == PHOTOMETRIC.MINISWHITE:
@@ -141,7 +143,7 @@ def _read_tiff(path: Path) -> StoredPicture:
         return StoredPicture(numbers, white, page.tags.valueof("InterColorProfile"), str(page.description))
 
 
-def _decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:
+def decoded(page: tifffile.TiffPage, path: Path) -> np.ndarray:
     """Return a page's samples as they are stored, decoded by Pillow where tifffile lacks the means."""
     try:
         return page.asarray()

@@ -25,7 +25,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_choice, short_repr
 from . import llvm
@@ -352,7 +352,13 @@ BRIGHTEST = 1e30
 
 
 def as_array(
-    name: str, values: Any, dtype: Any = None, dims: Names = IMAGE, *, rule: str = "", units: Names | None = None
+    name: str,
+    values: Any,
+    dtype: DTypeLike | None = None,
+    dims: Names = IMAGE,
+    *,
+    rule: str = "",
+    units: Names | None = None,
 ) -> np.ndarray:
     """Return a new array of numbers, real ones but for a complex type; refuse masked ones, and other units than named.
 
@@ -393,14 +399,14 @@ def unit_of(values: Any) -> str:
     return "" if stated is None else str(stated)
 
 
-def require_units(name: str, data: Any, known: Mapping[str, Names]) -> None:
+def require_units(name: str, data: Mapping[Any, Any], known: Mapping[str, Names]) -> None:
     """Refuse labelled data that states another unit of a variable than one of those named."""
     for part, units in known.items():
         unit = unit_of(data[part])
         refuse_if(unit not in ("", *units), f"{name}: {part} is in {unit}: it must be in {units[0]}")
 
 
-def as_pixels(name: str, values: Any, dtype: Any = None) -> np.ndarray:
+def as_pixels(name: str, values: ArrayLike, dtype: DTypeLike | None = None) -> np.ndarray:
     """Return a new array of the pixels of an image, which are finite and not too large."""
     image = as_array(name, values)
     require_pixels(name, image)

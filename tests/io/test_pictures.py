@@ -1,0 +1,117 @@
+"""Pictures, units and arrays of other programs: what they say, or one line of refusal."""
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+import xarray as xr
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic.exchange import read_picture
+
+RAMP = np.linspace(0.1, 0.9, 32).reshape(4, 8)
+COLOURS = np.stack([RAMP, RAMP / 2, RAMP / 4], -1)
+CAMERA = mp.PlenopticCamera(detector_width=0.256, resolution=(64, 64))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "options", "expected"),
+    [
+        (RAMP.astype("f4"), {}, RAMP),
+        (RAMP.astype("f2"), {}, RAMP.astype("f2")),
+        ((4000 * RAMP).astype("f8"), {}, 4000 * RAMP),
+        ((RAMP * 65535).astype(">u2"), {"byteorder": ">"}, (RAMP * 65535).astype("u2") / 65535),
+        ((RAMP * 1e9).astype("u4"), {"bigtiff": True}, (RAMP * 1e9).astype("u4") / (2**32 - 1)),
+        ((RAMP * 255).astype("u1"), {"photometric": "miniswhite"}, 1 - (RAMP * 255).astype("u1") / 255),
+        (COLOURS.astype("f4"), {"photometric": "rgb"}, COLOURS),
+        (np.moveaxis(COLOURS, 2, 0).astype("f4"), {"photometric": "rgb", "planarconfig": "separate"}, COLOURS),
+    ],
+)
+def test_samples_of_tiff_mean_what_they_say(tmp_path, numbers, options, expected):
+    tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
+    np.testing.assert_allclose(read_picture(tmp_path / "a.tiff", linear=True), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "options", "words"),
+    [
+        (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
+        (np.stack([RAMP] * 5).astype("f4"), {"imagej": True, "truncate": True}, "it holds 5 pictures"),
+        ((RAMP * 100).astype("i2"), {}, "int16"),
+        (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
+        ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
+        ((RAMP[..., None].repeat(4, 2) * 9).astype("u1"), {"photometric": "separated"}, "SEPARATED"),
+    ],
+)
+def test_other_tiff_are_refused(tmp_path, numbers, options, words):
+    tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
+    with pytest.raises(InputError, match=rf"a\.tiff: it cannot be read as a picture: it holds [^\n]*{words[-8:]}"):
+        read_picture(tmp_path / "a.tiff")
+
+
+def window(left, top, columns, rows):
+    return np.array([left, top], np.int32), np.array([left + columns - 1, top + rows - 1], np.int32)
+
+
+def test_plain_exr_is_a_raw_picture_of_a_given_camera(tmp_path):
+    image, path = np.random.default_rng(0).random((70, 72, 3), dtype=np.float32), tmp_path / "a.exr"
+    planes = {f"beauty.{name}": np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
+    header = {"dataWindow": window(-3, -2, 72, 70), "displayWindow": window(0, 0, 64, 64)}
+    OpenEXR.File(header, planes).write(str(path))
+    np.testing.assert_array_equal(mp.read_capture(path, camera=CAMERA).image, image[2:66, 3:67])
+    cut = CAMERA.replace(crop_offset=(8, 16), crop_size=(32, 24))
+    np.testing.assert_array_equal(mp.read_capture(path, camera=cut).image, image[18:42, 11:43])
+    with pytest.raises(InputError, match="so its camera is unknown; give camera"):
+        mp.read_capture(path)
+    OpenEXR.File(header | {"displayWindow": window(20, 0, 64, 64)}, planes).write(str(path))
+    with pytest.raises(InputError, match="does not cover the 64 x 64 of the detector"):
+        mp.read_capture(path, camera=CAMERA)
+
+
+def test_units_of_phase_screens_are_converted():
+    waves = np.arange(64.0).reshape(8, 8) / 64
+    for unit, size in {"m": 633e-9, "micron": 0.633, "nm": 633.0, "radian": 2 * np.pi, "waves": 1.0}.items():
+        given = xr.DataArray(size * waves.T, dims=("x", "y"), attrs={"units": unit})
+        np.testing.assert_allclose(mp.PhaseScreen(given, width=12).waves, waves, rtol=1e-6)
+    with pytest.raises(InputError, match="waves in 'Jy': it must be in m, mm, um, nm, wave, rad"):
+        mp.PhaseScreen(xr.DataArray(waves, dims=("y", "x"), attrs={"units": "Jy"}), width=12)
+
+
+def test_units_in_fits_are_converted(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    waves = np.arange(64.0).reshape(8, 8) / 64
+    hdu = fits.PrimaryHDU(waves * 2 * np.pi)
+    hdu.header["BUNIT"], hdu.header["WAVELEN"] = "radians", 550e-9
+    hdu.writeto(tmp_path / "a.fits")
+    np.testing.assert_allclose(mp.PhaseScreen(tmp_path / "a.fits", width=12).waves, waves * 550 / 633, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "take",
+    [
+        lambda image: mp.Capture(image, CAMERA),
+        lambda image: mp.decode(image, camera=CAMERA),
+        lambda image: mp.reconstruct(image, 240, camera=CAMERA),
+        lambda image: mp.edge_sharpness(image),
+        lambda image: mp.CaptureOperator(CAMERA, [[0, 0, 236.0]], wavelength=633).adjoint(image),
+        lambda image: mp.volume_points([image], lower=(0, 0, 230), upper=(1, 1, 240)),
+    ],
+)
+def test_masks_and_imaginary_parts_are_not_lost(take):
+    image = np.random.default_rng(0).random((64, 64))
+    with pytest.raises(InputError, match="of its values are masked"):
+        take(np.ma.masked_greater(image, 0.5))
+    with pytest.raises(InputError, match="it must hold real numbers"):
+        take(image + 1j)
+
+
+def test_names_are_followed_and_buffers_copied():
+    image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
+    labelled = xr.DataArray(image, dims=("y", "x"))
+    np.testing.assert_array_equal(mp.Capture(labelled.transpose("x", "y"), CAMERA).image, image)
+    with pytest.raises(InputError, match=r"image with dimensions \('lat', 'lon'\): they must be y, x, c"):
+        mp.Capture(xr.DataArray(image, dims=("lat", "lon")), CAMERA)
+    kept = mp.Capture(image, CAMERA)
+    image[:] = -1
+    assert kept.image.min() >= 0
