@@ -296,7 +296,10 @@ def open_scene(
     index: int = 0,
     unit: str = "mm",
 ) -> Any:
-    """Return a loaded scene, by default in the variant that fits its film; warn of a poor design."""
+    """Return a loaded scene, by default in the variant that fits its film; warn of a poor design.
+
+    Another camera takes the place of the sensor of this index, and is the first of the scene returned.
+    """
     from ..camera import PlenopticCamera
     from ..design import design_warnings
     from ..light.render_capture import plenoptic_sensor
@@ -310,7 +313,8 @@ def open_scene(
     loaded = load_scene(scene, variant=chosen, parameters=parameters, unit=unit)
     if other is not None:
         require_in_use(scene, parameters)
-        loaded = with_camera(loaded, other)
+        # It stands first. Number 0 is the first camera, before which there may be meters.
+        loaded, index = with_camera(loaded, other, index or None), 0
     sensor = plenoptic_sensor(loaded, index)
     seen = PlenopticCamera.from_sensor(sensor)
     if colours:
@@ -379,7 +383,7 @@ def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     values = scene_defaults(roots) | parameters
     for name in formats:
         colours = values.get(name.removeprefix("$"), name).lower()
-        if colours in ("rgb", "rgba"):
+        if colours in ("rgb", "rgba", "xyz", "xyza"):
             return colours
     return None
 

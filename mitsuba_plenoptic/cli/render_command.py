@@ -53,6 +53,19 @@ def render(
         ),
         WAVELENGTHS,
     ] = None,
+    bandwidth: Annotated[
+        float | None,
+        numeric("Wave captures: width of a flat band around each wavelength.", "one wavelength", unit="NM"),
+    ] = None,
+    responses: Annotated[
+        str | None,
+        typer.Option(
+            metavar="srgb|FILE.csv",
+            show_default="the scene's; srgb for films of colours in spectral variants",
+            help="Wave captures, instead of a wavelength: responses of the film's channels, those of sRGB or a table "
+            "of wavelengths and one or three responses.",
+        ),
+    ] = None,
     method: Annotated[
         str | None,
         typer.Option(
@@ -82,7 +95,9 @@ def render(
     scheduler: Scheduler = None,
     camera: CameraFile = None,
     unit: Unit = "mm",
-    sensor: Annotated[int, numeric("Which of the scene's sensors, counted from 0.")] = 0,
+    sensor: Annotated[
+        int, numeric("Which of the scene's sensors, counted from 0; the one that --camera replaces.")
+    ] = 0,
     white: Annotated[
         Path | None,
         typer.Option(
@@ -146,14 +161,16 @@ def render(
     from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
-    options = {"wavelength": wavelength, "method": method}
+    # The camera that replaces one stands first.
+    replaced, sensor = sensor, 0 if camera else sensor
+    options = {"wavelength": wavelength, "bandwidth": bandwidth, "responses": responses, "method": method}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
         refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
         with progress_bar("Estimating") as progress:
-            loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
+            loaded = open_scene(scene, parameters, variant, camera, replaced, unit)
             progress(1, 2)
             if not is_wave_capture(loaded, model):
                 refuse_by_rays(workers=workers, scheduler=scheduler)
@@ -174,7 +191,7 @@ def render(
     require_different(output, white, truth_file if names else None)
     saved = checkpoint_of(output, resume, checkpoint)
     with progress_bar("Loading the scene"):
-        loaded = open_scene(scene, parameters, variant, camera, sensor, unit)
+        loaded = open_scene(scene, parameters, variant, camera, replaced, unit)
     remove_leftovers(output)
     by_waves = is_wave_capture(loaded, model)
     if not by_waves:

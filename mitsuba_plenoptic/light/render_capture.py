@@ -182,22 +182,37 @@ def render_capture(
 
 def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     """Return a scene's plenoptic sensor by its index, or a given sensor; refuse a scene of another variant."""
-    if not isinstance(scene, mi.Scene):
-        raise InputError(
-            f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant {mi.variant()}, "
-            "which is one for the whole process: load the scene after mi.set_variant"
-        )
-    if isinstance(sensor, mi.Sensor):
-        return sensor
-    sensors = scene.sensors()
+    require_active("scene", scene, mi.Scene)
+    if hasattr(sensor, "variant_name"):
+        return require_active("sensor", sensor, mi.Sensor)
     instead = advice(python="with_camera gives the scene one", shell="--camera NAME gives it one")
-    refuse_if(not sensors, f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
-    number = require_count("sensor", sensor, minimum=0)
-    refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
+    refuse_if(not scene.sensors(), f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
+    chosen = numbered_sensor(scene, sensor)
     try:
-        PlenopticCamera.from_sensor(sensors[number])
+        PlenopticCamera.from_sensor(chosen)
     except InputError as error:
-        raise InputError(f"{error}; {instead}") from None
+        found = [index for index, each in enumerate(scene.sensors()) if hasattr(each, "camera")]
+        others = ", ".join(argument("sensor", index) for index in found)
+        raise InputError(f"{error}; {f'take {others}' if found else instead}") from None
+    return chosen
+
+
+def require_active(name: str, given: mi.Object, kind: type) -> mi.Object:
+    """Return an object of a kind of the active variant; refuse others, and those of another variant."""
+    found = given.variant_name() if hasattr(given, "variant_name") else None
+    refuse_if(
+        not isinstance(given, kind),
+        f"{name} of type {type(given).__name__}{f' and of variant {found}' if found else ''}: it must be a "
+        f"mitsuba.{kind.__name__} of the active variant {mi.variant()}, which is one for the whole process: load the "
+        "scene after mi.set_variant",
+    )
+    return given
+
+
+def numbered_sensor(scene: mi.Scene, number: int) -> mi.Sensor:
+    """Return a scene's sensor by its index; refuse what is no index of one."""
+    number, sensors = require_count("sensor", number, minimum=0), scene.sensors()
+    refuse_if(number >= len(sensors), f"sensor = {number}: the scene's are numbered from 0 to {len(sensors) - 1}")
     return sensors[number]
 
 

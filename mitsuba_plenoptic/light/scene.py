@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -268,7 +268,10 @@ def load_scene(
             raise InputError(f"scene: its 'type' is {short_repr(scene.get('type'))}: it must be 'scene'")
         set_variant(variant)
         where, name, entries = "scene", "dictionary", dict(scene)
-        load, parse = partial(mi.load_dict, entries), lambda config: mi.parser.parse_dict(config, entries)
+        load, parse = (
+            partial(mi.load_dict, entries, parallel=False),
+            lambda config: mi.parser.parse_dict(config, entries),
+        )
     else:
         if parameters is not None and not isinstance(parameters, Mapping):
             raise InputError(f"parameters = {short_repr(parameters)}: they must be values by name")
@@ -278,26 +281,45 @@ def load_scene(
         values = _complete(path, {str(name): str(value) for name, value in (parameters or {}).items()})
         where, name = str(path), path.name
         load, parse = (
-            partial(mi.load_file, where, **values),
+            partial(mi.load_file, where, parallel=False, **values),
             lambda config: mi.parser.parse_file(config, where, **values),
         )
     with loading(where):
+        # In parallel, Dr.Jit's messages would wait for Python in one thread while it waits for Dr.Jit in another.
         # Mitsuba's optimisation would list merged shapes and emitters in an order that changes from run to run, and
         # with it the random numbers that each gets.
         if factor == 1:
             loaded = load(optimize=False)
         else:
             config = mi.parser.ParserConfig(mi.variant())
-            config.merge_meshes = config.merge_equivalent = False
-            state = parse(config)
-            mi.parser.transform_all(config, state)
-            scale_nodes(state.nodes, factor)
-            loaded = mi.parser.instantiate(config, state)
+            config.merge_meshes = config.merge_equivalent = config.parallel = False
+            # As `mi.load_file` does, which is not used here: files are looked for next to the scene.
+            mi.set_file_resolver(mi.FileResolver(found := mi.file_resolver()))
+            mi.file_resolver().prepend(str(Path(where).parent))
+            try:
+                state = parse(config)
+                mi.parser.transform_all(config, state)
+                scale_nodes(state.nodes, factor)
+                loaded = mi.parser.instantiate(config, state)
+            finally:
+                mi.set_file_resolver(found)
     # Captures state this name in their metadata.
     loaded.set_id(name)
     if sensors := loaded.sensors():
         warn_of_metres(loaded, sensors[0])
     return loaded
+
+
+def with_objects(scene: mi.Scene, new: Sequence[mi.Object], old: Sequence[mi.Object]) -> mi.Scene:
+    """Return a scene of new objects, then of all others of a scene but for some, which keep their ids."""
+    properties = mi.Properties("scene")
+    # Unlike the lists of shapes and emitters, the traversal names the groups that instances show.
+    parts = [part for part, (_, depth) in mi.traverse(scene).hierarchy.items() if depth == 1 and part not in old]
+    for index, part in enumerate((*new, *parts)):
+        properties[f"{index}"] = part
+    made = mi.PluginManager.instance().create_object(properties)
+    made.set_id(scene.id())
+    return made
 
 
 def _complete(path: Path, parameters: dict[str, str]) -> dict[str, str]:
@@ -371,7 +393,7 @@ _SKIES = ("area", "directionalarea", "directional", "constant", "envmap", "sunsk
 
 _SCALABLE = {
     mi.ObjectType.Shape: (*_SCALED_SHAPES, "shapegroup", "instance"),
-    mi.ObjectType.Sensor: _MOVED_CAMERAS,
+    mi.ObjectType.Sensor: (*_MOVED_CAMERAS, "irradiancemeter"),
     mi.ObjectType.Emitter: (*_MOVED_LAMPS, *_SKIES),
     mi.ObjectType.Medium: ("homogeneous", "heterogeneous"),
     mi.ObjectType.Volume: ("gridvolume", "constvolume"),

@@ -2,41 +2,51 @@
 
 from __future__ import annotations
 
-import re
-from typing import Any
-
 import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import InputError
-from ..light.scene import loading
+from ..errors import refuse_if, warn
+from ..light.render_capture import numbered_sensor, require_active
+from ..light.scene import loading, with_objects
 from ..light.scene_light import warn_of_metres
 from ..runtime.backend import one_at_a_time
 
+_WITHOUT_PLACE = ("BatchSensor", "DistantSensor")
+"""Class names of sensors that are at several places, or at infinity."""
+
 
 @one_at_a_time
-def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
-    """Return a scene of the same objects with a plenoptic camera at the position of the first sensor.
+def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = None) -> mi.Scene:
+    """Return a scene of the same objects with a plenoptic camera in the place of a sensor.
 
     Parameters
     ----------
     scene : mitsuba.Scene
-        A scene. If it has no sensor, the camera is at the origin and looks along +z.
+        A scene. If it has no sensor of its own, only meters on shapes, the camera is at the origin and looks along +z.
     camera : PlenopticCamera
-        The camera, with lengths in the scene's units. Its film has three channels in rgb variants, and records
-        luminance in others.
+        The camera, with lengths in the scene's units. Its film has three channels, red, green and blue, in rgb
+        variants, and in spectral ones unless the film before it has one; in mono variants it records luminance.
+    sensor : int, optional
+        Index of the sensor that it replaces, counted from 0 as in ``scene.sensors()``. Default: the first that is a
+        camera, if there is one.
 
     Returns
     -------
     mitsuba.Scene
-        The new scene, which shares its objects with the given one.
+        The new scene, which shares its objects with the given one; all have the same ids. The camera is its first
+        sensor, with the id of the one it replaces; meters on shapes follow, and other sensors are left out.
 
     Raises
     ------
     InputError
-        If an argument is not a scene or a camera, the first sensor's transform scales, or Mitsuba cannot render the
-        camera.
+        If an argument is not a scene or a camera, there is no such sensor, it has no one place, its transform scales,
+        or Mitsuba cannot render the camera.
+
+    Warns
+    -----
+    UserWarning
+        If the film before it records bands of wavelengths, which the camera's does not.
 
     Examples
     --------
@@ -46,28 +56,34 @@ def with_camera(scene: Any, camera: PlenopticCamera) -> Any:
     >>> mp.render_capture(mp.with_camera(scene, camera), spp=4).camera == camera
     True
     """
-    if not isinstance(scene, mi.Scene):
-        raise InputError(f"scene of type {type(scene).__name__}: it must be a mitsuba.Scene of the active variant")
+    require_active("scene", scene, mi.Scene)
     require_camera(camera)
-    # Area emitters are part of their shapes.
-    lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
-    objects: dict[str, Any] = {}
-    for index, item in enumerate((*scene.shapes(), *lamps)):
-        # Objects without a name in the file have none here, or one that Mitsuba generated and would refuse.
-        named = re.fullmatch(r"[A-Za-z]\w*", item.id()) and item.id() not in objects
-        objects[item.id() if named else f"object_{index}"] = item
-    sensor = camera.to_sensor()
-    if mi.is_rgb:
-        sensor["film"]["pixel_format"] = "rgb"
-    for old in scene.sensors()[:1]:
-        sensor["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))
-        sensor["sampler"] = {"type": "independent", "sample_count": old.sampler().sample_count()}
+    own = [each for each in scene.sensors() if each.get_shape() is None]
+    if sensor is None:
+        # Other sensors are meters: they measure along a line, say, whatever place a camera of the scene has.
+        cameras = [each for each in own if isinstance(each, mi.ProjectiveCamera) or hasattr(each, "camera")]
+        old = next(iter([*cameras, *own]), None)
+    else:
+        old = numbered_sensor(scene, sensor)
+    described = camera.to_sensor()
+    if old is not None:
+        refuse_if(
+            old.get_shape() is not None or old.class_name() in _WITHOUT_PLACE,
+            f"sensor {old.class_name()} {old.id()!r}: it has no one place and direction, which another camera could take",
+        )
+        described["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))
+        described["sampler"] = {"type": "independent", "sample_count": old.sampler().sample_count()}
         if old.get_medium() is not None:
-            sensor["medium"] = old.get_medium()
-    if scene.integrator() is not None:
-        objects["integrator"] = scene.integrator()
+            described["medium"] = old.get_medium()
+        if old.film().class_name() == "SpecFilm":
+            warn(
+                "film of type specfilm: the camera in its place records rgb; responses of wave captures stand for bands"
+            )
+    if mi.is_rgb or (mi.is_spectral and (old is None or old.film().base_channels_count() > 1)):
+        described["film"]["pixel_format"] = "rgb"
     with loading():
-        made = mi.load_dict({"type": "scene", **objects, "camera": sensor}, optimize=False)
-    made.set_id(scene.id())
-    warn_of_metres(made, made.sensors()[0])
-    return made
+        made = mi.load_dict(described, parallel=False)
+        made.set_id((old.id() if old is not None else "") or "camera")
+        seen = with_objects(scene, [made], own)
+    warn_of_metres(seen, made)
+    return seen

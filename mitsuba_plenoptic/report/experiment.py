@@ -377,7 +377,8 @@ def edge_scene(camera: PlenopticCamera, distance: float) -> mi.Scene:
                 "bsdf": {"type": "diffuse", "reflectance": 0.0},
                 "emitter": {"type": "area", "radiance": 1.0},
             },
-        }
+        },
+        parallel=False,
     )
 
 

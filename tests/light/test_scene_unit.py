@@ -141,7 +141,7 @@ def test_lamps_of_any_colour_are_scaled(variant):
     ("change", "words"),
     [
         ({"lamp": {"type": "point", "intensity": {"type": "d65"}}}, "unit: point 'lamp': intensity: it must be given"),
-        ({"cam": {"type": "orthographic"}}, "unit: orthographic 'cam': its lengths cannot be scaled, only those of pe"),
+        ({"cam": {"type": "orthographic"}}, "unit: orthographic 'cam': its lengths cannot be scaled, only those of "),
         ({"hair": {"type": "linearcurve", "filename": "x"}}, "unit: linearcurve 'hair': its lengths cannot be scaled"),
         ({"made": "made"}, "unit: scene: made: an object that is already made cannot be scaled; give its dictionary"),
     ],

@@ -200,7 +200,8 @@ def board_scene(
             "sensor": camera.to_sensor() | {"sampler": {"type": "independent", "sample_count": spp}},
             "squares": shining(texture, rectangle(0.0, 0.0)),
             "margin": shining(light, rectangle(_MARGIN, 1e-3 * board.square)),
-        }
+        },
+        parallel=False,
     )
 
 

@@ -58,7 +58,7 @@ def side_by_side(found: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, 
     direct = {"type": "direct"}
     waves = {"type": "plenoptic_wave", "wavelength": found.wavelength, "child": direct}
     integrator = direct if found.wavelength is None else waves
-    capture = render_capture(mi.load_dict(scene | {"integrator": integrator}), spp=samples).image
+    capture = render_capture(mi.load_dict(scene | {"integrator": integrator}, parallel=False), spp=samples).image
     simulated = capture + stray_fraction(found.camera, found.field) * capture.mean()
     recorded = found.frame.light[first[1] : first[1] + size[1], first[0] : first[0] + size[0]]
     return recorded / np.nanmean(found.brightness), simulated

@@ -84,7 +84,7 @@ def fit_layers(
         described = capture.camera.to_sensor(pose)
         if capture.image.ndim == 3 and capture.image.shape[2] == 3:
             described["film"]["pixel_format"] = "rgb"
-        sensors.append(mi.load_dict(described))
+        sensors.append(mi.load_dict(described, parallel=False))
     scene = start.scene(sensors[0])
     planes = scene.integrator()
     integrators = [_through(planes, capture, kind) for capture, kind in zip(captures, chosen, strict=True)]

@@ -94,7 +94,9 @@ class Layers:
         """Return a scene without objects, with a sensor and the integrator that sees the planes."""
         # Derivatives by signed rays are taken along the rays that meet a surface or an environment.
         dark = {"type": "constant", "radiance": 0.0}
-        return mi.load_dict({"type": "scene", "dark": dark, "integrator": self.integrator(), "sensor": sensor})
+        return mi.load_dict(
+            {"type": "scene", "dark": dark, "integrator": self.integrator(), "sensor": sensor}, parallel=False
+        )
 
 
 def make_class() -> type:

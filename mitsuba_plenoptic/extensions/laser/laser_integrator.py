@@ -13,6 +13,7 @@ from ...camera.plenoptic_camera import require_ideal
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
+from ...light.scene import with_objects
 from ...optics import guards
 from ...optics.spectrum import Spectrum
 from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
@@ -20,7 +21,7 @@ from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
 from ...runtime.batches import Cost, Job
-from .lit_points import LaserScene, LitPoints, named_lasers, without
+from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
 from .realisations import coherent_capture
 
@@ -140,7 +141,7 @@ def make_class() -> type:
             lasers = self._require(scene, sensor)
             with guards.watch():
                 image = self._laser(scene, sensor, lasers, seed, job or Job())
-            rest = without(scene, lasers)
+            rest = with_objects(scene, (), lasers)
             if rest.emitters():
                 image = image + np.array(self.child.render(rest, sensor, seed=seed, spp=spp), np.float32)[..., :1]
             put(sensor.film(), image, 1)

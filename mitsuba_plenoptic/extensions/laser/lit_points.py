@@ -261,12 +261,3 @@ def named_lasers(scene: Any, names: Sequence[str], what: str) -> list[Any]:
         )
         found.append(known[name])
     return found
-
-
-def without(scene: Any, lasers: Sequence[Any]) -> Any:
-    """Return a scene of the same objects without some emitters."""
-    dark = {laser.id() for laser in lasers}
-    lamps = [lamp for lamp in scene.emitters() if not mi.has_flag(lamp.flags(), mi.EmitterFlags.Surface)]
-    rest = [lamp for lamp in lamps if lamp.id() not in dark]
-    objects = {f"object_{index}": item for index, item in enumerate((*scene.shapes(), *rest))}
-    return mi.load_dict({"type": "scene", **objects}, optimize=False)
