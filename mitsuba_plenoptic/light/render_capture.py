@@ -21,7 +21,7 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap, Cost, Job
 from ..runtime.limits import require_memory_for
 from .noise import PARTS, PassSpread, require_samples
-from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence, quiet
 from .scene_light import warn_of_metres
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
@@ -188,12 +188,14 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     instead = advice(python="with_camera gives the scene one", shell="--camera NAME gives it one")
     refuse_if(not scene.sensors(), f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
     chosen = numbered_sensor(scene, sensor)
+    if (
+        other := next((index for index, each in enumerate(scene.sensors()) if hasattr(each, "camera")), None)
+    ) is not None:
+        instead = advice(python=f"sensor={other} is one", shell=f"--sensor {other} is one")
     try:
         PlenopticCamera.from_sensor(chosen)
     except InputError as error:
-        found = [index for index, each in enumerate(scene.sensors()) if hasattr(each, "camera")]
-        others = ", ".join(argument("sensor", index) for index in found)
-        raise InputError(f"{error}; {f'take {others}' if found else instead}") from None
+        raise InputError(f"{error}; {instead}") from None
     return chosen
 
 
@@ -420,16 +422,22 @@ def _render_passes(
     # Runs with neighbouring seeds must not share passes, or their average would be no better than either of them.
     seeds = np.random.SeedSequence(seed).generate_state(len(counts))
     image, spread = np.zeros(()), PassSpread() if noise else None
-    for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
-        # `integrator.render` rather than `mi.render`, which hides the cause of an error.
-        part = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
-        if spread:
-            spread.add(part, count)
-        else:
-            part *= count / sum(counts)
-            image = np.add(image, part, out=image) if index else part
-        if progress:
-            progress(min(sum(counts[: index + 1]), spp), spp)
+    sampler = sensor.sampler()
+    given = sampler.sample_count()
+    try:
+        for index, (pass_seed, count) in enumerate(zip(seeds.tolist(), counts, strict=True)):
+            # `integrator.render` rather than `mi.render`, which hides the cause of an error.
+            part = np.array(integrator.render(scene, sensor, seed=pass_seed, spp=count, develop=True))
+            if spread:
+                spread.add(part, count)
+            else:
+                part *= count / sum(counts)
+                image = np.add(image, part, out=image) if index else part
+            if progress:
+                progress(min(sum(counts[: index + 1]), spp), spp)
+    finally:
+        # Passes leave their count in the scene's sampler, where the next capture would look for its own.
+        sampler.set_sample_count(given)
     return (spread.image, spread.deviation()) if spread else (image, None)
 
 
@@ -446,7 +454,9 @@ def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:
         return bool(sampler.sample_count() == count)
 
     most = min(most, _SAMPLES_PER_PASS, spp)
-    sizes = [size for size in (2**k for k in reversed(range(_SAMPLES_PER_PASS.bit_length()))) if is_drawn(size)]
+    # Mitsuba warns of each count that a sampler does not allow.
+    with quiet():
+        sizes = [size for size in (2**k for k in reversed(range(_SAMPLES_PER_PASS.bit_length()))) if is_drawn(size)]
     counts: list[int] = []
     for size in [size for size in sizes if size <= most] or sizes[-1:]:
         counts += [size] * ((spp - sum(counts)) // size)

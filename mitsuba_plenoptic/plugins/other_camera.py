@@ -12,8 +12,8 @@ from ..light.scene import loading, with_objects
 from ..light.scene_light import warn_of_metres
 from ..runtime.backend import one_at_a_time
 
-_WITHOUT_PLACE = ("BatchSensor", "DistantSensor")
-"""Class names of sensors that are at several places, or at infinity."""
+_WITHOUT_PLACE = ("Batch", "Distant")
+"""First parts of the class names of sensors that are at several places, or at infinity."""
 
 
 @one_at_a_time
@@ -66,21 +66,19 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     else:
         old = numbered_sensor(scene, sensor)
     described = camera.to_sensor()
+    if mi.is_rgb or (mi.is_spectral and (old is None or "pixel_format = y" not in str(old.film()))):
+        described["film"]["pixel_format"] = "rgb"
     if old is not None:
         refuse_if(
-            old.get_shape() is not None or old.class_name() in _WITHOUT_PLACE,
-            f"sensor {old.class_name()} {old.id()!r}: it has no one place and direction, which another camera could take",
+            old.get_shape() is not None or old.class_name().startswith(_WITHOUT_PLACE),
+            f"sensor {old.class_name()} {old.id()!r}: it has no one place and direction for another camera to take",
         )
         described["to_world"] = mi.ScalarTransform4f(np.array(old.world_transform().matrix, np.float64).reshape(4, 4))
         described["sampler"] = {"type": "independent", "sample_count": old.sampler().sample_count()}
         if old.get_medium() is not None:
             described["medium"] = old.get_medium()
         if old.film().class_name() == "SpecFilm":
-            warn(
-                "film of type specfilm: the camera in its place records rgb; responses of wave captures stand for bands"
-            )
-    if mi.is_rgb or (mi.is_spectral and (old is None or old.film().base_channels_count() > 1)):
-        described["film"]["pixel_format"] = "rgb"
+            warn("film of type specfilm: the camera in its place records rgb; its bands are responses of wave captures")
     with loading():
         made = mi.load_dict(described, parallel=False)
         made.set_id((old.id() if old is not None else "") or "camera")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from ..camera import PlenopticCamera
 from ..errors import naming, refuse_if, require_choice
 from ..io.captures import Capture
 from ..light.render_capture import pass_counts, plenoptic_sensor, render_capture
-from ..light.scene import load_scene
+from ..light.scene import load_scene, quiet
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
@@ -386,14 +387,9 @@ def load_with_sensor(
     name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
 ) -> Any:
     """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
-    level = mi.log_level()
-    try:
-        if mi.is_monochromatic:
-            # Mitsuba warns that films of colours record luminance, which the variant says.
-            mi.set_log_level(mi.LogLevel.Error)
+    # Mitsuba warns that films of colours record luminance, which the variant says.
+    with quiet() if mi.is_monochromatic else nullcontext():
         scene = load_scene(name, parameters=parameters, unit=unit)
-    finally:
-        mi.set_log_level(level)
     if camera is not None:
         return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
     with naming(name):
