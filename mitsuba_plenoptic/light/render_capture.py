@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.metadata
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import drjit as dr
@@ -21,8 +22,8 @@ from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap, Cost, Job
 from ..runtime.limits import require_memory_for
 from .noise import PARTS, PassSpread, require_samples
-from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence, quiet
-from .scene_light import warn_of_metres
+from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
+from .scene_light import require_medium_seen, warn_of_metres
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
@@ -125,6 +126,7 @@ def render_capture(
     warn_of_metres(scene, chosen)
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
+    require_medium_seen(getattr(integrator, "child", integrator), chosen)
     require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
@@ -188,13 +190,11 @@ def plenoptic_sensor(scene: Any, sensor: int | Any = 0) -> Any:
     instead = advice(python="with_camera gives the scene one", shell="--camera NAME gives it one")
     refuse_if(not scene.sensors(), f"scene: it has no sensor; {instead}, or add one of type 'plenoptic'")
     chosen = numbered_sensor(scene, sensor)
-    if (
-        other := next((index for index, each in enumerate(scene.sensors()) if hasattr(each, "camera")), None)
-    ) is not None:
-        instead = advice(python=f"sensor={other} is one", shell=f"--sensor {other} is one")
     try:
         PlenopticCamera.from_sensor(chosen)
     except InputError as error:
+        if found := [index for index, each in enumerate(scene.sensors()) if hasattr(type(each), "camera")]:
+            instead = advice(python=f"sensor={found[0]} is one", shell=f"--sensor {found[0]} is one")
         raise InputError(f"{error}; {instead}") from None
     return chosen
 
@@ -367,6 +367,7 @@ def estimate_capture(
     camera = PlenopticCamera.from_sensor(sensor)
     require_film(sensor.film())
     integrator = chosen_integrator(scene, model, wave)
+    require_medium_seen(getattr(integrator, "child", integrator), sensor)
     require_taken(integrator, batch_map=batch_map)
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
@@ -388,7 +389,7 @@ def estimate_capture(
         offset = sampler.next_2d()
         position = mi.Point2f((column + offset.x) / columns, (row + offset.y) / rows)
         ray, weight = sensor.sample_ray_differential(0.0, sampler.next_1d(), position, sampler.next_2d())
-        radiance = mi.SamplingIntegrator.sample(integrator, scene, sampler, ray, None, True)[0]
+        radiance = mi.SamplingIntegrator.sample(integrator, scene, sampler, ray, sensor.get_medium(), True)[0]
         dr.eval(mi.unpolarized_spectrum(radiance) * mi.unpolarized_spectrum(weight))
         dr.sync_thread()
         return time.perf_counter() - start
@@ -439,6 +440,17 @@ def _render_passes(
         # Passes leave their count in the scene's sampler, where the next capture would look for its own.
         sampler.set_sample_count(given)
     return (spread.image, spread.deviation()) if spread else (image, None)
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Let Mitsuba report errors only, for what has been said or nobody has asked for."""
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield
+    finally:
+        mi.set_log_level(level)
 
 
 def pass_counts(sensor: Any, spp: int, most: int) -> list[int]:

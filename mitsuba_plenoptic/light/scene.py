@@ -359,17 +359,6 @@ def loading(what: str = "") -> Iterator[None]:
         raise InputError(f"{where}{mitsuba_sentence(error)}") from None
 
 
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Let Mitsuba report errors only, for what has been said or nobody has asked for."""
-    level = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)
-    try:
-        yield
-    finally:
-        mi.set_log_level(level)
-
-
 def mitsuba_sentence(error: Exception) -> str:
     """Return the sentence of a Mitsuba error message, without the traceback that may surround it."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))

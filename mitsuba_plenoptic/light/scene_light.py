@@ -73,6 +73,14 @@ class SceneLight:
         return sampler, ray
 
 
+def require_medium_seen(integrator: Any, sensor: mi.Sensor) -> None:
+    """Refuse the integrator that takes cameras in a medium for cameras in empty space."""
+    refuse_if(
+        type(integrator).__name__ == _REVERSE_ONLY and sensor.get_medium() is not None,
+        f"nested {_REVERSE_ONLY}: Mitsuba's prbvolpath ignores the medium around the camera; use volpath",
+    )
+
+
 def world_ray(sensor: Any, point: tuple[Any, Any, Any], slope: Pair) -> Any:
     """Return rays from points in the camera frame as Mitsuba rays in the world frame, at the shutter's opening."""
     to_world = sensor.world_transform()

@@ -61,7 +61,7 @@ def with_camera(scene: mi.Scene, camera: PlenopticCamera, sensor: int | None = N
     own = [each for each in scene.sensors() if each.get_shape() is None]
     if sensor is None:
         # Other sensors are meters: they measure along a line, say, whatever place a camera of the scene has.
-        cameras = [each for each in own if isinstance(each, mi.ProjectiveCamera) or hasattr(each, "camera")]
+        cameras = [each for each in own if isinstance(each, mi.ProjectiveCamera) or hasattr(type(each), "camera")]
         old = next(iter([*cameras, *own]), None)
     else:
         old = numbered_sensor(scene, sensor)

@@ -38,6 +38,7 @@ from ..errors import (
 from ..extension import missing
 from ..light import colour
 from ..light.scene import unknown_parameter
+from ..light.scene_light import require_medium_seen
 from ..light.signed_colours import SignedColours
 from ..microlens.shape import known_shape
 from ..optics.spectrum import (
@@ -372,6 +373,7 @@ def make_base() -> type:
         ) -> Any:
             """Render the capture; `spp` is the count of samples that `record` takes."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)
+            require_medium_seen(self.child, sensor)
             film = self.record(scene, sensor, seed=seed, spp=spp)
             return film.develop() if develop else None
 

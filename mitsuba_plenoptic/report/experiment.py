@@ -16,8 +16,8 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import naming, refuse_if, require_choice
 from ..io.captures import Capture
-from ..light.render_capture import pass_counts, plenoptic_sensor, render_capture
-from ..light.scene import load_scene, quiet
+from ..light.render_capture import pass_counts, plenoptic_sensor, quiet, render_capture
+from ..light.scene import load_scene
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
