@@ -7,6 +7,7 @@ each ray once for its radiance and once more for the derivative.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -239,8 +240,26 @@ _FAR_TOO_NEAR = 0.5
 """Distance over the nearest sharp one below which a scene is not just out of focus."""
 
 
+_CHORDS = 32
+"""Rays from rim to rim of the main lens that look for surfaces there."""
+
+_SLANT = 1e-4
+"""Distance of their ends from the main lens's plane over its radius, so that they cross surfaces in this plane."""
+
+
+def _touches(scene: Any, sensor: mi.Sensor, radius: float) -> bool:
+    """Return whether a surface crosses or covers the main lens."""
+    index, ends = dr.arange(mi.Float, _CHORDS), []
+    # One end goes round evenly, the other by the golden angle, so that the chords' middles fill the lens.
+    for angle, slant in ((2 * math.pi / _CHORDS * index, -_SLANT), (2.4 * index, _SLANT)):
+        ends.append(sensor.world_transform() @ (radius * mi.Point3f(dr.cos(angle), dr.sin(angle), slant)))
+    ray = mi.Ray3f(ends[0], ends[1] - ends[0])
+    ray.maxt = 1.0
+    return bool(dr.any(scene.ray_test(ray)))
+
+
 def warn_of_metres(scene: Any, sensor: Any) -> None:
-    """Warn if a whole scene is far too near to its plenoptic camera, as scenes in metres are.
+    """Warn if a surface touches a plenoptic camera, or a whole scene is far too near to it, as scenes in metres are.
 
     Too near means within the focal length, or nearer than half the nearest distance that refocusing makes sharp. Other
     cameras are not checked.
@@ -250,8 +269,12 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     if camera is None or not box.valid() or not camera.lens_data.converges:
         return
     to_camera = np.linalg.inv(np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4))
-    corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)])
-    farthest = float((corners @ to_camera[2]).max())
+    corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)]) @ to_camera.T[:, :3]
+    farthest, reach = float(corners[:, 2].max()), camera.aperture_radius
+    inside = (corners.min(0) <= reach).all() and (corners.max(0) >= (-reach, -reach, -_SLANT * reach)).all()
+    if inside and _touches(scene, sensor, reach):
+        warn("a surface touches the camera's main lens, where the rays into the scene start: move one of the two")
+        return
     if farthest <= 0:
         return
     ranges = depth_ranges(camera) if camera.refocuses else ()
