@@ -6,6 +6,7 @@ import dataclasses
 import signal
 import warnings
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from scene_cases import letters
@@ -70,6 +71,13 @@ def test_scenes_and_cameras(scene):
         mp.with_camera(scene, "paper")
     with pytest.raises(InputError, match=r"scene of type str: it must be a mitsuba\.Scene"):
         mp.with_camera("letters", CAMERA)
+    mi.set_variant("llvm_ad_rgb")
+    sensor = mi.load_dict(CAMERA.to_sensor())
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises(
+        InputError, match=r"sensor of .* of variant llvm_ad_rgb: it must be .* active variant llvm_ad_mono"
+    ):
+        mp.render_capture(scene, sensor=sensor)
     with pytest.raises(InputError, match="wavelength: a value of type list is none that plugins take"):
         mp.render_capture(scene, model="wave", wavelength=[633, 500])
 

@@ -272,7 +272,9 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     corners = np.array([np.append(np.ravel(box.corner(index)), 1.0) for index in range(8)]) @ to_camera.T[:, :3]
     farthest, reach = float(corners[:, 2].max()), camera.aperture_radius
     inside = (corners.min(0) <= reach).all() and (corners.max(0) >= (-reach, -reach, -_SLANT * reach)).all()
-    if inside and _touches(scene, sensor, reach):
+    # The walls of a room in metres are inside the lens, too.
+    in_metres = _SLANT * reach < farthest < camera.focal_length
+    if inside and not in_metres and _touches(scene, sensor, reach):
         warn("a surface touches the camera's main lens, where the rays into the scene start: move one of the two")
         return
     if farthest <= 0:

@@ -153,9 +153,32 @@ def test_what_cannot_be_scaled_is_refused_by_name(change, words):
         mp.load_scene({"type": "scene", **change}, unit="m")
 
 
+def test_files_next_to_a_scene_are_found_in_any_unit():
+    size = {"resolution": 64, "detector_width": 0.128}
+    boxes = [mp.load_scene("letters", parameters=size, unit=unit).bbox() for unit in ("mm", "cm")]
+    np.testing.assert_allclose(np.ravel(boxes[1].max), 10 * np.ravel(boxes[0].max), rtol=1e-5)
+
+
 def test_units_are_refused_by_name():
     with pytest.raises(mp.InputError, match=r"^unit = 'km': it must be one of 'mm', 'cm', 'm'|^unit = "):
         mp.load_scene("letters", unit="km")
+
+
+@pytest.mark.parametrize(
+    ("turned", "height", "told"),
+    [((0, 1, 0, 180), 0, True), ((1, 0, 0, 90), 0, True), ((1, 0, 0, 90), -4.9, True), ((1, 0, 0, 90), -5.1, False)],
+)
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_camera_that_touches_a_surface_is_told_so(turned, height, told, alone):
+    mi.set_variant("llvm_ad_mono")
+    T, camera = mi.ScalarTransform4f, mp.PlenopticCamera(detector_width=0.064, resolution=(32, 32))
+    wall = T().translate([0, height, 0]).rotate(turned[:3], turned[3]).scale(500)
+    scene = {"type": "scene", "wall": {"type": "rectangle", "to_world": wall}}
+    scene |= {} if alone else {"ball": {"type": "sphere", "center": [0, 0, 240], "radius": 9.0}}
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        mp.with_camera(mp.load_scene(scene), camera)
+    assert [str(each.message).startswith("a surface touches the camera's main lens") for each in found] == [True] * told
 
 
 def test_scenes_in_metres_are_warned_of_everywhere():

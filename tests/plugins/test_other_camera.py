@@ -1,10 +1,23 @@
 """Scenes seen by another camera than their own."""
 
+import threading
+
+import mitsuba as mi
 import numpy as np
 import pytest
 from scene_cases import SMALL_SENSOR, write_scene
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture, with_camera
+from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, with_camera
+
+ORDINARY = PlenopticCamera(
+    mla_lattice="none",
+    focal_length=50,
+    aperture_radius=5,
+    focus_distance=400,
+    resolution=(24, 18),
+    detector_width=24,
+)
+"""A camera without an array, whose pictures are quickly taken."""
 
 
 @pytest.mark.parametrize("name", ["still_life", "vitrine"])
@@ -38,3 +51,133 @@ def test_a_sensor_that_scales_is_refused(tmp_path):
     path.write_text(path.read_text().replace("plenoptic", "orthographic"))
     with pytest.raises(InputError, match="plenoptic: to_world: it must not scale"):
         with_camera(load_scene(path), PlenopticCamera())
+
+
+def garden(sensor, size=1.0):
+    """Describe two instances of a group of textured shapes, a lamp, and a meter on a wall before a sensor."""
+    T, tiny = mi.ScalarTransform4f, {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    checks = {"type": "checkerboard", "to_uv": mi.ScalarTransform3f().scale([6, 6])}
+    box = {"type": "cube", "to_world": T().translate([20 * size, 0, 0]).scale(8 * size)}
+    ball = {"type": "sphere", "radius": 10 * size, "bsdf": {"type": "diffuse", "reflectance": checks}}
+    tree, lamp = {"tree": {"type": "ref", "id": "tree"}}, {"type": "area", "radiance": 3.0}
+    wall = T().translate([0, 0, 600 * size]).rotate([0, 1, 0], 180).scale(200 * size)
+    return {
+        "type": "scene",
+        "integrator": {"type": "direct"},
+        "0-wall": {"type": "rectangle", "to_world": wall, "meter": {"type": "irradiancemeter", "film": tiny}},
+        "sky": {"type": "constant"},
+        "tree": {"type": "shapegroup", "ball": ball, "box": box},
+        "i": {"type": "instance", **tree, "to_world": T().translate([-30 * size, 0, 400 * size])},
+        "j": {"type": "instance", **tree, "to_world": T().translate([20 * size, 20 * size, 400 * size]).scale(1.5)},
+        "key-light": {"type": "sphere", "center": [20 * size, -20 * size, 380 * size], "radius": 4 * size, "e": lamp},
+        "Camera": sensor,
+    }
+
+
+def ids(scene):
+    """Return the ids of all that a scene shows, by which `mi.traverse` names it."""
+    named = {key.partition(".")[0] for key in mi.traverse(scene).keys()}  # noqa: SIM118 (no plain mapping)
+    return sorted(named | {each.id() for each in scene.shapes()})
+
+
+def test_instances_ids_and_meters_stay_and_the_picture_is_that_of_the_scenes_own_camera():
+    scene, pinhole = load_scene(garden(ORDINARY.to_sensor())), {"type": "perspective"}
+    with pytest.raises(InputError, match=r"IrradianceMeter: .*; sensor=1 is one"):
+        render_capture(scene)
+    own = {model: render_capture(scene, sensor=1, model=model, spp=16).image for model in ("ray", "wave")}
+    for given, models in (
+        (mi.load_dict(garden(pinhole), parallel=False), ["ray"]),
+        (load_scene(garden(pinhole, 1e-3), unit="m"), ["ray", "wave"]),
+    ):
+        before, made = ids(given), with_camera(given, ORDINARY)
+        assert ids(given) == ids(made) == ids(with_camera(made, ORDINARY)) == before
+        assert {"0-wall", "tree", "i", "j", "key-light", "Camera"} <= set(before)
+        for model in models:
+            np.testing.assert_allclose(render_capture(made, model=model, spp=16).image, own[model], atol=1e-5)
+
+
+def test_the_camera_stands_where_the_named_or_the_first_camera_stood():
+    T, tiny = mi.ScalarTransform4f, {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    line = {"type": "radiancemeter", "film": tiny, "to_world": T().translate([1, 0, 0])}
+    cameras = {name: {"type": "perspective", "to_world": T().translate([x, 0, 0])} for name, x in (("b", 2), ("c", 3))}
+    scene = load_scene({"type": "scene", "ball": {"type": "sphere", "center": [0, 0, 400]}, "a": line, **cameras})
+    for sensor, name, x in ((None, "b", 2), (0, "a", 1), (1, "b", 2), (2, "c", 3)):
+        (made,) = with_camera(scene, ORDINARY, sensor).sensors()
+        assert (made.id(), made.world_transform().translation().x[0]) == (name, x)
+    with pytest.raises(InputError, match="sensor = 3: the scene's are numbered from 0 to 2"):
+        with_camera(scene, ORDINARY, sensor=3)
+    both = load_scene({"type": "scene", "both": {"type": "batch", "film": {"type": "hdrfilm", "width": 4}, **cameras}})
+    with pytest.raises(InputError, match="sensor BatchSensor 'both': it has no one place and direction"):
+        with_camera(both, ORDINARY)
+
+
+@pytest.mark.parametrize(
+    ("variant", "kind", "channels"),
+    [
+        *[("llvm_ad_mono", "rgb", ()), ("llvm_ad_rgb", "luminance", (3,)), ("llvm_ad_rgb", "xyz", (3,))],
+        *[("llvm_ad_spectral", kind, (3,)) for kind in ("rgb", "rgba", "xyz", None)],
+        *[("llvm_ad_spectral", kind, ()) for kind in ("luminance", "luminance_alpha")],
+    ],
+)
+def test_the_colours_of_the_film_are_kept(variant, kind, channels):
+    mi.set_variant(variant)
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.7, 0.4, 0.2]}}
+    scene = {"type": "scene", "integrator": {"type": "path"}, "sky": sky, "camera": {"type": "perspective"}}
+    scene["camera"] |= {} if kind is None else {"film": {"type": "hdrfilm", "pixel_format": kind}}
+    image = render_capture(with_camera(load_scene(scene), ORDINARY), model="ray", spp=64).image
+    assert image.shape[2:] == channels
+    known = [0.7, 0.4, 0.2] if channels else [float(mi.luminance(mi.ScalarColor3f([0.7, 0.4, 0.2]))[0])]
+    np.testing.assert_allclose(image.reshape(-1, len(known)).mean(0), known, atol=0.005)
+
+
+def test_bands_of_a_spectral_film_are_not_lost_without_a_word():
+    mi.set_variant("llvm_ad_spectral")
+    film = {"type": "specfilm", "green": {"type": "spectrum", "value": [(500, 1), (600, 1)]}}
+    scene = load_scene({"type": "scene", "camera": {"type": "perspective", "film": film}})
+    with pytest.warns(UserWarning, match="film of type specfilm: the camera in its place records rgb"):
+        assert with_camera(scene, ORDINARY).sensors()[0].film().base_channels_count() == 3
+
+
+@pytest.mark.parametrize(("kind", "count"), [("stratified", 16), ("orthogonal", 25), ("multijitter", 20)])
+def test_samplers_are_asked_for_no_other_count_and_keep_theirs(kind, count, capfd):
+    sensor = ORDINARY.to_sensor() | {"sampler": {"type": kind, "sample_count": count}}
+    scene = load_scene({"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}, "camera": sensor})
+    for model in ("ray", "wave"):
+        render_capture(scene, model=model)
+    render_capture(scene, model="ray", spp=4)
+    assert scene.sensors()[0].sampler().sample_count() == count
+    assert "WARN" not in "".join(capfd.readouterr())
+
+
+def test_an_integrator_that_ignores_the_medium_around_the_camera_is_refused():
+    fog = {"type": "ref", "id": "fog"}
+    scene = load_scene(
+        {
+            "type": "scene",
+            "integrator": {"type": "prbvolpath"},
+            "fog": {"type": "homogeneous", "sigma_t": 1e-3},
+            "camera": ORDINARY.to_sensor() | {"medium": fog},
+        }
+    )
+    for model in ("ray", "wave"):
+        for capture in (render_capture, estimate_capture):
+            with pytest.raises(InputError, match="prbvolpath ignores the medium around the camera; use volpath"):
+                capture(scene, model=model)
+
+
+def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
+    """Others would wait for the interpreter with whatever they hold, messages of Dr.Jit, for example."""
+    found = []
+
+    class Probe(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            found.append(threading.get_ident())
+
+    mi.register_bsdf("probe", Probe)
+    shapes = {f"ball{index}": {"type": "sphere", "bsdf": {"type": "probe"}} for index in range(4)}
+    text = "".join('<shape type="sphere"><bsdf type="probe"/></shape>' for _ in range(4))
+    for unit in ("mm", "m"):
+        load_scene({"type": "scene", **shapes}, unit=unit)
+        load_scene(write_scene(tmp_path, text), unit=unit)
+    assert found == [threading.get_ident()] * 16
