@@ -1,6 +1,7 @@
 """Scenes seen by another camera than their own."""
 
 import threading
+import time
 
 import mitsuba as mi
 import numpy as np
@@ -172,6 +173,8 @@ def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
     class Probe(mi.BSDF):
         def __init__(self, props):
             super().__init__(props)
+            # Meanwhile other threads, if there are any, take the next plugin.
+            time.sleep(0.005)
             found.append(threading.get_ident())
 
     mi.register_bsdf("probe", Probe)
