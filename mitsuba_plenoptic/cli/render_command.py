@@ -161,7 +161,6 @@ def render(
     from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
-    # The camera that replaces one stands first.
     replaced, sensor = sensor, 0 if camera else sensor
     options = {"wavelength": wavelength, "bandwidth": bandwidth, "responses": responses, "method": method}
     wave = {name: value for name, value in options.items() if value is not None}
