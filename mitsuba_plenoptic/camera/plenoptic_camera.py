@@ -8,7 +8,6 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
@@ -207,6 +206,13 @@ def require_no_glass(camera: CameraGeometry, what: str) -> None:
             raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")
 
 
+def _absent(name: str) -> str:
+    """Return the line on an argument that a missing extension would add, or that `dataclasses.replace` gives."""
+    if name in {entry.attribute for entry in PARAMETERS.values()}:
+        return f"{name}: dataclasses.replace does not know which parameters were given; use camera.replace"
+    return missing("parameters", name)
+
+
 @record
 class PlenopticCamera(CameraGeometry, Displayed):
     r"""A main lens, a microlens array behind it, and a detector behind that.
@@ -246,7 +252,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             require_whole(self)
 
         __init__.__signature__ = signature()
-        __init__ = suggest_keywords(__init__, absent=partial(missing, "parameters"))
+        __init__ = suggest_keywords(__init__, absent=_absent)
         # Python without docstrings has none.
         __doc__ = (__doc__ or "").replace("    TABLE\n", numpy_section())
 

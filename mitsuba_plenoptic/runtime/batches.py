@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import logging
+import multiprocessing
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
@@ -364,6 +365,9 @@ class Cluster:
         self._client: Any = None
 
     def __enter__(self) -> Cluster:
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            # A worker imports a script that would start workers: it ends, and the script is told why.
+            raise SystemExit(1)
         distributed = require_module("distributed", "workers: they need dask.distributed: pip install distributed")
         failure = ""
         with contextlib.ExitStack() as opened:
@@ -393,7 +397,8 @@ class Cluster:
                 # A client that never connected is closed as it is collected. Collected later, while the next one
                 # starts, it would wait for a lock that its own thread holds.
                 gc.collect()
-                raise InputError(f"{self._name}: no workers can be had: {failure}")
+                guard = '; in a script, put the code under if __name__ == "__main__":' if self._count else ""
+                raise InputError(f"{self._name}: no workers can be had: {failure.rstrip('.')}{guard}")
             for worker, versions in found.items():
                 _check_software(versions, software(), worker)
             self._open = opened.pop_all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import logging
 import sys
 import threading
@@ -118,11 +119,13 @@ def is_quiet() -> bool:
 
 
 def has_screen() -> bool:
-    """Return whether standard error is a terminal or a notebook, where a bar can move."""
+    """Return whether standard error is a terminal or a notebook with widgets, where a bar can move."""
     from rich.console import Console
 
     console = Console(stderr=True)
-    return console.is_terminal or console.is_jupyter
+    if console.is_jupyter:
+        return importlib.util.find_spec("ipywidgets") is not None
+    return console.is_terminal
 
 
 _under_way: list[ProgressBar] = []

@@ -14,7 +14,7 @@ import os
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,8 @@ LARGEST_LIST = 2**27
 
 LOCK = ".lock"
 
-_GROWING = "recipe.count"
-"""The entry that may differ, if it grows."""
+_FREE = {"recipe.count", "recipe.name"}
+"""Entries that may differ: the count may grow, and the name, which is that of the file, changes no bits."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
         names = {*now, *(key for key in before if key.partition(".")[0] in facts)}
         # Another version comes with other scenes and software.
         for name in [KEY, *sorted(names - {KEY})]:
-            if before.get(name) != now.get(name) and name != _GROWING:
+            if before.get(name) != now.get(name) and name not in _FREE:
                 kind = "made by other software" if name.startswith(("software.", KEY)) else "of another recipe"
                 raise InputError(
                     f"{folder}: it holds samples {kind}: {name} was {short_repr(before.get(name))}, is "
@@ -279,8 +279,14 @@ class DataSet:
     def __len__(self) -> int:
         return self._layout.count
 
-    def __getitem__(self, index: int) -> Sample:
-        """Return the sample with an index."""
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Sample]: ...
+    def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
+        """Return the sample with an index, or the samples of a slice."""
+        if isinstance(index, slice):
+            return [self[number] for number in range(*index.indices(len(self)))]
         if index >= len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)

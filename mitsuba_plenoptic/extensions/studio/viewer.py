@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +99,7 @@ class Viewer:
         The page as HTML.
     """
 
-    page: str
+    page: str = field(repr=False)
 
     def save(self, path: str | Path) -> None:
         """Write the page, which any browser opens from disk.
