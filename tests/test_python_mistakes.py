@@ -27,6 +27,11 @@ def scene():
     return mp.load_scene("letters", parameters=letters(2))
 
 
+def test_cameras_are_changed_by_replace_of_their_own():
+    with pytest.raises(InputError, match="dataclasses.replace does not know .*; use camera.replace"):
+        dataclasses.replace(CAMERA, aperture_radius=3)
+
+
 def test_small_numbers_may_become_zero_whatever_numpy_is_to_raise(scene):
     with np.errstate(all="raise"):
         waves, rays = (mp.render_capture(scene, spp=2, model=model) for model in ("wave", "ray"))

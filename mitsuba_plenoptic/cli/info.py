@@ -27,14 +27,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for other program
 
 def info(
     source: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr",
+            metavar="SCENE|PRESET|CAMERA.json|NAME=VALUE,...|CAPTURE.exr|LENS.zmx",
+            show_default=False,
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
-            "parameters, as for --camera of 'render', a capture, or a raw picture of a Lytro camera.",
+            "parameters, as for --camera of 'render', a capture, a raw picture of a Lytro camera, or a lens's file.",
         ),
         CAMERA,
-    ],
+    ] = None,
     wavelength: Annotated[
         float | None,
         numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM"),
@@ -64,6 +65,11 @@ def info(
             help="Write the camera that the fewest of the changes which the warnings name make of this one.",
         ),
     ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="PRESET|FILE|NAME=VALUE,...", show_default="none", help="The camera, instead of SCENE."),
+        CAMERA,
+    ] = None,
     unit: Unit = "mm",
     as_json: Json = False,
     define: Definitions = None,
@@ -92,12 +98,15 @@ def info(
     from rich.console import Console
     from rich.markup import escape
 
+    from ..camera import PlenopticCamera
     from ..design import design_warnings, mended
     from ..extension import format_of
     from ..io.captures import RAW_SUFFIXES, read_capture
     from ..report.design_sheet import design_sheet
     from ..runtime.files import require_writable, write_text
 
+    refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
+    source = str(source or camera)
     if fix is not None:
         require_writable(fix, ".json")
     parameters = parse_definitions(define)
@@ -109,29 +118,32 @@ def info(
     )
     refuse_if(unit != "mm" and recorded, f"--unit {unit}: {source} is no scene; leave it out")
     capture = read_capture(source) if recorded else None
-    camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
+    if Path(source).is_file() and format_of(suffix, "lens", source):
+        seen = PlenopticCamera(main_lens=source, mla_lattice="none")
+    else:
+        seen = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if drawing is not None:
         # Brings Matplotlib, which takes a while to load.
         from ..report.lens_drawing import draw_main_lens
 
-        draw_main_lens(drawing, camera)
+        draw_main_lens(drawing, seen)
     if microlens is not None:
         from ..report.microlens_drawing import draw_microlens
 
-        draw_microlens(microlens, camera, wavelength)
-    rows, found = design_sheet(camera, wavelength), design_warnings(camera, wavelength)
+        draw_microlens(microlens, seen, wavelength)
+    rows, found = design_sheet(seen, wavelength), design_warnings(seen, wavelength)
     origin = _origin(capture) if capture else {}
     better = None
     if fix is not None:
-        better = mended(camera, wavelength)
+        better = mended(seen, wavelength)
         write_text(fix, better.to_json(), ".json")
-    changed = {} if better is None else _changes(camera, better)
+    changed = {} if better is None else _changes(seen, better)
     still = [] if better is None else design_warnings(better, wavelength)
     if as_json:
         sheet = [row._asdict() for row in rows]
-        facts = {"camera": camera.to_dict(), "sheet": sheet, "warnings": found, "capture": origin}
+        facts = {"camera": seen.to_dict(), "sheet": sheet, "warnings": found, "capture": origin}
         typer.echo(json.dumps(facts if fix is None else facts | {"changed": changed, "still": still}, indent=1))
         return
     console = Console(highlight=False)

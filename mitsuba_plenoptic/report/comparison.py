@@ -70,7 +70,7 @@ def compare(
         measured["ordinary"] = measure_ordinary(experiment, experiment.ordinary)
         ordinary = draw_ordinary(output, experiment, experiment.ordinary, measured["ordinary"])
     zooms = [brightest_zoom(experiment)]
-    columns, rows = experiment.camera.bin_count
+    columns, rows = experiment.camera.lens_count
     report = Report(
         title=f"Rays and waves: {scene_name(settings.scene)}",
         lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "

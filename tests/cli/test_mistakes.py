@@ -154,6 +154,8 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("reconstruct {raw} -o {out}.jpg --distance 240", ".png"),
         ("reconstruct {raw} -o {out} --distance 240", ".png"),
         ("info nosuch", "letters"),
+        ("info", "SCENE, --camera: give one of the two"),
+        ("info lytro --camera raytrix", "SCENE, --camera: give one of the two"),
         ("info nosuch.exr", "there is no such file"),
         ("info letters --wavelength -633", "wavelength = -633"),
         ("info letters --wavelength nan", "wavelength = nan"),

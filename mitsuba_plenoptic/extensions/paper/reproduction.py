@@ -94,7 +94,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     figure_2(output / "fig2.png", experiment, _LETTERS)
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
     figure_4(output / "fig4.png", experiment, panels)
-    columns, rows = experiment.camera.bin_count
+    columns, rows = experiment.camera.lens_count
     confirmed = sum(claim.verdict == "confirmed" for claim in claims)
     report = Report(
         title="A plenoptic camera by rays and by waves",

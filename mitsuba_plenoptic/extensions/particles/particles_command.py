@@ -158,3 +158,6 @@ def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: tuple[flo
             return kind(**values)
         except TypeError as error:
             raise InputError(str(error)) from None
+        except InputError as error:
+            form = "; write them with slashes, as 1/0/0.5" if "it must be 3 numbers" in str(error) else ""
+            raise InputError(f"{error}{form}") from None

@@ -93,6 +93,12 @@ def test_a_scene_file_is_captured_as_by_the_command(made):
     np.testing.assert_array_equal(capture.image, sample.arrays["ray"])
 
 
+def test_slices_are_samples_and_a_renamed_recipe_is_the_same(made):
+    samples = DataSet(made)
+    assert [one.facts for one in samples[0:2]] == [samples[0].facts, samples[1].facts]
+    make_dataset(parse_recipe(small(name="renamed")), made)
+
+
 def test_another_recipe_is_refused_with_the_difference(made, tmp_path):
     for changes, message in (
         ({"seed": 4}, "it holds samples of another recipe: recipe.seed was 3, is 4; choose another folder"),
