@@ -28,7 +28,7 @@ def scene():
 
 
 def test_cameras_are_changed_by_replace_of_their_own():
-    with pytest.raises(InputError, match="dataclasses.replace does not know .*; use camera.replace"):
+    with pytest.raises(InputError, match=r"dataclasses\.replace does not know .*; use camera\.replace"):
         dataclasses.replace(CAMERA, aperture_radius=3)
 
 
