@@ -1,7 +1,8 @@
-"""The parameters of a camera from the numbers of data sheets: f-number, count of lenses, pixels below each, pixel size.
+"""The parameters of a camera from the numbers of data sheets: f-number, detector, pixels below each lens, pixel size.
 
 With n pixels of width p below each lens and a pupil of the diameter D at the distance b before the array, micro-images
-are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / b = n p`.
+are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / b = n p`, hence
+:math:`n p = D_2 / (1 - D_2 / D)`.
 """
 
 from __future__ import annotations
@@ -21,32 +22,39 @@ from ..errors import (
 )
 from ..lattice import LATTICES
 
-MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size")
+MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size", "sensor_size")
 """Arguments that a camera has not, and that state it together with the main lens's focal length and its focus."""
 
 _FOLLOWING = {
     "aperture_radius": "f_number and focal_length",
-    "mla_pitch": "pixels_per_lens and pixel_size",
     "mla_focal_length": "f_number, pixels_per_lens and pixel_size",
     "detector_distance": "f_number, pixels_per_lens and pixel_size",
-    "detector_width": "lenses, pixels_per_lens and pixel_size",
-    "resolution": "lenses and pixels_per_lens",
+    "detector_width": "lenses, pixels_per_lens and pixel_size, or resolution and pixel_size",
 }
+
+_SQUARE = 0.01
+"""Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
 
 
 def require_enough(given: dict[str, Any]) -> None:
     """Refuse missing arguments of a matched camera, and an argument that follows from the others."""
-    names = [*MATCHED, *(["focal_length"] if given.get("main_lens") is None else [])]
-    missing = [name for name in names if given.get(name) is None]
-    if given.get("focus_distance") is None and given.get("mla_distance") is None:
-        missing.append("focus_distance or mla_distance")
-    refuse_if(
-        missing,
-        f"{', '.join(missing)}: missing; a camera of {', '.join(MATCHED)} needs all of these, focal_length, and "
-        "focus_distance or mla_distance",
-    )
+    has = {name for name, value in given.items() if value is not None}
+    missing = [] if "f_number" in has else ["f_number"]
+    missing += [] if has & {"lenses", "resolution", "sensor_size"} else ["lenses, resolution or sensor_size"]
+    missing += [] if has & {"pixels_per_lens", "mla_pitch"} else ["pixels_per_lens or mla_pitch"]
+    missing += [] if "pixel_size" in has or {"resolution", "sensor_size"} <= has else ["pixel_size"]
+    missing += [] if has & {"main_lens", "focal_length"} else ["focal_length"]
+    missing += [] if has & {"focus_distance", "mla_distance"} else ["focus_distance or mla_distance"]
+    refuse_if(missing, f"{', '.join(missing)}: missing; a camera of {', '.join(MATCHED)} needs it")
+    for names in (
+        ("pixels_per_lens", "mla_pitch"),
+        ("lenses", "resolution"),
+        ("lenses", "sensor_size"),
+        ("resolution", "sensor_size", "pixel_size"),
+    ):
+        refuse_if(has.issuperset(names), f"{', '.join(names)}: one of them follows from the others; leave it out")
     for name, others in _FOLLOWING.items():
-        if given.get(name) is not None:
+        if name in has:
             raise InputError(f"{name} = {short_repr(given[name])}: it follows from {others}; leave it out")
 
 
@@ -54,31 +62,65 @@ def behind_pupil(
     distance: float,
     radius: float,
     *,
-    lenses: int | Sequence[int],
-    pixels_per_lens: float,
-    pixel_size: float,
     lattice: str,
     medium: float,
+    lenses: int | Sequence[int] | None = None,
+    resolution: int | Sequence[int] | None = None,
+    sensor_size: float | Sequence[float] | None = None,
+    pixels_per_lens: float | None = None,
+    mla_pitch: float | None = None,
+    pixel_size: float | None = None,
 ) -> dict[str, Any]:
     """Return the microlens and detector parameters behind a pupil of given radius and distance from the array."""
-    pixels = require_number("pixels_per_lens", pixels_per_lens, minimum=1, maximum=MOST_PIXELS)
-    size = require_length("pixel_size", pixel_size)
-    pair = lenses if hasattr(lenses, "__len__") else (lenses, lenses)
-    columns, rows = (
-        require_count("lenses", count, maximum=MOST_PIXELS) for count in require_pair("lenses", pair, "(columns, rows)")
-    )
-    pitch = pixels * size
-    reduced = pitch * distance / (2 * radius)
-    resolution = max(1, round(columns * pixels)), max(1, round(rows * pixels * LATTICES[lattice].row_ratio))
+    sides = None
+    if sensor_size is not None:
+        sides = [require_length("sensor_size", side) for side in _pair("sensor_size", sensor_size, "(width, height)")]
+    pixels = None
+    if resolution is not None:
+        pixels = _counts("resolution", resolution)
+    if pixel_size is not None:
+        size = require_length("pixel_size", pixel_size)
+    else:
+        assert sides is not None and pixels is not None
+        size, other = (side / count for side, count in zip(sides, pixels, strict=True))
+        refuse_if(
+            abs(other / size - 1) > _SQUARE,
+            f"sensor_size = {short_repr(sensor_size)}: with resolution = {pixels} pixels are {size:.4g} by {other:.4g} "
+            "mm: they must be square",
+        )
+    if mla_pitch is None:
+        micro_image = size * require_number("pixels_per_lens", pixels_per_lens, minimum=1, maximum=MOST_PIXELS)
+    else:
+        pitch = require_length("mla_pitch", mla_pitch)
+        refuse_if(pitch >= 2 * radius, f"mla_pitch = {pitch:g}: it must be less than the pupil's {2 * radius:.4g} mm")
+        micro_image = pitch / (1 - pitch / (2 * radius))
+    if lenses is not None:
+        across = micro_image / size
+        columns, rows = _counts("lenses", lenses)
+        pixels = max(1, round(columns * across)), max(1, round(rows * across * LATTICES[lattice].row_ratio))
+    elif pixels is None:
+        assert sides is not None
+        pixels = max(1, round(sides[0] / size)), max(1, round(sides[1] / size))
+    stated = f"sensor_size = {short_repr(sensor_size)}" if lenses is None else f"lenses = {short_repr(lenses)}"
     refuse_if(
-        max(resolution) > MOST_PIXELS,
-        f"lenses = {short_repr(lenses)}: with pixels_per_lens = {pixels:g} the detector has {max(resolution)} pixels "
-        f"along a side; at most {MOST_PIXELS}",
+        max(pixels) > MOST_PIXELS,
+        f"{stated}: with pixels of {size:g} mm the detector has {max(pixels)} along a side; at most {MOST_PIXELS}",
     )
+    reduced = micro_image * distance / (2 * radius)
     return {
-        "mla_pitch": pitch * distance / (distance + reduced),
+        "mla_pitch": micro_image * distance / (distance + reduced) if mla_pitch is None else pitch,
         "mla_focal_length": medium * reduced,
         "detector_distance": medium * reduced,
-        "detector_width": size * resolution[0],
-        "resolution": resolution,
+        "detector_width": size * pixels[0],
+        "resolution": pixels,
     }
+
+
+def _pair(name: str, value: Any, form: str) -> tuple[Any, Any]:
+    """Return two values, of which one number stands for both."""
+    return require_pair(name, value if hasattr(value, "__len__") else (value, value), form)
+
+
+def _counts(name: str, value: Any) -> tuple[int, int]:
+    columns, rows = _pair(name, value, "(columns, rows)")
+    return require_count(name, columns, maximum=MOST_PIXELS), require_count(name, rows, maximum=MOST_PIXELS)

@@ -284,12 +284,14 @@ class PlenopticCamera(CameraGeometry, Displayed):
         lenses: int | Sequence[int] | None = None,
         pixels_per_lens: float | None = None,
         pixel_size: float | None = None,
+        sensor_size: float | Sequence[float] | None = None,
         **others: Any,
     ) -> PlenopticCamera:
         r"""Return the unfocused camera whose micro-images touch, from the numbers of a data sheet.
 
-        Micro-images on the detector are `pixels_per_lens` pixels wide and as far apart. The first four parameters, the
-        focal length of the main lens and its focus are all required.
+        Micro-images on the detector are `pixels_per_lens` pixels wide and as far apart. Required are `f_number`, the
+        focal length of the main lens and its focus; `pixels_per_lens` or `mla_pitch`; and of the detector two of
+        `resolution`, `pixel_size` and `sensor_size`, or `pixel_size` and `lenses`.
 
         Parameters
         ----------
@@ -299,14 +301,17 @@ class PlenopticCamera(CameraGeometry, Displayed):
             Lenses in a row across the detector, and rows down the detector; one number stands for both. The detector
             has the pixels that the lenses cover, rounded; rows of a hexagonal lattice are closer than the lenses in a
             row. As the corner of four lenses of a square lattice is on the axis, odd counts leave half a lens at each
-            edge.
+            edge. A detector of given `resolution` or `sensor_size` may end anywhere in a lens.
         pixels_per_lens : float
             Pixels, 1 at least, from one micro-image to the next of its row.
         pixel_size : float
             Width of a pixel in millimetres.
+        sensor_size : float or (float, float)
+            Width and height of the detector in millimetres, of whole pixels; one number stands for both.
         **others
-            `focal_length`, `focus_distance` or `mla_distance`, and any parameters of a camera that do not follow from
-            these, such as `mla_lattice`. With a `main_lens` the `focal_length` may be left out.
+            `focal_length`, `focus_distance` or `mla_distance`, `resolution`, `mla_pitch`, and any parameters of a
+            camera that do not follow from these, such as `mla_lattice`. With a `main_lens` the `focal_length` may be
+            left out.
 
         Raises
         ------
@@ -322,8 +327,10 @@ class PlenopticCamera(CameraGeometry, Displayed):
         >>> camera.resolution, round(camera.micro_image_pitch, 12), round(camera.micro_image_diameter, 12)
         ((1000, 1000), 0.05, 0.05)
         """
-        sheet: dict[str, Any] = dict(zip(MATCHED, (f_number, lenses, pixels_per_lens, pixel_size), strict=True))
+        given = f_number, lenses, pixels_per_lens, pixel_size, sensor_size
+        sheet: dict[str, Any] = dict(zip(MATCHED, given, strict=True))
         require_enough(sheet | others)
+        sheet |= {name: others.get(name) for name in ("resolution", "mla_pitch")}
         of_lens = ("main_lens", "focal_length", "focus_distance", "mla_distance")
         behind = cls(**{name: others[name] for name in of_lens if name in others})
         refuse_if(
@@ -435,19 +442,20 @@ class PlenopticCamera(CameraGeometry, Displayed):
             )
         return cls.matched(**values) if of_sheet else cls(**values)
 
-    def to_sensor(self, to_world: Any = None) -> dict[str, Any]:
+    def to_sensor(self, to_world: Any = None, pixel_format: str = "luminance") -> dict[str, Any]:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
         ----------
         to_world : mitsuba.ScalarTransform4f, optional
             Camera to world, without scale. Default: the camera is at the origin and looks along +z.
+        pixel_format : {"luminance", "rgb", ...}
+            Channels of the film, as Mitsuba names them.
 
         Returns
         -------
         dict
-            The sensor, whose film records luminance in single precision. When it is loaded, `from_sensor` returns this
-            camera.
+            The sensor, whose film is of single precision. When it is loaded, `from_sensor` returns this camera.
         """
         values = self.to_dict()
         columns, rows = values.pop("resolution")
@@ -469,13 +477,19 @@ class PlenopticCamera(CameraGeometry, Displayed):
             # Of a full film a crop would remain where its size is changed later.
             **(crop if self.is_cropped else {}),
             "rfilter": {"type": "box"},
-            "pixel_format": "luminance",
+            "pixel_format": pixel_format,
             "component_format": "float32",
         }
         return sensor
 
-    def to_xml(self) -> str:
-        """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file."""
+    def to_xml(self, to_world: Any = None, pixel_format: str = "luminance") -> str:
+        """Write the sensor plugin ``plenoptic`` of this camera, film included, as text for a scene file.
+
+        Parameters
+        ----------
+        to_world, pixel_format
+            As for `to_sensor`; `to_world` may also be an array (4, 4).
+        """
 
         def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
             made = ElementTree.Element(tag, {"type": values["type"], **attributes})
@@ -487,7 +501,12 @@ class PlenopticCamera(CameraGeometry, Displayed):
                     ElementTree.SubElement(made, kind, name=name, value=str(value))
             return made
 
-        tree = element("sensor", self.to_sensor(), id="camera")
+        tree = element("sensor", self.to_sensor(pixel_format=pixel_format), id="camera")
+        if to_world is not None:
+            place = ElementTree.Element("transform", name="to_world")
+            matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).reshape(4, 4)
+            ElementTree.SubElement(place, "matrix", value=" ".join(map(repr, matrix.ravel().tolist())))
+            tree.insert(0, place)
         ElementTree.indent(tree, "    ")
         return ElementTree.tostring(tree, encoding="unicode") + "\n"
 
@@ -504,7 +523,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Parameters
         ----------
         **changes
-            Parameters by name.
+            Parameters by name. With another `main_lens`, an `aperture_radius` to which the old lens opens becomes that
+            to which the new one opens.
 
         Raises
         ------
@@ -519,6 +539,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
             values.pop("mla_focal_length", None)
         if "resolution" in changes and not self.is_cropped:
             values.pop("crop_size")
+        if "main_lens" in changes and self.aperture_radius == self.lens_data.own_numbers(self.focal_length)[1]:
+            values.pop("aperture_radius")
         for name in changes:
             if name in PARAMETERS:
                 values.pop(PARAMETERS[name].instead_of, None)

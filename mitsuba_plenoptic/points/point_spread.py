@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, require_camera
-from ..errors import refuse_if, require_wavelength, suggest_keywords
+from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
@@ -18,12 +18,18 @@ from ..runtime.batches import Job, Threads
 from . import full_field
 from .full_field import PointFields
 from .operator import CaptureOperator
+from .ray_spread import ray_spread
 
 
 @suggest_keywords
 @one_at_a_time
 def point_spread_function(
-    camera: PlenopticCamera, position: Any, *, wavelength: float, method: str = "patch"
+    camera: PlenopticCamera,
+    position: Any,
+    *,
+    wavelength: float | None = None,
+    method: str = "patch",
+    model: str = "wave",
 ) -> NDArray[np.float32]:
     """Return the light of one scene point in each recorded pixel.
 
@@ -33,11 +39,14 @@ def point_spread_function(
         The camera; its recorded window may be a crop.
     position : (float, float, float)
         Scene point (X, Y, g) in the camera frame, in millimetres; g is its distance from the main lens.
-    wavelength : float
-        Wavelength in nanometres.
+    wavelength : float, optional
+        Wavelength in nanometres. Rays need it for dispersive glasses only.
     method : {"patch", "full_field"}
-        "patch" propagates the lit part of the field only, in milliseconds; "full_field" takes no shortcut and
+        Of waves: "patch" propagates the lit part of the field only, in milliseconds; "full_field" takes no shortcut and
         seconds. They agree to 0.5 % (relative L2) or better.
+
+    model : {"wave", "ray"}
+        Whether light goes through the camera as waves, or as two million rays through the pupil.
 
     Returns
     -------
@@ -59,7 +68,13 @@ def point_spread_function(
     >>> spread.shape
     (64, 64)
     """
-    operator = CaptureOperator(camera, _check(camera, position)[None], wavelength=wavelength, method=method, accuracy=0)
+    point = _check(camera, position)
+    require_choice("model", model, ("wave", "ray"))
+    if model == "ray":
+        return ray_spread(camera if wavelength is None else camera.at_wavelength(require_wavelength(wavelength)), point)
+    if wavelength is None:
+        raise InputError("wavelength = None: waves need one")
+    operator = CaptureOperator(camera, point[None], wavelength=wavelength, method=method, accuracy=0)
     # What interpolation leaves below zero between the samples is not light.
     return np.maximum(operator.forward([1.0], job=Job(batch_map=Threads(1))), 0)
 

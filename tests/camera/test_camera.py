@@ -68,7 +68,11 @@ def test_a_camera_survives_its_other_forms(numbers):
     assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
     assert PlenopticCamera.from_json(camera.to_json()) == camera
     assert eval(repr(camera)) == camera
-    written = mi.load_string(f'<scene version="3.0.0">{camera.to_xml()}</scene>')
+    place = mi.ScalarTransform4f().look_at([1, 2, 3], [0, 0, 0], [0, 1, 0])
+    text = camera.to_xml(to_world=place, pixel_format="rgb")
+    assert '"pixel_format" value="rgb"' in text
+    written = mi.load_string(f'<scene version="3.0.0">{text}</scene>')
+    assert np.allclose(np.array(written.sensors()[0].world_transform().matrix).reshape(4, 4), place.matrix, atol=1e-6)
     assert PlenopticCamera.from_sensor(written.sensors()[0]) == camera
     sensor = mi.load_dict(camera.to_sensor(mi.ScalarTransform4f().translate([1, 2, 3])))
     assert PlenopticCamera.from_sensor(sensor) == camera

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
+from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.design import design_warnings, mended
 
 SHEET = {"f_number": 2.8, "lenses": 100, "pixels_per_lens": 10, "pixel_size": 0.005, "focal_length": 50.0}
@@ -79,6 +80,27 @@ def test_micro_images_of_a_white_capture(lattice):
     assert np.mean(picture) == pytest.approx(math.pi / 4 / (1 if lattice == "square" else math.sqrt(0.75)), rel=0.03)
 
 
+@LATTICES
+def test_detectors_and_pitches_as_data_sheets_print_them(lattice):
+    """Detectors end anywhere in a lens; a pitch in millimetres is that of the lenses, not of micro-images."""
+    common = {"f_number": 2.8, "focal_length": 50.0, "focus_distance": 320.0, "mla_lattice": lattice}
+    first = PlenopticCamera.matched(**common, resolution=(1920, 1200), pixel_size=0.00586, pixels_per_lens=14.3)
+    assert first.resolution == (1920, 1200) and first.pixel_size == pytest.approx(0.00586, rel=1e-12)
+    width = 14.3 * 0.00586
+    z, b = first.detector_distance, first.mla_distance
+    assert first.mla_pitch * (b + z) / b == pytest.approx(width, rel=1e-12)
+    assert first.aperture_diameter * z / b == pytest.approx(width, rel=1e-12)
+    sizes = {"sensor_size": (11.2512, 7.032), "mla_pitch": first.mla_pitch}
+    for given in ({"resolution": (1920, 1200)}, {"pixel_size": 0.00586}):
+        again = PlenopticCamera.matched(**common, **sizes, **given)
+        assert again.resolution == first.resolution
+        for name in ("mla_pitch", "detector_distance", "mla_focal_length", "detector_width"):
+            assert getattr(again, name) == pytest.approx(getattr(first, name), rel=1e-12)
+    named = {**common, "sensor_size": "11.2512,7.032", "pixel_size": 0.00586, "pixels_per_lens": 14.3}
+    text = ",".join(f"{name}={value}" for name, value in named.items())
+    assert camera_and_record(text)[0] == first
+
+
 def test_a_real_lens_and_a_medium():
     given = {name: value for name, value in FOCUSED.items() if name != "focal_length"} | {"f_number": 4}
     camera = PlenopticCamera.matched(**given, main_lens="double_gauss", mla_medium=1.5)
@@ -104,19 +126,27 @@ def test_files_and_texts_state_the_same_camera(tmp_path, run):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        *(({name: None}, f"^{name}: missing") for name in FOCUSED if name != "focus_distance"),
+        *(({name: None}, f"^{name}: missing") for name in ("f_number", "pixel_size", "focal_length")),
+        ({"lenses": None}, "^lenses, resolution or sensor_size: missing"),
+        ({"pixels_per_lens": None}, "^pixels_per_lens or mla_pitch: missing"),
         ({"focus_distance": None}, "^focus_distance or mla_distance: missing"),
         ({"mla_distance": 60}, "give one of the two"),
         ({"aperture_radius": 5}, "^aperture_radius = 5: it follows from f_number and focal_length; leave it out"),
-        ({"resolution": (8, 8)}, r"^resolution = \(8, 8\): it follows from lenses and pixels_per_lens"),
-        ({"mla_pitch": 0.05}, "^mla_pitch = 0.05: it follows"),
+        ({"resolution": (8, 8)}, "^lenses, resolution: one of them follows from the others; leave it out"),
+        ({"mla_pitch": 0.05}, "^pixels_per_lens, mla_pitch: one of them follows"),
+        ({"lenses": None, "resolution": 64, "sensor_size": 1}, "^resolution, sensor_size, pixel_size: one of them"),
+        (
+            {"lenses": None, "pixel_size": None, "resolution": (64, 48), "sensor_size": (0.64, 0.5)},
+            r"^sensor_size = \(0.64, 0.5\): .*they must be square",
+        ),
+        ({"pixels_per_lens": None, "mla_pitch": 20}, "^mla_pitch = 20: it must be less than the pupil's 17.86 mm"),
         ({"detector_width": 5}, "^detector_width = 5: it follows"),
         ({"detector_distance": 0.2}, "^detector_distance = 0.2: it follows"),
         ({"mla_focal_length": 0.2}, "^mla_focal_length = 0.2: it follows"),
         ({"f_number": "2.8"}, "^f_number = '2.8': it must be a number"),
         ({"f_number": -1}, "^f_number = -1: it must be at least"),
         ({"lenses": 2.5}, "^lenses = 2.5: it must be a whole number"),
-        ({"lenses": 200_000}, "^lenses = 200000: with pixels_per_lens = 10 the detector has 2000000 pixels"),
+        ({"lenses": 200_000}, "^lenses = 200000: with pixels of 0.005 mm the detector has 2000000"),
         ({"lenses": (1, 2, 3)}, r"^lenses = \(1, 2, 3\): it must be a pair"),
         ({"pixels_per_lens": 0.5}, "^pixels_per_lens = 0.5: it must be at least 1"),
         ({"main_lens": "double_gauss"}, "^f_number = 2.8: aperture_radius = .* opens to"),

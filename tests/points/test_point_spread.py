@@ -114,6 +114,30 @@ def test_hidden_cells_of_the_pupil(cells):
     assert error(patch, full) < 0.003
 
 
+@pytest.mark.parametrize(
+    "changes", [{}, {"aperture_blades": 6}, {"vignetting": {"radius": [0.8]}}, {"mla_lattice": "hexagonal"}]
+)
+def test_spreads_by_rays_share_the_pupils_image_on_the_array_among_lenses(changes):
+    """The image of a point off the focus is even; the power is that of waves. Without array it is on the detector."""
+    camera, (X, Y, g) = SMALL.replace(**changes), (0.2, 0.1, 225.0)
+    rays = point_spread_function(camera, (X, Y, g), model="ray")
+    waves = point_spread_function(camera, (X, Y, g), wavelength=400)
+    assert rays.sum() == pytest.approx(waves.sum(), rel=0.01)
+    u, v = np.meshgrid(*[(np.arange(2000) + 0.5) / 1000 - 1] * 2)
+    passed = camera.aperture.power(u, v) * (u**2 + v**2 < (0.64 if camera.vignetting else 1))
+    blur, scale = camera.aperture_radius * camera.defocus(g), camera.mla_distance / g
+    cells = np.stack(camera.lattice.cell(-X * scale + blur * u, -Y * scale + blur * v), -1).astype(int) + 50
+    expected = np.bincount((cells @ [1, 100]).ravel(), passed.ravel(), 10**4) / camera.aperture.power(u, v).sum()
+    growth = camera.image_growth
+    x, y = np.meshgrid(camera.pixel_coordinates(0) / growth, camera.pixel_coordinates(1) / growth)
+    below = np.stack(camera.lattice.cell(x, y), -1).astype(int) + 50
+    found = np.bincount((below @ [1, 100]).ravel(), rays.ravel(), 10**4)
+    assert np.abs(found - expected).max() < 0.005 * expected.max()
+    disc = point_spread_function(SMALL.replace(mla_lattice="none"), (X, Y, g), model="ray")
+    area = np.pi * (camera.aperture_radius * camera.defocus(g) / camera.pixel_size) ** 2
+    assert disc.sum() == pytest.approx(1, rel=1e-3) and np.median(disc[disc > 0]) == pytest.approx(1 / area, rel=0.02)
+
+
 def test_orientation():
     """The image of (X, Y, g) lies at (-X b/g, -Y b/g); columns grow with x and rows with y."""
     X, Y, g = -0.3, 0.45, 240.0

@@ -1,0 +1,74 @@
+"""The point spread of a scene point by rays: quasi-random rays through the pupil, followed to the detector."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import PlenopticCamera
+from ..camera.aperture import NOT_ROUND
+from ..camera.entry import Captures
+from ..camera.plenoptic_camera import require_known_to
+from ..errors import refuse_if
+from ..light.detector import mix_pixels
+from ..light.optical_system import OpticalSystem
+from ..light.walk import Passage, Walk
+from .scene_points import sample_pairs
+
+_FOLLOWED = (
+    "vignetting",
+    "mla_transmissions",
+    "mla_jitter",
+    "mla_figure_error",
+    "phase_screen",
+    "distortion",
+    *NOT_ROUND,
+)
+"""Parameters that rays of points follow, other than waves of points in patches."""
+
+_RAYS = 2**21
+_TOGETHER = 2**18
+
+
+def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the fractions (rows, columns) of the light of a point (3,) through the pupil that rays bring to pixels.
+
+    The point radiates evenly in all directions, as that of waves does.
+    """
+    require_known_to(camera, Captures.POINTS, "rays of points are followed", "use captures of scenes, or ", _FOLLOWED)
+    refuse_if(
+        camera.lens_data.images_stop,
+        f"main_lens = {camera.lens_data.label}: no stop bounds rays where the array is in its image; use waves",
+    )
+    lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
+    light = lens.bind(point[None])
+    places = 2 * sample_pairs(_RAYS)[:, :2] - 1
+    rows, columns = camera.shape
+    image, emitted = np.zeros(rows * columns), 0.0
+    for some in np.array_split(places, _RAYS // _TOGETHER):
+        pupil = some[:, 0] * lens.reach, some[:, 1] * lens.reach
+        x, y, z = (np.full(len(some), value) for value in point)
+        seen = pupil[0] / camera.pupil_radius, pupil[1] / camera.pupil_radius
+        power = np.where(light.is_open(pupil), light.amplitude(pupil, (x, y, z)) ** 2, 0.0).ravel()
+        power *= camera.aperture.power(*seen)
+        emitted += power.sum()
+        place = tuple(np.ravel(each) for each in light.land(pupil, (x, y, z)))
+        if camera.vignetting is not None:
+            power *= camera.vignetting.power(*seen, *place)
+        landed: Any = place
+        if camera.has_array:
+            walk, lattice = Walk.of(camera, lens), camera.lattice
+            i, j = lattice.cell(*place)
+            centre, focal_length = walk.lens_at(i, j)
+            power *= walk.transmission(i, j) * lattice.in_aperture(place[0] - centre[0], place[1] - centre[1])
+            landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), centre, focal_length))
+        column, row = (
+            np.floor(p / camera.pixel_size + size / 2 - offset).astype(np.int64)
+            for p, size, offset in zip(landed, camera.resolution, camera.crop_offset, strict=True)
+        )
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        image += np.bincount((row * columns + column)[inside], power[inside], rows * columns)
+    return mix_pixels((image / max(emitted, math.ulp(0))).reshape(rows, columns).astype(np.float32), camera)
