@@ -32,6 +32,9 @@ _FOLLOWING = {
     "detector_width": "lenses, pixels_per_lens and pixel_size, or resolution and pixel_size",
 }
 
+_TOUCHING = 1e-3
+"""Relative difference of width and distance of micro-images that touch; sensors have numbers of single precision."""
+
 _SQUARE = 0.01
 """Relative difference of a pixel's sides up to which rounded figures of a data sheet state square pixels."""
 
@@ -56,6 +59,24 @@ def require_enough(given: dict[str, Any]) -> None:
     for name, others in _FOLLOWING.items():
         if name in has:
             raise InputError(f"{name} = {short_repr(given[name])}: it follows from {others}; leave it out")
+
+
+def sheet_of(camera: Any) -> dict[str, Any]:
+    """Return the arguments of `matched` of a camera; refuse one whose micro-images do not touch."""
+    width, pitch = camera.micro_image_diameter, camera.micro_image_pitch
+    refuse_if(
+        abs(width / pitch - 1) > _TOUCHING or camera.is_cropped,
+        f"camera: micro-images of {width:.4g} mm are {pitch:.4g} mm apart: {', '.join(MATCHED)} state whole cameras "
+        "whose micro-images touch; vary its parameters instead",
+    )
+    others = {name: value for name, value in camera.arguments().items() if value is not None}
+    for name in (*_FOLLOWING, "mla_pitch", "crop_offset", "crop_size"):
+        others.pop(name, None)
+    return others | {
+        "f_number": camera.f_number,
+        "pixels_per_lens": pitch / camera.pixel_size,
+        "pixel_size": camera.pixel_size,
+    }
 
 
 def behind_pupil(

@@ -16,6 +16,8 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
+from ...camera.matched import MATCHED, sheet_of
+from ...camera.parameters import PARAMETERS
 from ...errors import (
     InputError,
     argument,
@@ -26,7 +28,8 @@ from ...errors import (
 )
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
-from ...light.render_capture import is_wave_capture, refuse_by_rays, render_capture
+from ...light.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays, render_capture
+from ...light.scene import check_scene_file, scene_defaults
 from ...prescription.lens_data import image_distance
 from ...refocus.methods import registered
 from ...report.experiment import load_with_sensor, refocused
@@ -34,6 +37,7 @@ from ...report.stage_store import Progress, StageOptions, Stages, scene_fingerpr
 from ...runtime.backend import DEFAULT_VARIANT, set_variant
 from ...runtime.batches import BatchMap
 from ...runtime.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
+from ...scene_files import scene_path
 
 __all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
 
@@ -138,8 +142,14 @@ class Points:
 
     def __init__(self, settings: SweepSettings, grid: Grid, store: Stages) -> None:
         self.settings, self.store = settings, store
+        self._base: PlenopticCamera | None = None
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
+        scene = Path(settings.scene)
+        roots = check_scene_file(scene if scene.is_file() else scene_path(settings.scene), settings.parameters)
+        # The scene's own parameters come first, unless another camera takes the place of its camera.
+        own = scene_defaults(roots) if settings.camera is None else {}
+        self._of_camera = [name for name in self.axes if name in (*PARAMETERS, *MATCHED) and name not in own]
 
     def __iter__(self) -> Iterator[dict[str, float]]:
         for values in itertools.product(*self.axes.values()):
@@ -147,12 +157,25 @@ class Points:
 
     def parameters(self, point: dict[str, float]) -> dict[str, str]:
         """Return the scene parameters of a grid point as texts."""
-        varied = {name: _text(value) for name, value in point.items() if name != WAVELENGTH}
+        others = (WAVELENGTH, *self._of_camera)
+        varied = {name: _text(value) for name, value in point.items() if name not in others}
         for name in varied:
             refuse_if(
                 name in self.settings.parameters, f"grid: {name} varies and is set by {argument('parameters')} too"
             )
         return {**self.settings.parameters, **varied}
+
+    def camera(self, point: dict[str, float]) -> Mapping[str, Any] | None:
+        """Return the parameters of the camera at a grid point, None where it is the scene's as it stands."""
+        if not self._of_camera:
+            return self.settings.camera
+        if self._base is None:
+            scene = self._load(self.parameters(point), self.settings.camera)
+            self._base = PlenopticCamera.from_sensor(plenoptic_sensor(scene))
+        changes = {name: _whole(point[name]) for name in self._of_camera}
+        sheet = sheet_of(self._base) if set(changes) & set(MATCHED) else {}
+        camera = PlenopticCamera.matched(**sheet | changes) if sheet else self._base.replace(**changes)
+        return camera.to_dict()
 
     def check(self, **for_waves: Any) -> None:
         """Construct every camera once before the work starts; refuse cameras whose images differ in size.
@@ -162,12 +185,12 @@ class Points:
         registered(self.settings.method)
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_wavelength(wavelength)
-        sizes: dict[tuple[tuple[str, str], ...], tuple[int, ...]] = {}
+        sizes: dict[str, tuple[int, ...]] = {}
         for point in self:
-            parameters = self.parameters(point)
-            if (key := tuple(parameters.items())) in sizes:
+            parameters, other = self.parameters(point), self.camera(point)
+            if (key := repr((parameters, other))) in sizes:
                 continue
-            scene = self._load(parameters)
+            scene = self._load(parameters, other)
             if not is_wave_capture(scene, self.settings.model):
                 refuse_by_rays(resume=self.store.resume or None, **for_waves)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
@@ -190,11 +213,11 @@ class Points:
             names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
             yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
 
-    def _load(self, parameters: dict[str, str]) -> Any:
-        return load_with_sensor(self.settings.scene, parameters, self.settings.camera, self.settings.unit)
+    def _load(self, parameters: dict[str, str], camera: Mapping[str, Any] | None) -> Any:
+        return load_with_sensor(self.settings.scene, parameters, camera, self.settings.unit)
 
     def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
-        settings, parameters = self.settings, self.parameters(point)
+        settings, parameters, camera = self.settings, self.parameters(point), self.camera(point)
         options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
         if WAVELENGTH in point:
             options["wavelength"] = point[WAVELENGTH]
@@ -202,14 +225,14 @@ class Points:
             options["method"] = "signed_rays"
         inputs = {
             "scene": scene_fingerprint(settings.scene, parameters),
-            "camera": settings.camera,
+            "camera": camera,
             "unit": settings.unit,
             "variant": settings.variant,
             **options,
         }
 
         def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
-            scene = self._load(parameters)
+            scene = self._load(parameters, camera)
             keeper = checkpoint if is_wave_capture(scene, settings.model) else None
             return render_capture(scene, progress=progress, checkpoint=keeper, batch_map=batch_map, **options)
 
@@ -225,8 +248,13 @@ def _name(point: dict[str, float]) -> str:
     return "".join(f",{name}={_text(value)}" for name, value in point.items())
 
 
+def _whole(value: float) -> float:
+    """Return a whole number as an int, as counts must be."""
+    return int(value) if value == int(value) else value
+
+
 def _text(value: float) -> str:
-    return str(int(value)) if value == int(value) else repr(value)
+    return repr(_whole(value))
 
 
 _UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromkeys(
@@ -307,7 +335,8 @@ def sweep(
     settings : SweepSettings
         The settings that do not vary.
     grid : mapping of names to numbers
-        The settings that vary: parameters of the scene; ``wavelength`` of wave captures in nanometres; ``distance``, to
+        The settings that vary: parameters of the scene; parameters of the camera and, of a camera whose micro-images
+        touch, arguments of `PlenopticCamera.matched`; ``wavelength`` of wave captures in nanometres; ``distance``, to
         which each capture is refocused.
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.

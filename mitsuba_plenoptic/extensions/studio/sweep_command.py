@@ -43,8 +43,8 @@ def sweep(
         list[str] | None,
         typer.Option(
             metavar="NAME=V1,V2,...",
-            help="One name of the grid and its values: a $NAME of the scene, 'wavelength' in nanometres, or "
-            "'distance' to refocus to; repeat for several.",
+            help="One name of the grid and its values: a $NAME of the scene, a parameter of the camera or of its data "
+            "sheet, 'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.",
         ),
     ] = None,
     model: Model = None,
@@ -80,6 +80,8 @@ def sweep(
       mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
     """
     # Datasets need libraries that take a second to load, which other commands need not wait for.
+    from ...camera.matched import MATCHED
+    from ...camera.parameters import PARAMETERS
     from ...runtime.backend import DEFAULT_VARIANT
     from .sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
 
@@ -93,7 +95,12 @@ def sweep(
         scene=scene,
         unit=unit,
         parameters=parameters,
-        camera=camera_instead(camera, scene, parameters, {name: f"{values[0]:g}" for name, values in wanted.items()}),
+        camera=camera_instead(
+            camera,
+            scene,
+            parameters,
+            {name: f"{values[0]:g}" for name, values in wanted.items() if name not in (*PARAMETERS, *MATCHED)},
+        ),
         model=model,
         spp=spp,
         seed=seed,

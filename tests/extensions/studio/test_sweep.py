@@ -133,6 +133,22 @@ def test_the_command_takes_yaml_and_words(tmp_path, capsys):
         assert not np.array_equal(data.capture.sel(mla_distance=119), data.capture.sel(mla_distance=120))
 
 
+def test_cameras_of_data_sheets_vary_before_any_scene(tmp_path, capfd):
+    """In an even world matched cameras read pi / 4 at any f-number, and others the pupil's area."""
+    scene = tmp_path / "wall.xml"
+    scene.write_text(
+        '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective"/><emitter type="constant"/></scene>'
+    )
+    camera = "f_number=4,lenses=8,pixels_per_lens=10,pixel_size=0.005,focal_length=50,focus_distance=320"
+    words = ["sweep", str(scene), "-o", str(tmp_path / "s.nc"), "--spp", "16", "--camera", camera]
+    for vary, expected in (("f_number=2,4", [np.pi / 4] * 2), ("aperture_radius=3.125,6.25", [np.pi / 16, np.pi / 4])):
+        assert main([*words, "--vary", vary]) == 0
+        with xr.open_dataset(tmp_path / "s.nc", engine="h5netcdf") as made:
+            assert made.capture.mean(("row", "column")).values == pytest.approx(expected, rel=0.01)
+    assert main([*words, "--vary", "aperture_radius=3", "--vary", "f_number=4"]) == 2
+    assert "it follows from f_number and focal_length" in capfd.readouterr().err
+
+
 def test_the_dataset_does_not_grow_in_memory(tmp_path, monkeypatch):
     """Only one point's images are held at a time."""
     held = []
