@@ -225,7 +225,7 @@ def pupil_field(
     if weights is not None:
         passed, amplitude = weights.at(dr.zeros(types.UInt32, count * count), Px, Py, lens.pupil_radius, step)
         density *= types.Float64(passed)
-        cover *= amplitude
+        cover = cover * amplitude
     passing = dr.sum(density)[0] * pitch**2
     refuse_if(
         not 0 < passing < math.inf,
@@ -390,5 +390,5 @@ def _stop_field(
     if vignetting is not None:
         cover = types.Float(SeenPupil(vignetting, lens, lens.pupil_radius).amplitude(pupil, point, soften))
     if weights is not None:
-        cover *= relative
+        cover = cover * relative
     return phasor(lens.path(pupil, point, wavelength)) * (amplitude * cover / math.sqrt(power))

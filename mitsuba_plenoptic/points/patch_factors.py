@@ -230,7 +230,7 @@ class PatchFactors:
             in_camera = self._in_camera(elements, *pupil)
             passed, amplitude = self._weights.at(patch, *in_camera, lens.pupil_radius, sample)
             power *= types.Float64(passed)
-            cover *= types.Float(amplitude)
+            cover = cover * amplitude
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
 
     def _path(

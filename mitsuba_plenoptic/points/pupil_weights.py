@@ -1,4 +1,4 @@
-"""Relative power over the pupil for many points, and its interpolation by cubic B-splines (Unser 1999, "Splines")."""
+"""Relative power or amplitude over the pupil for many points, interpolated by cubic B-splines (Unser 1999, "Splines")."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from ..camera.aperture import Opening
 from ..errors import refuse_if
 from ..runtime.backend import IMAGE, as_array, drjit_array
+from ..runtime.fft import array_types
+
+BORDER = 2
+"""Cells beyond each side of the square for which there are coefficients of complex amplitudes."""
 
 STEEPEST = 0.98
 """Largest slant: if a surface is seen more obliquely, the pupil sees both sides, one of which is hidden."""
@@ -25,7 +29,9 @@ class PupilWeights:
     The pupil's bounding square is cut into m x m cells, rows along y and columns along x of the camera frame.
     """
 
-    table: NDArray[np.float32]  # distinct nonnegative weights, (k, m, m)
+    table: NDArray[np.float32] | NDArray[np.complex64]
+    """Distinct nonnegative weights, (k, m, m); or complex amplitudes as coefficients of splines, with `BORDER` cells more
+    on each side."""
     index: NDArray[np.int64]  # index of the weights of each point, (n,)
     slant: NDArray[np.float64]
     """Relative growth of the power from the pupil's centre to its rim, along x and y of the camera frame, (n, 2)."""
@@ -82,18 +88,20 @@ class PupilWeights:
 
     def lit(self) -> NDArray[np.bool_]:
         """Return, for each point, whether any light passes the pupil."""
-        return np.asarray(self.table.reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
+        return np.asarray(np.abs(self.table).reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> tuple[Any, Any]:
-        """Return the weights, and their square roots, averaged over each sample of the pupil.
+        """Return the weights, and the amplitudes whose squares they are, averaged over each sample of the pupil.
 
         Otherwise the steep spectrum of a hard cell border would be aliased into the band of the samples. Samples wider
         than a cell are treated as one cell wide.
         """
         UInt32 = type(point)
         Float = dr.float32_array_t(UInt32)
-        cells = self.table.shape[1]
-        first = dr.gather(UInt32, drjit_array(UInt32, self.index), point) * (cells * cells)
+        complex_ = np.iscomplexobj(self.table)
+        size, border = self.table.shape[1], BORDER if complex_ else 0
+        cells = size - 2 * border
+        first = dr.gather(UInt32, drjit_array(UInt32, self.index), point) * (size * size)
         half = dr.minimum(sample * (cells / (4 * radius)), 0.5)
         sides = []
         for P in (Px, Py):
@@ -105,39 +113,26 @@ class PupilWeights:
                 low, high = (dr.floor(dr.clip(position + side * half, 0, cells - 1)) for side in (-1, 1))
                 beyond = dr.clip((position + half - high) / (2 * half), 0, 1)
                 near = [(low, 1 - beyond), (high, beyond)]
-            sides.append([(UInt32(dr.clip(cell, 0, cells - 1)), Float(part)) for cell, part in near])
-        table = drjit_array(Float, self.table)
-        power, amplitude = dr.zeros(Float), dr.zeros(Float)
+            sides.append([(UInt32(dr.clip(cell + border, 0, size - 1)), Float(part)) for cell, part in near])
+        tables = [drjit_array(Float, part) for part in ([self.table.real, self.table.imag] if complex_ else [self.table])]
+        sums, amplitude = [dr.zeros(Float) for _ in tables], dr.zeros(Float)
         for (column, across), (row, down) in itertools.product(*sides):
-            weight = dr.gather(Float, table, first + row * cells + column)
-            power += across * down * weight
-            amplitude += across * down * dr.sqrt(weight)
-        if self.sampled:
+            weights = [dr.gather(Float, table, first + row * size + column) for table in tables]
+            sums = [total + across * down * weight for total, weight in zip(sums, weights, strict=True)]
+            amplitude += across * down * dr.sqrt(weights[0])
+        power = sums[0]
+        if complex_:
+            power, amplitude = sums[0] ** 2 + sums[1] ** 2, array_types(point).Complex2f(*sums)
+        elif self.sampled:
             amplitude = dr.sqrt(power)
         slant = [dr.gather(Float, drjit_array(Float, part), point) for part in self.slant.T]
-        cosine = dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0)
+        cosine = Float(dr.maximum(1 + (slant[0] * Float(Px) + slant[1] * Float(Py)) / radius, 0))
         return power * cosine, amplitude * dr.sqrt(cosine)
-
-    def means(self, points: int) -> NDArray[np.float64]:
-        """Return the mean of each point's weights over the pupil, (n,)."""
-        cells = self.table.shape[1]
-        position = (np.arange(cells * points) + 0.5) / points
-        near = _splines(position) if self.sampled else [(np.floor(position), 1.0)]
-        share = np.zeros((len(position), cells))
-        for cell, part in near:
-            np.add.at(share, (np.arange(len(position)), np.clip(cell, 0, cells - 1).astype(int)), part)
-        position = position * (2 / cells) - 1
-        inside = np.hypot(position, position[:, None]) < 1
-        flat, along_x, along_y = (
-            np.tensordot(self.table.astype(np.float64), share.T @ part @ share / inside.sum(), 2)[self.index]
-            for part in (inside * 1.0, inside * position, inside * position[:, None])
-        )
-        return np.asarray(flat + self.slant[:, 0] * along_x + self.slant[:, 1] * along_y)
 
 
 def _splines(position: Any) -> list[tuple[Any, Any]]:
     """Return the four cells around a position, and the values of the cubic B-splines centred on these cells."""
-    before = np.floor(position - 0.5) if isinstance(position, np.ndarray) else dr.floor(position - 0.5)
+    before = dr.floor(position - 0.5)
     right = position - 0.5 - before
     left = 1 - right
     parts = left**3 / 6, 2 / 3 - right**2 + right**3 / 2, 2 / 3 - left**2 + left**3 / 2, right**3 / 6

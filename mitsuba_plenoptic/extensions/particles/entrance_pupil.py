@@ -7,8 +7,8 @@ particles.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...light.optical_system import OpticalSystem
 from ...prescription.objective import Objective
+
+_HORIZON = 0.999
+"""Largest sine of directions."""
 
 
 @dataclass(frozen=True)
@@ -32,27 +35,26 @@ class EntrancePupil:
         """Return the entrance pupil of a camera."""
         return cls(OpticalSystem(camera, wavelength).lens.entrance.pupil, camera.aperture_radius, camera.objective)
 
-    def towards(self, positions: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return unit vectors from positions (n, 3) to the pupil's points (at, at), an array (n, y, x, 3)."""
-        x, y = at, at[:, None]
+    def towards(self, positions: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[Any]:
+        """Return unit vectors from positions (n, 3) to points (q,) of the pupil, (n, q, 3)."""
         if self.objective is None:
-            away = np.stack(np.broadcast_arrays(x, y, self.place), -1) - positions[:, None, None]
+            away = np.stack([x, y, np.full(len(x), self.place)], -1) - positions[:, None]
             return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
         x, y = (each / (self.objective.immersion * self.objective.focal_length) for each in (x, y))
         # The corners of the square around the pupil may lie beyond the horizon.
-        lines = np.stack(np.broadcast_arrays(x, y, -np.sqrt(np.maximum(1 - x * x - y * y, 0))), -1)
+        within = np.minimum(1, _HORIZON / np.maximum(np.hypot(x, y), 1e-300))
+        x, y = within * x, within * y
+        lines = np.stack([x, y, -np.sqrt(1 - x * x - y * y)], -1)
         return np.broadcast_to(lines, (len(positions), *lines.shape))
 
-    def solid_angles(self, positions: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the solid angles from positions (n, 3) of the pupil's cells about (at, at), (n, y, x), in sr."""
-        open_cells = np.hypot(at, at[:, None]) < self.radius
-        if self.objective is None:
-            whole = np.pi * (self.radius / (positions[:, 2] - self.place)) ** 2
-            share = open_cells * 1.0
-        else:
-            whole = np.full(len(positions), 4 * np.pi * math.sin(self.objective.half_angle / 2) ** 2)
-            share = np.divide(1.0, -self.towards(positions[:1], at)[0, ..., 2], where=open_cells, out=open_cells * 0.0)
-        return np.asarray(whole[:, None, None] * (share / share.sum()))
+    def solid_angles(
+        self, positions: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the solid angles from positions (n, 3) of a square millimetre at points (q,) of the pupil, (n, q)."""
+        cosine = -self.towards(positions, x, y)[..., 2]
+        if self.objective is not None:
+            return np.asarray(1 / (cosine * (self.objective.immersion * self.objective.focal_length) ** 2))
+        return np.asarray(cosine**3 / (positions[:, 2:] - self.place) ** 2)
 
     def angle(self, positions: NDArray[np.float64]) -> float:
         """Return the largest angle in radians, seen from positions (n, 3), between the pupil's centre and its rim."""

@@ -1,6 +1,6 @@
 r"""Steady flows with exact displacements: velocities in millimetres per second at positions in the camera frame.
 
-All are free of divergence, so that particles that are spread evenly stay so. A new flow is a frozen dataclass with
+All but imported ones are free of divergence, so that particles that are spread evenly stay so. A new flow is a frozen dataclass with
 `velocity`, and an entry in `FLOWS`; a flow without a closed form of its paths has them integrated.
 """
 

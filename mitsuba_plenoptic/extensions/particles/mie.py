@@ -1,4 +1,4 @@
-r"""Light that a small sphere scatters, by angle and averaged over polarisations (Mie 1908).
+r"""Light that a small sphere scatters, by angle and polarisation (Mie 1908).
 
 After Bohren and Huffman 1983, "Absorption and Scattering of Light by Small Particles", chapter 4. With the size
 parameter :math:`x = \pi d n / \lambda` and the relative index m, and the Riccati-Bessel functions :math:`\psi_n` and
@@ -61,6 +61,27 @@ def coefficients(size: NDArray[np.float64], index: complex) -> tuple[NDArray[np.
     return a, b
 
 
+def amplitudes(
+    diameters: NDArray[np.float64], index: complex, wavelength: float, cosines: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """Return the amplitudes S1 and S2 of light polarised across the plane of scattering and in it, (2, spheres, angles).
+
+    Parameters are those of `cross_sections`. Phases are those of light that travels as exp(i k r).
+    """
+    a, b = coefficients(np.pi * diameters / (wavelength * 1e-3), index)
+    found = np.zeros((2, *cosines.shape), complex)
+    # Angular functions pi and tau, Bohren and Huffman's equation 4.47.
+    before, pi = np.zeros(cosines.shape), np.ones(cosines.shape)
+    for n in range(1, len(a) + 1):
+        tau = n * cosines * pi - (n + 1) * before
+        weight = (2 * n + 1) / (n * (n + 1))
+        own_a, own_b = weight * a[n - 1, :, None], weight * b[n - 1, :, None]
+        found[0] += own_a * pi + own_b * tau
+        found[1] += own_a * tau + own_b * pi
+        before, pi = pi, ((2 * n + 1) * cosines * pi - (n + 1) * before) / n
+    return found
+
+
 def cross_sections(
     diameters: NDArray[np.float64], index: complex, wavelength: float, cosines: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -78,16 +99,5 @@ def cross_sections(
         Cosines of the angle between the incident and the scattered light.
     """
     wavenumber = 2 * np.pi / (wavelength * 1e-3)
-    a, b = coefficients(wavenumber * diameters / 2, index)
-    parallel, across = np.zeros((2, *cosines.shape), complex)
-    # Angular functions pi and tau, Bohren and Huffman's equation 4.47.
-    before, pi = np.zeros(cosines.shape), np.ones(cosines.shape)
-    for n in range(1, len(a) + 1):
-        tau = n * cosines * pi - (n + 1) * before
-        weight = (2 * n + 1) / (n * (n + 1))
-        own_a, own_b = weight * a[n - 1, :, None], weight * b[n - 1, :, None]
-        across += own_a * pi + own_b * tau
-        parallel += own_a * tau + own_b * pi
-        before, pi = pi, ((2 * n + 1) * cosines * pi - (n + 1) * before) / n
-    power = np.abs(across) ** 2 + np.abs(parallel) ** 2
+    power = (np.abs(amplitudes(diameters, index, wavelength, cosines)) ** 2).sum(0)
     return np.asarray(power / (2 * wavenumber**2))

@@ -12,6 +12,7 @@ that the `reference` is in cubic micrometres, as if all of the light that a bead
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter1d
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from ...camera import PlenopticCamera
 from ...camera.aperture import Round
@@ -28,30 +29,40 @@ from ...io.captures import MODELS, Capture
 from ...io.checkpoints import Checkpoint
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
-from ...points.pupil_weights import PupilWeights
+from ...points.pupil_weights import BORDER, PupilWeights
 from ...runtime.batches import Job, Progress
+from ...runtime.limits import require_memory
 from ..inverse.point_rays import PointRays
 from .entrance_pupil import EntrancePupil
-from .mie import cross_sections
+from .mie import amplitudes
 from .seeding import LightSheet, ParticleVolume, Seeding, from_plain
 from .sequence import settings_of
 
 ACCURACY = 0.01
 """Allowed relative error of images by waves."""
 
-_PER_LOBE, _FEWEST, _MOST = 4.0, 6, 64
-"""Cells of the pupil across a lobe of scattered light, and across the pupil at least and at most."""
+_PER_WAVE, _FEWEST = 8.0, 4
+"""Cells of the pupil across a period of the amplitude of the widest sphere's rim, and across the pupil at least."""
 
-_ANGLES_PER_CELL = 2
+_ANGLES_PER_CELL = 3
 """Angles at which the scattering of a particle is computed, to each cell across the pupil."""
 
-_TOGETHER = 2048
-"""Particles whose scattering is computed at a time, which limits memory."""
+_NEGLIGIBLE = 0.1
+"""Mean part of the light of a polarisation, over the allowed error, below which it is not followed on its own."""
+
+_TOGETHER = 2**18
+"""Directions whose scattering is computed at a time, which limits memory."""
 
 
 @dataclass(frozen=True)
 class ScatteredLight:
-    """The light of particles over the pupil of a camera's main lens."""
+    """The light of particles over the pupil of a camera's main lens.
+
+    Unpolarised light is as good as two incoherent fields, along and across the plane of the light's direction and the
+    camera's axis. Each is scattered into fields of both polarisations, which are real factors on the sum of S1 and S2
+    and do not interfere in an image. So there are four amplitudes over the pupil; from the side and through small
+    apertures two of them are negligible.
+    """
 
     # Positions in the camera frame, (n, 3).
     positions: NDArray[np.float64]
@@ -68,59 +79,84 @@ class ScatteredLight:
 
     @cached_property
     def cells(self) -> int:
-        """Cells across the square around the pupil, which resolve the lobes of the largest particle."""
+        """Cells across the square around the pupil, which resolve the fringes of the largest particle's rim."""
         if self.seeding.index is None:
             return _FEWEST
-        lobe = self.wavelength * 1e-3 / self.seeding.medium / float(self.diameters.max(initial=1e-3))
-        return int(np.clip(np.ceil(_PER_LOBE * 2 * self.pupil.angle(self.positions) / lobe), _FEWEST, _MOST))
+        size = np.pi * float(self.diameters.max(initial=0)) * self.seeding.medium / (self.wavelength * 1e-3)
+        # As many as the series has terms, over the angle that the pupil covers.
+        waves = (size + 4 * size ** (1 / 3)) * self.pupil.angle(self.positions) / np.pi
+        return max(_FEWEST, int(np.ceil(_PER_WAVE * waves)))
 
-    @cached_property
-    def _at(self) -> NDArray[np.float64]:
-        """Return the coordinates of the centres of the pupil's cells, in mm."""
-        return np.asarray(self.pupil.radius * ((np.arange(self.cells) + 0.5) * (2 / self.cells) - 1))
+    def _amplitudes(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Return the four amplitudes towards points (q,) of the pupil, (4, n, q).
 
-    @cached_property
-    def over_pupil(self) -> NDArray[np.float64]:
-        """Differential cross-sections towards the pupil's cells, in square micrometres per steradian, (n, y, x).
-
-        Those of fluorescent beads are volumes over the full solid angle.
+        The sum of their squared moduli is the differential cross-section in square micrometres per steradian.
         """
-        count = len(self.positions)
-        if self.seeding.index is None:
-            return np.tile((self.diameters**3 / 24)[:, None, None], (self.cells, self.cells))
-        blocks = [self._of(slice(first, first + _TOGETHER)) for first in range(0, count, _TOGETHER)]
-        return np.concatenate([np.zeros((0, self.cells, self.cells)), *blocks])
-
-    def _of(self, some: slice) -> NDArray[np.float64]:
-        """Return the cross-sections of some particles."""
         assert self.seeding.index is not None
-        cosine = self.pupil.towards(self.positions[some], self._at) @ np.array(self.direction)
-        flat = cosine.reshape(len(cosine), -1)
-        low, high = flat.min(1), flat.max(1)
-        # Few angles, between which the many of the cells are interpolated.
-        steps = np.linspace(0, 1, _ANGLES_PER_CELL * self.cells)
-        along = np.clip(low[:, None] + steps * (high - low)[:, None], -1, 1)
-        index, medium = complex(self.seeding.index), self.seeding.medium
-        sections = cross_sections(self.diameters[some], index / medium, self.wavelength / medium, along)
-        rows = zip(flat, along, sections, strict=True)
-        return np.stack([np.interp(*row) for row in rows]).reshape(cosine.shape)
+        count, medium = len(self.positions), self.seeding.medium
+        index, wavelength = complex(self.seeding.index) / medium, self.wavelength / medium
+        result, steps = np.empty((4, count, len(x)), complex), np.linspace(0, 1, _ANGLES_PER_CELL * (self.cells + 2))
+        light, axis = np.array(self.direction), np.array([0.0, 0.0, -1.0])
+        across = np.cross(light, axis)
+        length = float(np.linalg.norm(across))
+        across = across / length if length > 1e-9 else np.array([1.0, 0, 0])
+        together = max(1, _TOGETHER // len(x))
+        for some in (slice(first, first + together) for first in range(0, count, together)):
+            towards = self.pupil.towards(self.positions[some], x, y)
+            angle = np.arccos(np.clip(towards @ light, -1, 1))
+            # Few angles, between which the many of the points are interpolated.
+            low, high = angle.min(1)[:, None], angle.max(1)[:, None]
+            known = low + steps * (high - low)
+            scattered = amplitudes(self.diameters[some], index, wavelength, np.cos(known))
+            rows = zip(known, scattered.swapaxes(0, 1), angle, strict=True)
+            s1, s2 = np.stack([CubicSpline(given, values, axis=1)(wanted) for given, values, wanted in rows], 1)
+            # Across the plane of scattering; straight on and back any direction will do.
+            normal = np.cross(light, towards) + 1e-12 * across
+            normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+            first, second = np.cross(normal, light), np.cross(normal, towards)
+            parts = itertools.product((across, np.cross(across, light)), (across, np.cross(across, axis)))
+            for number, (incident, seen) in enumerate(parts):
+                # The lens turns light to the axis, with its polarisation.
+                turned = seen - (towards @ seen)[..., None] / (1 + towards @ axis)[..., None] * (towards + axis)
+                own = s1 * (normal @ incident) * (normal * turned).sum(-1)
+                result[number, some] = own + s2 * (first @ incident) * (second * turned).sum(-1)
+        return result * (wavelength * 1e-3 / (2 * np.pi * np.sqrt(2)))
 
     @cached_property
     def powers(self) -> NDArray[np.float64]:
-        """Power of each particle through the pupil, in square micrometres, (n,)."""
-        solid_angles = self.pupil.solid_angles(self.positions, self._at)
-        return np.asarray(self.irradiance * (self.over_pupil * solid_angles).sum((1, 2)))
-
-    def pupil_weights(self) -> PupilWeights | None:
-        """Return the relative power over the pupil for a `CaptureOperator`, None if it is even."""
+        """Powers of each particle through the pupil, in square micrometres, by amplitude, (4, n); beads have one."""
+        # Gauss's rule in the square of the radius, evenly in angle.
+        nodes, weights = np.polynomial.legendre.leggauss(self.cells // 2 + 4)
+        turn = 2 * np.pi * (np.arange(self.cells + 12) + 0.5) / (self.cells + 12)
+        radius = self.pupil.radius * np.sqrt((nodes + 1) / 2)
+        x, y = ((radius[:, None] * part(turn)).ravel() for part in (np.cos, np.sin))
+        areas = np.repeat(np.pi * self.pupil.radius**2 * weights / 2 / len(turn), len(turn))
+        solid_angles = self.pupil.solid_angles(self.positions, x, y) * areas
         if self.seeding.index is None:
-            return None
-        # Cubic B-splines of these coefficients pass through the samples; those of the samples would flatten lobes.
-        table, count = self.over_pupil / self.over_pupil.mean((1, 2), keepdims=True), len(self.positions)
-        for axis in (1, 2):
-            table = spline_filter1d(table, axis=axis)
-        table = np.maximum(table, 0).astype(np.float32)
-        return PupilWeights(table, np.arange(count), np.zeros((count, 2)), sampled=True)
+            # Beads emit over the full solid angle.
+            return np.asarray(self.irradiance * self.diameters**3 / 24 * solid_angles.sum(1))[None]
+        return np.asarray(self.irradiance * (np.abs(self._amplitudes(x, y)) ** 2 * solid_angles).sum(-1))
+
+    def followed(self, accuracy: float) -> tuple[NDArray[np.float64], PupilWeights | None]:
+        """Return the powers of the amplitudes that count, (k, n), and these amplitudes, one after the other."""
+        if self.seeding.index is None:
+            return self.powers, None
+        count, cells = len(self.positions), self.cells
+        require_memory(300.0 * count * (cells + 2 * BORDER) ** 2, f"{count} particles over {cells} x {cells} cells")
+        whole = self.powers.sum(0)
+        kept = self.powers.sum(1) > max(_NEGLIGIBLE * accuracy, 1e-7) * whole.sum()
+        # Splines through samples at the centres of cells, and two more at each border, beyond which there may be no light.
+        at = np.concatenate([[0, 0.25], np.arange(cells) + 0.5, [cells - 0.25, cells]])
+        knots = np.arange(-3.5, cells + 4)
+        x, y = (self.pupil.radius * (2 / cells * part.ravel() - 1) for part in np.meshgrid(at, at))
+        table = self._amplitudes(x, y)[kept].reshape(-1, len(at), len(at))
+        for _ in "yx":
+            table = make_interp_spline(at, table, t=knots, axis=1).c.transpose(1, 2, 0)
+        weights = PupilWeights(
+            table.astype(np.complex64), np.arange(len(table)), np.zeros((len(table), 2)), sampled=True
+        )
+        powers = self.powers[kept]
+        return powers * (whole / powers.sum(0)), weights
 
 
 def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: PlenopticCamera) -> ScatteredLight:
@@ -193,7 +229,7 @@ class ParticleImages:
         from_plain(ParticleVolume, self._settings["volume"]).before(self.camera)
         first = scattered_light(truth, 0, self.wavelength, self.camera)
         refuse_if(not len(first.positions), "volume: no particle is lit within it; raise the density or the thickness")
-        self._reference = float(first.powers.mean())
+        self._reference = float(first.powers.sum(0).mean())
 
     def metadata(self, frame: int) -> dict[str, Any]:
         """Return the metadata of a frame's capture, which determine it together with wavelength, model and camera."""
@@ -223,9 +259,11 @@ class ParticleImages:
         """
         require_count("frame", frame, minimum=0, maximum=self.truth.sizes["frame"] - 1)
         light = scattered_light(self.truth, frame, self.wavelength, self.camera)
-        points, weights = light.positions, light.powers / self._reference
         # Operators take no further weights where the aperture has its own; the mean over the pupil then counts.
-        over_pupil = light.pupil_weights() if self.camera.aperture == Round() else None
+        powers, over_pupil = light.powers.sum(0)[None], None
+        if self.camera.aperture == Round():
+            powers, over_pupil = light.followed(self._accuracy)
+        points, weights = np.tile(light.positions, (len(powers), 1)), powers.ravel() / self._reference
         image: NDArray[Any] = np.zeros(self.camera.shape, np.float32)
         if not len(points):
             pass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from typing import Any
 
@@ -12,15 +11,16 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_camera
-from ...errors import refuse_if, require_count, require_number, suggest_keywords
+from ...errors import refuse_if, require_count, require_number, suggest_keywords, warn
 from ...io.versions import stamped
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 
 MOST_FRAMES = 10000
 
-_NODES, _MARGIN = 9, 0.1
-"""Points along an axis of the volume whose paths tell from where particles enter, and what is added to their bounds."""
+_PLACES, _STEP, _CHANGE = 1000, 1e-4, 0.05
+"""Places of the volume at which divergence is looked for, by differences over a part of its size; and the part of
+particles by which their density may change."""
 
 
 @suggest_keywords
@@ -37,8 +37,8 @@ def particle_sequence(
 ) -> xr.Dataset:
     """Return particles that a flow carries through a volume, at the times of several frames.
 
-    Particles leave the volume and others enter it: they are spread evenly over all places from which the flow carries
-    them into the volume in one of the frames.
+    Particles leave the volume and others enter it, so that in each frame those within it are spread evenly. A flow with
+    divergence, such as an imported one, gathers or thins them out, of which a warning tells.
 
     Parameters
     ----------
@@ -78,22 +78,27 @@ def particle_sequence(
     volume.before(camera)
     sheet, density = sheet or LightSheet(), seeding.density(volume, camera)
     random = np.random.default_rng(require_count("seed", seed, minimum=0))
-    low, high = _reached(volume, flow, interval, frames)
-    expected = density * float((high - low).prod())
-    refuse_if(
-        expected > MOST, f"frames = {frames}: {expected:.3g} particles pass through the volume; {MOST:.0e} at most"
-    )
-    count = int(random.poisson(expected))
-    paths = [random.uniform(low, high, (count, 3))]
-    diameters = seeding.diameters(count, random)
-    for _ in range(frames):
-        paths.append(flow.advected(paths[-1], interval))
-    position = np.stack(paths[:-1])
-    moved = np.stack([after - before for before, after in itertools.pairwise(paths)])
+    expected = density * float(volume.size.prod())
+    first = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3))
+    if frames > 1:
+        _check_motion(flow, volume, interval, frames, first)
+    found = []
+    for frame in range(frames):
+        # Particles are even in any frame; of those of a later one, the others are followed already.
+        there = random.uniform(volume.lower, volume.upper, (random.poisson(expected), 3)) if frame else first
+        paths = [there]
+        for _ in range(frame):
+            before = flow.advected(paths[0], -interval)
+            enters = ~volume.contains(before)
+            paths = [path[enters] for path in (before, *paths)]
+        for _ in range(frame, frames):
+            paths.append(flow.advected(paths[-1], interval))
+        found.append(np.stack(paths))
+    paths = np.concatenate(found, axis=1)
+    diameters = seeding.diameters(paths.shape[1], random)
+    position, moved = paths[:-1], np.diff(paths, axis=0)
     inside = volume.contains(position)
-    used = inside.any(0)
     _within(volume, interval, moved[:-1][inside[:-1]])
-    position, inside = position[:, used], inside[:, used]
     index = seeding.index
     settings = {
         "camera": camera.to_dict(),
@@ -108,8 +113,8 @@ def particle_sequence(
     return xr.Dataset(
         {
             "position": (along, position, {"units": "mm"}),
-            "displacement": (along, moved[:, used], {"units": "mm"}),
-            "diameter": ("particle", diameters[used], {"units": "um"}),
+            "displacement": (along, moved, {"units": "mm"}),
+            "diameter": ("particle", diameters, {"units": "um"}),
             "inside": (along[:2], inside.astype(np.int8)),
             "irradiance": (along[:2], sheet.irradiance(position, volume)),
         },
@@ -118,23 +123,25 @@ def particle_sequence(
     )
 
 
-def _reached(
-    volume: ParticleVolume, flow: Flow, interval: float, frames: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the bounds of the places from which particles come into the volume in one of the frames.
-
-    Flows that carry particles farther than the volume reaches are refused.
-    """
-    sides = [np.linspace(low, high, _NODES) for low, high in zip(volume.lower, volume.upper, strict=True)]
-    nodes = np.stack(np.meshgrid(*sides, indexing="ij"), -1).reshape(-1, 3)
-    places = [nodes]
-    for _ in range(frames - 1):
-        places.append(flow.advected(places[-1], -interval))
-    _within(volume, interval, np.diff(places[:2], axis=0).reshape(-1, 3))
-    low, high = np.min(places, axis=(0, 1)), np.max(places, axis=(0, 1))
-    # Paths between the nodes may come from a little farther.
-    margin = _MARGIN * np.maximum(high - volume.upper, volume.lower - low)
-    return low - margin, high + margin
+def _check_motion(
+    flow: Flow, volume: ParticleVolume, interval: float, frames: int, points: NDArray[np.float64]
+) -> None:
+    """Refuse flows that carry particles farther than the volume reaches, or too many of them; warn of divergence."""
+    after = flow.advected(points, interval)
+    _within(volume, interval, after - points)
+    passing = len(points) + (frames - 1.0) * float((~volume.contains(after)).sum())
+    refuse_if(passing > MOST, f"frames = {frames}: {passing:.3g} particles pass through the volume; {MOST:.0e} at most")
+    step = _STEP * volume.size
+    places = np.random.default_rng(0).uniform(volume.lower + step, volume.upper - step, (_PLACES, 3))
+    sides = [flow.velocity(places + move)[:, axis] for axis, move in enumerate(np.diag(step))]
+    others = [flow.velocity(places - move)[:, axis] for axis, move in enumerate(np.diag(step))]
+    divergence = ((np.array(sides) - np.array(others)) / (2 * step[:, None])).sum(0)
+    change = interval * max(float(np.sqrt((divergence**2).mean())), (frames - 1) * abs(float(divergence.mean())))
+    if change > _CHANGE:
+        warn(
+            f"flow: by its divergence the density of particles changes by {change:.0%} in the sequence: it gathers or "
+            "thins them out, and their number does not stay"
+        )
 
 
 def _within(volume: ParticleVolume, interval: float, moves: NDArray[np.float64]) -> None:
