@@ -3,7 +3,8 @@ r"""Displacements between two volumes by cross-correlation of windows (Elsinga e
 Each window of the first volume is correlated with the second one, its displacement is the peak, refined by the normal
 curve through three values along each axis (Willert and Gharib 1991, Experiments in Fluids 10, 181). Vectors unlike
 their neighbours are found by the normalised median test (Westerweel and Scarano 2005, Experiments in Fluids 39, 1096)
-and replaced by the neighbours' median. Later passes displace the second volume's window by the result before.
+and replaced by the neighbours' median, both after the neighbours' gradient is taken off: at a border, where they lie on
+one side, it would count as a difference. Later passes displace the second volume's window by the result before.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ def correlate_volumes(
     Returns
     -------
     xarray.Dataset
-        ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by the
-        median of its neighbours, as those of empty windows are, and NaN if these are empty, too; ``correlation``, the
+        ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by
+        what its neighbours and their gradient tell, as those of empty windows are, and NaN if these are empty, too; ``correlation``, the
         correlation coefficient of the windows then.
 
     Raises
@@ -91,8 +92,9 @@ def correlate_volumes(
             )
             shift, best[index] = _displacement(*windows)
             found[index] = moved - start + shift
-        outlier = is_outlier(found)
-        found = np.where(outlier[..., None], _median(found), found)
+        middle, typical = _expected(found)
+        outlier = ~(np.linalg.norm((found - middle) / typical, axis=-1) <= MEDIAN_LIMIT)
+        found = np.where(outlier[..., None], middle, found)
     voxel = np.array([axis[1] - axis[0] for axis in axes])
     centres = {
         name: axis[0] + (start + (width - 1) / 2) * spacing
@@ -148,28 +150,24 @@ def _beside(products: NDArray[np.float64], peak: NDArray[np.int64], axis: int) -
     return float(np.clip(0.5 * (low - high) / bent, -0.5, 0.5)) if bent < 0 else 0.0
 
 
-def _neighbours(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the up to 26 neighbours of each vector along a new first axis, NaN where there are none."""
-    padded = np.pad(vectors, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
-    shifts = (shift for shift in itertools.product((0, 1, 2), repeat=3) if shift != (1, 1, 1))
-    return np.stack(
-        [padded[tuple(slice(s, s + n) for s, n in zip(shift, vectors.shape[:3], strict=True))] for shift in shifts]
-    )
+def _expected(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what the up to 26 neighbours of vectors (z, y, x, axis), in voxels, expect, and by how much they differ.
 
-
-def _median(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of each vector's neighbours, or the vector where it is alone."""
-    around = _neighbours(vectors)
-    alone = np.isnan(around).all(0)
-    return np.where(alone, vectors, np.nanmedian(np.where(alone, 0, around), axis=0))
-
-
-def is_outlier(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which vectors (z, y, x, axis), in voxels, differ from their neighbours (Westerweel and Scarano 2005).
-
-    Vectors that are NaN do, too; what has no neighbours differs from none.
+    A vector without neighbours is as expected.
     """
-    around, middle = _neighbours(vectors), _median(vectors)
-    away = np.where(np.isnan(around).all(0), 0, np.abs(around - middle))
-    typical = np.nanmedian(away, axis=0) + MEDIAN_FLOOR
-    return ~(np.linalg.norm((vectors - middle) / typical, axis=-1) <= MEDIAN_LIMIT)
+    padded = np.pad(vectors, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3, 3), (0, 1, 2)).copy()
+    around[..., 1, 1, 1] = np.nan
+    for axis in (-3, -2, -1):
+        steps = np.expand_dims(np.arange(-1, 2), [i for i in (-3, -2, -1) if i != axis])
+        around -= _median(np.diff(around, axis=axis)) * steps
+    middle = _median(around)
+    typical = _median(np.abs(around - middle))[..., 0, 0, 0] + MEDIAN_FLOOR
+    alone = np.isnan(around).all((-3, -2, -1))
+    return np.where(alone, vectors, middle[..., 0, 0, 0]), typical
+
+
+def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median over the last three axes, which stay; 0 where all values are NaN."""
+    last = (-3, -2, -1)
+    return np.nanmedian(np.where(np.isnan(values).all(last, keepdims=True), 0, values), axis=last, keepdims=True)
