@@ -1,4 +1,4 @@
-"""Relative power or amplitude over the pupil for many points, interpolated by cubic B-splines (Unser 1999, "Splines")."""
+"""Relative power or amplitude over the pupil for many points, between cells by cubic B-splines (Unser 1999)."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class PupilWeights:
     """
 
     table: NDArray[np.float32] | NDArray[np.complex64]
-    """Distinct nonnegative weights, (k, m, m); or complex amplitudes as coefficients of splines, with `BORDER` cells more
-    on each side."""
+    """Distinct nonnegative weights, (k, m, m); or coefficients of complex amplitudes, with `BORDER` cells more on each
+    side."""
     index: NDArray[np.int64]  # index of the weights of each point, (n,)
     slant: NDArray[np.float64]
     """Relative growth of the power from the pupil's centre to its rim, along x and y of the camera frame, (n, 2)."""
@@ -114,7 +114,9 @@ class PupilWeights:
                 beyond = dr.clip((position + half - high) / (2 * half), 0, 1)
                 near = [(low, 1 - beyond), (high, beyond)]
             sides.append([(UInt32(dr.clip(cell + border, 0, size - 1)), Float(part)) for cell, part in near])
-        tables = [drjit_array(Float, part) for part in ([self.table.real, self.table.imag] if complex_ else [self.table])]
+        tables = [
+            drjit_array(Float, part) for part in ([self.table.real, self.table.imag] if complex_ else [self.table])
+        ]
         sums, amplitude = [dr.zeros(Float) for _ in tables], dr.zeros(Float)
         for (column, across), (row, down) in itertools.product(*sides):
             weights = [dr.gather(Float, table, first + row * size + column) for table in tables]

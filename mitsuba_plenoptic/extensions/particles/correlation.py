@@ -3,8 +3,9 @@ r"""Displacements between two volumes by cross-correlation of windows (Elsinga e
 Each window of the first volume is correlated with the second one, its displacement is the peak, refined by the normal
 curve through three values along each axis (Willert and Gharib 1991, Experiments in Fluids 10, 181). Vectors unlike
 their neighbours are found by the normalised median test (Westerweel and Scarano 2005, Experiments in Fluids 39, 1096)
-and replaced by the neighbours' median, both after the neighbours' gradient is taken off: at a border, where they lie on
-one side, it would count as a difference. Later passes displace the second volume's window by the result before.
+and replaced by the neighbours' median. The test is also made after the neighbours' gradient is taken off: at a border,
+where they lie on one side, it would count as a difference. Later passes displace the second volume's window by the
+result before.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def correlate_volumes(
     -------
     xarray.Dataset
         ``displacement`` (z, y, x, axis) in mm, at the centres of windows; ``outlier``, 1 where it was replaced by
-        what its neighbours and their gradient tell, as those of empty windows are, and NaN if these are empty, too; ``correlation``, the
+        what its neighbours expect, as those of empty windows are, and NaN if these are empty, too; ``correlation``, the
         correlation coefficient of the windows then.
 
     Raises
@@ -92,9 +93,8 @@ def correlate_volumes(
             )
             shift, best[index] = _displacement(*windows)
             found[index] = moved - start + shift
-        middle, typical = _expected(found)
-        outlier = ~(np.linalg.norm((found - middle) / typical, axis=-1) <= MEDIAN_LIMIT)
-        found = np.where(outlier[..., None], middle, found)
+        outlier = is_outlier(found)
+        found = np.where(outlier[..., None], _expected(found)[0], found)
     voxel = np.array([axis[1] - axis[0] for axis in axes])
     centres = {
         name: axis[0] + (start + (width - 1) / 2) * spacing
@@ -147,18 +147,19 @@ def _beside(products: NDArray[np.float64], peak: NDArray[np.int64], axis: int) -
     line = products[tuple(slice(n - 1, n + 2) if i == axis else n for i, n in enumerate(peak))]
     low, middle, high = np.log(line) if (line > 0).all() else line
     bent = low - 2 * middle + high
-    return float(np.clip(0.5 * (low - high) / bent, -0.5, 0.5)) if bent < 0 else 0.0
+    # The peak is that before the correction for how many voxels meet, and can move to the next voxel by it.
+    return float(np.clip(0.5 * (low - high) / bent, -1, 1)) if bent < 0 else 0.0
 
 
-def _expected(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what the up to 26 neighbours of vectors (z, y, x, axis), in voxels, expect, and by how much they differ.
+def _expected(vectors: NDArray[np.float64], linear: bool = True) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the median of the up to 26 neighbours of vectors (z, y, x, axis), in voxels, and by how much they differ.
 
-    A vector without neighbours is as expected.
+    The neighbours are less their gradient if `linear`. A vector without neighbours is as expected.
     """
     padded = np.pad(vectors, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
     around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3, 3), (0, 1, 2)).copy()
     around[..., 1, 1, 1] = np.nan
-    for axis in (-3, -2, -1):
+    for axis in (-3, -2, -1) if linear else ():
         steps = np.expand_dims(np.arange(-1, 2), [i for i in (-3, -2, -1) if i != axis])
         around -= _median(np.diff(around, axis=axis)) * steps
     middle = _median(around)
@@ -171,3 +172,14 @@ def _median(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median over the last three axes, which stay; 0 where all values are NaN."""
     last = (-3, -2, -1)
     return np.nanmedian(np.where(np.isnan(values).all(last, keepdims=True), 0, values), axis=last, keepdims=True)
+
+
+def is_outlier(vectors: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which vectors (z, y, x, axis), in voxels, differ from what their neighbours expect.
+
+    By Westerweel and Scarano (2005), both as the neighbours are and less their gradient, which few neighbours at a
+    corner tell less well. Vectors that are NaN do, too; what has no neighbours differs from none.
+    """
+    expected = [_expected(vectors, linear) for linear in (False, True)]
+    apart = [np.linalg.norm((vectors - middle) / typical, axis=-1) for middle, typical in expected]
+    return ~(np.minimum(*apart) <= MEDIAN_LIMIT)

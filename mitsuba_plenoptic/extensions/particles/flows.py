@@ -1,7 +1,7 @@
 r"""Steady flows with exact displacements: velocities in millimetres per second at positions in the camera frame.
 
-All but imported ones are free of divergence, so that particles that are spread evenly stay so. A new flow is a frozen dataclass with
-`velocity`, and an entry in `FLOWS`; a flow without a closed form of its paths has them integrated.
+All but imported ones are free of divergence, so that particles that are spread evenly stay so. A new flow is a frozen
+dataclass with `velocity`, and an entry in `FLOWS`; a flow without a closed form of its paths has them integrated.
 """
 
 from __future__ import annotations

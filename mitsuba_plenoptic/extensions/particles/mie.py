@@ -64,7 +64,7 @@ def coefficients(size: NDArray[np.float64], index: complex) -> tuple[NDArray[np.
 def amplitudes(
     diameters: NDArray[np.float64], index: complex, wavelength: float, cosines: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Return the amplitudes S1 and S2 of light polarised across the plane of scattering and in it, (2, spheres, angles).
+    """Return the amplitudes S1 and S2, of light across the plane of scattering and in it, (2, spheres, angles).
 
     Parameters are those of `cross_sections`. Phases are those of light that travels as exp(i k r).
     """

@@ -58,10 +58,9 @@ _TOGETHER = 2**18
 class ScatteredLight:
     """The light of particles over the pupil of a camera's main lens.
 
-    Unpolarised light is as good as two incoherent fields, along and across the plane of the light's direction and the
-    camera's axis. Each is scattered into fields of both polarisations, which are real factors on the sum of S1 and S2
-    and do not interfere in an image. So there are four amplitudes over the pupil; from the side and through small
-    apertures two of them are negligible.
+    Unpolarised light is as good as two incoherent fields, across the plane of its direction and the camera's axis and
+    in it. A sphere scatters each into both polarisations, which do not interfere in an image. So there are four
+    amplitudes over the pupil; of light from the side through a small aperture two of them are negligible.
     """
 
     # Positions in the camera frame, (n, 3).
@@ -139,13 +138,13 @@ class ScatteredLight:
 
     def followed(self, accuracy: float) -> tuple[NDArray[np.float64], PupilWeights | None]:
         """Return the powers of the amplitudes that count, (k, n), and these amplitudes, one after the other."""
-        if self.seeding.index is None:
+        if self.seeding.index is None or not len(self.positions):
             return self.powers, None
         count, cells = len(self.positions), self.cells
         require_memory(300.0 * count * (cells + 2 * BORDER) ** 2, f"{count} particles over {cells} x {cells} cells")
         whole = self.powers.sum(0)
         kept = self.powers.sum(1) > max(_NEGLIGIBLE * accuracy, 1e-7) * whole.sum()
-        # Splines through samples at the centres of cells, and two more at each border, beyond which there may be no light.
+        # Splines through the centres of cells, and two more places at each border, beyond which there may be no light.
         at = np.concatenate([[0, 0.25], np.arange(cells) + 0.5, [cells - 0.25, cells]])
         knots = np.arange(-3.5, cells + 4)
         x, y = (self.pupil.radius * (2 / cells * part.ravel() - 1) for part in np.meshgrid(at, at))

@@ -18,7 +18,7 @@ from ...io.captures import Capture
 from ...runtime.backend import MILLIMETRES, POINTS, as_array
 from ...runtime.batches import Progress
 from ..inverse.stored import StoredOperator
-from .voxels import elongation, values_of
+from .voxels import elongation, require_points, values_of
 
 _STEP = 0.02
 """Lateral step of derivatives, over the width of a lens imaged to the particle; along the axis by the elongation."""
@@ -119,7 +119,8 @@ def refine_particles(
     InputError
         If there is no particle, or the point spreads take more than 8 GiB.
     """
-    iterations, count = require_count("iterations", iterations), len(positions)
+    iterations, positions = require_count("iterations", iterations), require_points("positions", positions)
+    count = len(positions)
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
     refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
@@ -193,9 +194,8 @@ def match_particles(
         to that one.
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
-    given = (("first", first), ("second", second), ("predicted", predicted))
-    first, second, predicted = (as_array(*each, np.float64, POINTS, units=MILLIMETRES) for each in given)
-    expected, there = (first + predicted) / semi_axes, second / semi_axes
+    first, second = require_points("first", first), require_points("second", second)
+    expected, there = (first + require_points("predicted", predicted)) / semi_axes, second / semi_axes
     if not len(first) or not len(second):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     away, nearest = cKDTree(there).query(expected)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
+from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
@@ -22,7 +23,10 @@ _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
 
 _NARROWEST = 0.5
-"""Standard deviation of a drawn particle at least, in voxels: sums over narrower curves depend on where they are."""
+"""Standard deviation of a drawn particle at least, in voxels: narrower ones do not show where in a voxel they are."""
+
+_ROUNDING, _SAME = 2e-7, 1e-4
+"""Differences of voxels' places, over these and over the voxels' size, that are due to files in single precision."""
 
 
 @suggest_keywords
@@ -83,22 +87,38 @@ class VoxelGrid:
 
 
 def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
-    """Return the values of volumes along z, y and x, whatever the order of dimensions; refuse different voxels."""
+    """Return the values of volumes along z, y and x, whatever the order of dimensions.
+
+    Different voxels are refused, and values that are not finite.
+    """
     for each in volumes:
         require_units("volume", each, dict.fromkeys("zyx", MILLIMETRES))
     for axis in "zyx":
-        here = [each[axis].values for each in volumes]
+        first, *others = [each[axis].values for each in volumes]
+        allowed = _SAME * np.ptp(first) / max(len(first) - 1, 1)
         refuse_if(
-            any(places.shape != here[0].shape or not np.allclose(places, here[0]) for places in here),
+            any(first.shape != each.shape or not np.allclose(each, first, _ROUNDING, allowed) for each in others),
             f"volumes: they must be on the same voxels, but differ in {axis}",
         )
-    return [as_array("volume", each, np.float64, tuple("zyx")) for each in volumes]
+    values = [as_array("volume", each, np.float64, tuple("zyx")) for each in volumes]
+    refuse_if(not all(np.isfinite(each).all() for each in values), "volumes: their voxels must be finite")
+    return values
+
+
+def require_points(name: str, points: ArrayLike) -> NDArray[np.float64]:
+    """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
+    places = as_array(name, points, np.float64, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
+    refuse_if(
+        places.shape[1:] != (3,) or not np.isfinite(places).all(),
+        f"{name} of shape {places.shape}: they must be finite, and (n, 3)",
+    )
+    return places
 
 
 def drawn_particles(
     grid: VoxelGrid, positions: NDArray[np.float64], weights: NDArray[np.float64], width: Sequence[float]
 ) -> xr.DataArray:
-    """Return a volume of particles as normal curves, whose voxels add up to their weights.
+    """Return a volume of particles as normal curves, integrated over voxels, which add up to the particles' weights.
 
     Parameters
     ----------
@@ -114,22 +134,30 @@ def drawn_particles(
     Raises
     ------
     InputError
-        If curves are narrower.
+        If curves are narrower, or a position or weight is not finite.
     """
-    values, axes, deviations = np.zeros(grid.shape), grid.axes, require_numbers("width", width, count=3, minimum=1e-9)
+    values, deviations = np.zeros(grid.shape), require_numbers("width", width, count=3, minimum=1e-9)
+    positions, weights = require_points("positions", positions), as_array("weights", weights, np.float64, POINTS)
+    refuse_if(
+        weights.shape != (len(positions),) or not np.isfinite(weights).all(),
+        f"weights of shape {weights.shape}: they must be finite, one for each of {len(positions)} positions",
+    )
     refuse_if(
         (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
         f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
     )
-    positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
-    weights = as_array("weights", weights, np.float64, POINTS)
+    edges = [
+        low + size * np.arange(count + 1)
+        for low, size, count in zip(grid.lower, grid.voxel, grid.shape[::-1], strict=True)
+    ]
     for position, weight in zip(positions, weights, strict=True):
         spans, curves = [], []
-        for centre, axis, size, deviation in zip(position, axes, grid.voxel, deviations, strict=True):
-            span = slice(*np.searchsorted(axis, [centre - _TRUNCATED * deviation, centre + _TRUNCATED * deviation]))
-            curve = np.exp(-0.5 * ((axis[span] - centre) / deviation) ** 2)
-            spans.append(span)
-            curves.append(curve * size / (deviation * math.sqrt(2 * math.pi)))
+        for centre, edge, deviation in zip(position, edges, deviations, strict=True):
+            reach = _TRUNCATED * deviation
+            first, last = np.searchsorted(edge, [centre - reach, centre + reach])
+            spans.append(span := slice(max(first - 1, 0), min(last, len(edge) - 1)))
+            away = np.clip((edge[span.start : span.stop + 1] - centre) / deviation, -_TRUNCATED, _TRUNCATED)
+            curves.append(np.diff(ndtr(away)) / (2 * ndtr(_TRUNCATED) - 1))
         x, y, z = curves
         values[spans[2], spans[1], spans[0]] += weight * z[:, None, None] * y[:, None] * x
     return grid.labelled(values)
@@ -170,7 +198,7 @@ def ghost_fraction(volume: xr.DataArray, positions: NDArray[np.float64], reach: 
         return 0.0
     lit = np.argwhere(values > 0)
     z, y, x = (volume[name].values[index] for name, index in zip("zyx", lit.T, strict=True))
-    positions = as_array("positions", positions, np.float64, POINTS, units=MILLIMETRES)
+    positions = require_points("positions", positions)
     if not len(positions):
         return 1.0
     away = cKDTree(positions / semi_axes).query(np.stack([x, y, z], -1) / semi_axes, distance_upper_bound=1.0)[0]

@@ -262,9 +262,11 @@ def particles(*, count: int = 10000) -> Iterator[Row]:
     few["inside"][:, 100:] = 0
     # The others stay, without light, so that the band of directions is that of many.
     light = scattered_light(truth, 0, 550.0, camera)
-    weights = np.where(np.arange(len(light.positions)) < 100, light.powers / light.powers.mean(), 0)
-    operator = CaptureOperator(camera, light.positions, wavelength=550, pupil_weights=light.pupil_weights())
+    powers, amplitudes = light.followed(0.01)
+    weights = np.where(np.arange(len(light.positions)) < 100, powers / powers.sum(0).mean(), 0).ravel()
+    points = np.tile(light.positions, (len(powers), 1))
+    operator = CaptureOperator(camera, points, wavelength=550, pupil_weights=amplitudes)
     exact = pt.ParticleImages(few, wavelength=550, accuracy=0).capture(0)
-    scale = light.powers[:100].mean() / light.powers.mean()
+    scale = powers.sum(0)[:100].mean() / powers.sum(0).mean()
     error = relative(operator.forward(weights), scale * exact.image)
     yield {"particles": len(light.positions), "seconds": seconds, "memory": memory, "error": error}
