@@ -1,10 +1,12 @@
 r"""Captures of particles by waves and by rays: incoherent points that scatter a light sheet's light.
 
 The unit of pixels is the light of a mean particle: the power through the pupil, averaged over the particles that are
-within the volume in the first frame. For irradiance 1 a particle sends the pupil's solid angle (:math:`\pi a^2 / g^2`
-of a lens, :math:`2 \pi (1 - \cos\alpha)` of an objective) times the mean of its differential cross-section over the
-pupil, which is the `reference` of a capture, in square micrometres. There is no speckle, as points are incoherent; no
-particle hides another one, and light is scattered once.
+within the volume in the first frame. For irradiance 1 a particle sends the integral of its differential cross-section
+over the pupil's solid angle, whose mean is the `reference` of a capture, in square micrometres. There is no speckle, as
+particles are incoherent; no particle hides another one, and light is scattered once.
+
+The camera is immersed: light goes straight from particles to the pupil, without a window. Behind a flat one, angles in
+the fluid are smaller by its refractive index, and solid angles by the square of it.
 
 Fluorescent beads emit the same light in all directions. In the place of the cross-section they have their volume, so
 that the `reference` is in cubic micrometres, as if all of the light that a bead absorbs on a micrometre were emitted.
@@ -176,7 +178,7 @@ def scattered_light(truth: xr.Dataset, frame: int, wavelength: float, camera: Pl
 
 @suggest_keywords
 class ParticleImages:
-    """The captures of a sequence of particles by one model of light.
+    """The captures of a sequence of particles by one model of light, with the camera immersed in their medium.
 
     A capture's pixels are in units of a mean particle, whose pixels have the sum 1. To record them with noise, give
     `expose` the photons of a mean particle through the pupil.

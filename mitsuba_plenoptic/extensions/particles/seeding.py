@@ -161,7 +161,7 @@ class Seeding:
         Refractive index of the particles, with a positive imaginary part where they absorb. Default: polystyrene. With
         None they are fluorescent beads, whose light is the same in all directions and proportional to their volume.
     medium : float
-        Refractive index of the fluid. Default: water.
+        Refractive index of the fluid, in which the camera is, too. Default: water.
 
     Raises
     ------

@@ -94,10 +94,9 @@ def particle_sequence(
         for _ in range(frame, frames):
             paths.append(flow.advected(paths[-1], interval))
         found.append(np.stack(paths))
-    paths = np.concatenate(found, axis=1)
-    diameters = seeding.diameters(paths.shape[1], random)
-    position, moved = paths[:-1], np.diff(paths, axis=0)
-    inside = volume.contains(position)
+    followed = np.concatenate(found, axis=1)
+    position, moved = followed[:-1], np.diff(followed, axis=0)
+    diameters, inside = seeding.diameters(position.shape[1], random), volume.contains(position)
     _within(volume, interval, moved[:-1][inside[:-1]])
     index = seeding.index
     settings = {
@@ -139,7 +138,7 @@ def _check_motion(
     change = interval * max(float(np.sqrt((divergence**2).mean())), (frames - 1) * abs(float(divergence.mean())))
     if change > _CHANGE:
         warn(
-            f"flow: by its divergence the density of particles changes by {change:.0%} in the sequence: it gathers or "
+            f"flow: by its divergence the density of particles changes by {change:.0%} or more: it gathers or "
             "thins them out, and their number does not stay"
         )
 
