@@ -98,9 +98,8 @@ class ScatteredLight:
         index, wavelength = complex(self.seeding.index) / medium, self.wavelength / medium
         result, steps = np.empty((4, count, len(x)), complex), np.linspace(0, 1, _ANGLES_PER_CELL * (self.cells + 2))
         light, axis = np.array(self.direction), np.array([0.0, 0.0, -1.0])
-        across = np.cross(light, axis)
-        length = float(np.linalg.norm(across))
-        across = across / length if length > 1e-9 else np.array([1.0, 0, 0])
+        across = np.cross(light, axis) if np.hypot(*light[:2]) > 1e-9 else np.array([1.0, 0, 0])
+        across /= np.linalg.norm(across)
         together = max(1, _TOGETHER // len(x))
         for some in (slice(first, first + together) for first in range(0, count, together)):
             towards = self.pupil.towards(self.positions[some], x, y)
@@ -153,10 +152,8 @@ class ScatteredLight:
         table = self._amplitudes(x, y)[kept].reshape(-1, len(at), len(at))
         for _ in "yx":
             table = make_interp_spline(at, table, t=knots, axis=1).c.transpose(1, 2, 0)
-        weights = PupilWeights(
-            table.astype(np.complex64), np.arange(len(table)), np.zeros((len(table), 2)), sampled=True
-        )
-        powers = self.powers[kept]
+        table, powers = table.astype(np.complex64), self.powers[kept]
+        weights = PupilWeights(table, np.arange(len(table)), np.zeros((len(table), 2)), sampled=True)
         return powers * (whole / powers.sum(0)), weights
 
 

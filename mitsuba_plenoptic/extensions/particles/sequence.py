@@ -132,9 +132,8 @@ def _check_motion(
     refuse_if(passing > MOST, f"frames = {frames}: {passing:.3g} particles pass through the volume; {MOST:.0e} at most")
     step = _STEP * volume.size
     places = np.random.default_rng(0).uniform(volume.lower + step, volume.upper - step, (_PLACES, 3))
-    sides = [flow.velocity(places + move)[:, axis] for axis, move in enumerate(np.diag(step))]
-    others = [flow.velocity(places - move)[:, axis] for axis, move in enumerate(np.diag(step))]
-    divergence = ((np.array(sides) - np.array(others)) / (2 * step[:, None])).sum(0)
+    ends = [(flow.velocity(places + move), flow.velocity(places - move)) for move in np.diag(step)]
+    divergence = sum((end - start)[:, axis] / (2 * step[axis]) for axis, (end, start) in enumerate(ends))
     change = interval * max(float(np.sqrt((divergence**2).mean())), (frames - 1) * abs(float(divergence.mean())))
     if change > _CHANGE:
         warn(

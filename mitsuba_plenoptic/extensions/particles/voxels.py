@@ -87,10 +87,7 @@ class VoxelGrid:
 
 
 def values_of(*volumes: xr.DataArray) -> list[NDArray[np.float64]]:
-    """Return the values of volumes along z, y and x, whatever the order of dimensions.
-
-    Different voxels are refused, and values that are not finite.
-    """
+    """Return the values of volumes along z, y and x; refuse different voxels, and values that are not finite."""
     for each in volumes:
         require_units("volume", each, dict.fromkeys("zyx", MILLIMETRES))
     for axis in "zyx":
@@ -146,10 +143,7 @@ def drawn_particles(
         (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
         f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
     )
-    edges = [
-        low + size * np.arange(count + 1)
-        for low, size, count in zip(grid.lower, grid.voxel, grid.shape[::-1], strict=True)
-    ]
+    edges = [np.append(axis - size / 2, axis[-1] + size / 2) for axis, size in zip(grid.axes, grid.voxel, strict=True)]
     for position, weight in zip(positions, weights, strict=True):
         spans, curves = [], []
         for centre, edge, deviation in zip(position, edges, deviations, strict=True):
