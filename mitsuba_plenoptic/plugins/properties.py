@@ -52,7 +52,7 @@ from ..optics.spectrum import (
     read_responses,
 )
 from ..prescription.lens_file import read_lens
-from ..runtime.backend import drjit_array
+from ..runtime.backend import drjit_array, require_unfrozen
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:
@@ -345,6 +345,7 @@ def _read_wavelengths(props: Any) -> tuple[float, ...]:
 
 def asked_for(scene: Any, sensor: Any, seed: Any, spp: int) -> tuple[Any, int, int]:
     """Return the sensor, seed and sample count of a call of `mi.render`, which gives indices, arrays or zeros."""
+    require_unfrozen("captures by waves")
     sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
     return sensor, int(seed[0]) if hasattr(seed, "__len__") else int(seed), spp or sensor.sampler().sample_count()
 

@@ -21,6 +21,7 @@ from ..lenses.main_lens import Pair
 from ..lenses.real_lens import RealLens
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
+from ..runtime.backend import require_unfrozen
 from .camera_rays import CameraRays, rays_of
 from .properties import read_camera, require_read
 
@@ -161,6 +162,7 @@ def make_class() -> type:
             self._update()
 
         def _update(self) -> None:
+            require_unfrozen(f"{NAME}: params.update()")
             refuse_if(
                 not np.isfinite(self.world_transform().matrix.numpy()).all(),
                 f"{NAME}: to_world: its numbers must be finite",
@@ -172,6 +174,11 @@ def make_class() -> type:
             numbers = {name: getattr(self, name) for name in self._numbers}
             # Opaque values are kernel inputs, so that changing one does not compile the kernels again.
             dr.make_opaque(*numbers.values())
+            # Read here and not while rays are traced, as symbolic code can not read the parameters.
+            self._plain = _parameters_of(self._given)
+            for name, value in numbers.items():
+                plain = _plain(value, self._plain[name])
+                self._plain[name] = plain[0] if PARAMETERS[name].form is Form.NUMBER else plain
             self._rays = rays_of(self.camera, numbers)
             self._response = pixel_response(self.pixel_response, self.mla_absorption or 0.0)
             tables = (
@@ -184,12 +191,7 @@ def make_class() -> type:
         @property
         def camera(self) -> PlenopticCamera:
             """Return the camera with the current values of the parameters."""
-            given = _parameters_of(self._given)
-            values = {name: getattr(self, name) for name in given}
-            for name in self._numbers:
-                numbers = _plain(values[name], given[name])
-                values[name] = numbers[0] if PARAMETERS[name].form is Form.NUMBER else numbers
-            return PlenopticCamera(**values, **film_numbers(self.film()))
+            return PlenopticCamera(**self._plain, **film_numbers(self.film()))
 
         def _on_detector(self, film_sample: Any) -> Pair:
             """Return the detector points of film samples, which are fractions of the crop window."""
@@ -242,7 +244,7 @@ def make_class() -> type:
                 rays = cast(CameraRays, rays)
                 position, slope, side, bright = rays.pass_pixel_lens((px, py), width, lens_sample)
                 # A pixel sees this square of the pupil through an ideal lens.
-                seen = dr.square(width * rays.lens.pupil_distance * self.camera.mla_medium / self.detector_distance)
+                seen = dr.square(width * rays.lens.pupil_distance * rays.camera.mla_medium / self.detector_distance)
                 response = self._table(side, slope, wavelengths) * (math.pi * rays.lens.reach**2 / seen)
                 response *= rays.passed(position, slope) * bright
                 point, slope, open_ = rays.lens.trace(position, slope)
@@ -263,7 +265,7 @@ def make_class() -> type:
             if differential and passage is not None:
                 to_world = self.world_transform()
                 for name, dx, dy in (("x", width, 0), ("y", 0, width)):
-                    if self.camera.lens_data.traced_surfaces:
+                    if rays.camera.lens_data.traced_surfaces:
                         # Tracing the offset rays surface by surface would cost three times as much.
                         beside, turned = cast(RealLens, rays.lens).beside(point, slope, *rays.steps(dx, dy))
                     else:

@@ -58,6 +58,15 @@ def require_own_process() -> None:
     )
 
 
+def require_unfrozen(what: str) -> None:
+    """Refuse to compute while `dr.freeze` records a function: replays repeat kernels, and no work of the host."""
+    refuse_if(
+        dr.flag(dr.JitFlag.FreezingScope),
+        f"{what}: dr.freeze: it repeats Dr.Jit's kernels alone, and a part of this is computed outside of them; "
+        "call it outside of frozen functions",
+    )
+
+
 def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Let only one thread at a time into all functions with this decorator.
 
@@ -68,6 +77,7 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @functools.wraps(function)
     def in_turn(*arguments: _P.args, **options: _P.kwargs) -> _R:
         require_own_process()
+        require_unfrozen(function.__name__)
         with _turn:
             try:
                 return function(*arguments, **options)
