@@ -21,7 +21,7 @@ from ..camera.phase_screen import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
-from ..prescription.lens_data import vergence
+from ..prescription.lens_data import SINGLE, vergence
 from ..runtime.backend import sqrt
 from .common import FinitePupil, LensNumbers, UniformLens, builds
 from .distortion import undistort
@@ -171,9 +171,10 @@ class ThinLens(UniformLens, FinitePupil):
         return self.vergence(distance)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
-        """Return the ray from a position on the MLA through a pupil point, without a test of the pupil's edge."""
+        """Return the ray from a position on the MLA through a pupil point, which may lie on the edge up to rounding."""
+        (Px, Py), largest = pupil, self.pupil_radius * (1 + SINGLE)
         tx, ty = ((P - q) / self.pupil_distance for P, q in zip(pupil, position, strict=True))
-        return (*pupil, 0.0), self.refract((tx, ty), pupil), True
+        return (Px, Py, 0.0), self.refract((tx, ty), pupil), Px * Px + Py * Py <= largest * largest
 
     def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
         """Return the lens with Dr.Jit parameters that carry gradients."""

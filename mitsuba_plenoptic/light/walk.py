@@ -59,8 +59,11 @@ class PupilWalk:
 
     def through_pupil(self, pupil: Pair, position: Pair, height: Any = 0.0) -> Traced:
         """Return rays traced from array positions, at a height above the array's plane, through pupil points."""
-        x, y = (self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
-        return self.into_scene(position, (x, y), height)
+        x, y = position
+        if not isinstance(height, float) or height:
+            x, y = (m - height * self.lens.slope_to(P, m, height) for P, m in zip(pupil, position, strict=True))
+        # The pupil points stay as they are: rounded differently they would miss a small pupil.
+        return self.lens.ray(pupil, (x, y))
 
     def inner(self, pupil: Pair, centre: Pair) -> Pair:
         """Return points of the round pupil for pupil points seen from lenses; points outside stay outside."""
