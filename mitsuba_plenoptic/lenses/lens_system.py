@@ -133,13 +133,17 @@ class LensSystem(FiniteDistance):
         low, high = sorted((0.0, -float(sag)))
         return self.scale * radius, (self.front + self.scale * low, self.front + self.scale * high)
 
-    def pupil_reach(self, field: float) -> float:
+    def pupil_reach(self, field: float, about_middle: bool = False) -> float:
         """Return the largest distance in mm from the axis at which rays to the MLA cross the exit pupil's plane.
+
+        Or, `about_middle`, from where the chief rays cross it, see `pupil_middle`.
 
         Parameters
         ----------
         field : float
             Largest distance from the axis on the MLA, in millimetres.
+        about_middle : bool
+            Whether distances are those from chief rays.
 
         Raises
         ------
@@ -148,10 +152,19 @@ class LensSystem(FiniteDistance):
         """
         radius, distance = self.pupil_radius, self.pupil_distance
         axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
-        y, Px, Py = np.meshgrid(np.linspace(0, field, _FIELDS), axis[_ACROSS // 2 :], axis, indexing="ij")
-        _, _, is_open = self.trace((np.zeros_like(y), y), (Px / distance, (Py - y) / distance))
+        heights = np.linspace(0, field, _FIELDS)
+        y, Px, Py = np.meshgrid(heights, axis[_ACROSS // 2 :], axis, indexing="ij")
+        middle = self.pupil_middle(heights)[:, None, None]
+        _, _, is_open = self.ray((Px, Py + middle), (np.zeros_like(y), y))
         refuse_if(not np.any(is_open[0]), "main_lens: no ray gets through it to the middle of the array")
-        return float(np.max(np.hypot(Px, Py)[is_open])) + (axis[1] - axis[0])
+        away = np.hypot(Px, Py if about_middle else Py + middle)
+        return float(np.max(away[is_open])) + (axis[1] - axis[0])
+
+    def pupil_middle(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where chief rays to heights on the MLA cross the exit pupil's plane; 0 where the lens blocks them."""
+        middle = height + self.pupil_distance * self.chief_slope(height)
+        is_open = self.ray((0 * height, middle), (0 * height, height))[2]
+        return np.where(is_open, middle, 0.0)
 
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane.

@@ -24,11 +24,13 @@ from ..lattice import make_lattice
 from ..lattice.lens_shifts import MOST_DEVIATIONS
 from ..lenses.common import main_lens
 from ..lenses.main_lens import Pair, Traced
+from ..lenses.real_lens import RealLens
 from ..light.lens_kinds import irregularities
 from ..light.walk import Passage, PupilWalk, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
+from ..prescription.lens_data import SINGLE
 from ..runtime.backend import drjit_array
 
 _STEP = 1.0
@@ -36,6 +38,9 @@ _STEP = 1.0
 
 _FIELD_STEPS = 8
 """Steps of the distance from the axis in which the reach of light behind parabolic lenses is tabulated."""
+
+_MIDDLES = 1024
+"""Steps of the distance from the axis in which the middles of real lenses' pupils are tabulated."""
 
 _MOST_CHECKED = 64
 """Largest number of lenses of which those that can light a point are counted for each ray."""
@@ -188,18 +193,34 @@ class OrdinaryRays(PupilWalk):
     draws: Callable[[Any], Pair]
     reach: Any
     share: Any
+    # Middles of the pupil as detector points see it, over these points, by steps of the distance from the axis, and the
+    # width of a step; None where the middle is always on the axis.
+    middles: Any = None
+    step: float = 1.0
 
     @classmethod
     def varying(cls, camera: PlenopticCamera, numbers: dict[str, Any]) -> OrdinaryRays:
         """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
         plain = main_lens(camera)
-        reach, share = plain.reach, camera.aperture.share * (plain.reach / plain.pupil_radius) ** 2
+        reach, middles, corner, dispersion = plain.reach, None, 1.0, Dispersion.of(camera)
+        if isinstance(plain, RealLens):
+            corner = plain.corner
+            heights = np.linspace(0, corner, _MIDDLES + 1)
+            middle = plain.pupil_middle(heights)
+            middles = drjit_array(mi.Float, np.append(0, middle[1:] / heights[1:]))
+            tables = [] if dispersion is None else [np.atleast_1d(index)[[0, -1]] for index in dispersion.indices or ()]
+            seen = [replace(plain, indices=ends) for ends in np.transpose(tables).tolist()] or [plain]
+            aside = max(np.abs(each.pupil_middle(heights) - middle).max() for each in seen)
+            # Rounding of the surfaces' coordinates moves rays at the pupil's edge.
+            reach = max(each.pupil_reach(corner, about_middle=True) for each in seen) + aside + 4 * SINGLE * corner
+        share = camera.aperture.share * (reach / plain.pupil_radius) ** 2
         made = camera.aperture.draws(), dr.opaque(mi.Float, reach), dr.opaque(mi.Float, share)
-        return cls(camera, _varying_lens(camera, numbers), Dispersion.of(camera), *made)
+        return cls(camera, _varying_lens(camera, numbers), dispersion, *made, middles, corner / _MIDDLES)
 
     def draw(self, pixel: Pair, sample: Any, light: RayColours | None) -> RandomRays:
         """Return rays through points of the pupil, with the density of the power that passes them."""
-        pupil = tuple(self.reach * place for place in self.draws(sample))
+        middle = self._middle(pixel)
+        pupil = tuple(own + self.reach * place for own, place in zip(middle, self.draws(sample), strict=True))
         aside = dr.hypot(*(P - p for P, p in zip(pupil, pixel, strict=True)))
         return RandomRays(pupil, self.trace(pixel, pupil), self.share, (aside, self.lens.pupil_distance))
 
@@ -209,7 +230,17 @@ class OrdinaryRays(PupilWalk):
 
     def chief(self, pixel: Pair) -> Traced:
         """Return traced rays from detector points through the middle of the pupil."""
-        return self.trace(pixel, (mi.Float(0), mi.Float(0)))
+        return self.trace(pixel, self._middle(pixel))
+
+    def _middle(self, pixel: Pair) -> Pair:
+        """Return the middles of the pupil as detector points see it."""
+        if self.middles is None:
+            return mi.Float(0), mi.Float(0)
+        position = dr.minimum(dr.hypot(*pixel) / self.step, _MIDDLES)
+        low = mi.UInt32(dr.minimum(dr.floor(position), _MIDDLES - 1))
+        ends = [dr.gather(mi.Float, self.middles, low + end) for end in (0, 1)]
+        part = dr.detach(dr.lerp(*ends, position - mi.Float(low)))
+        return part * pixel[0], part * pixel[1]
 
     def missed(self, pixel: Pair, sample: Any) -> float:
         """Return the part of the light of detector points that is not sampled."""
