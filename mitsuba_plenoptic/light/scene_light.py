@@ -152,7 +152,14 @@ class LightDerivatives(SceneLight):
             mode=dr.ADMode.Primal, sampler=sampler.clone(), state_in=None, δL=None, **_options(self.scene, ray, active)
         )
         require_finite(list(radiance), state)
-        return Replay(self.scene, self.integrator, sampler, ray, active, state)
+        growth = None
+        if getattr(self.integrator, "srgb_primitives", False):
+            # Primitives add up in sRGB, and the sum is converted, of which Mitsuba's derivatives know nothing.
+            state = mi.math.linear_to_srgb(state)
+            curve = (2.4 / 1.055) * ((dr.maximum(state, 0) + 0.055) / 1.055) ** 1.4
+            growth = dr.select(state <= 0.04045, 1 / 12.92, curve)
+            dr.eval(state, growth)
+        return Replay(self.scene, self.integrator, sampler, ray, active, state, growth)
 
 
 @dataclass(frozen=True)
@@ -168,9 +175,13 @@ class Replay:
     active: Any
     # State that the integrator returned.
     state: Any
+    # Derivative of the radiance by that which the integrator differentiates; None if they are the same.
+    growth: Any = None
 
     def differentiate(self, mode: Any, cotangent: Any) -> Any:
         """Return the change of the radiance along replayed light paths, in forward mode."""
+        if self.growth is not None and cotangent is not None:
+            cotangent = self.growth * cotangent
         try:
             change, *_ = self.integrator.sample(
                 mode=mode,
@@ -188,6 +199,8 @@ class Replay:
                     "capture by rays with the integrator path, or take differences of captures"
                 ) from None
             raise
+        if self.growth is not None and cotangent is None:
+            change = self.growth * change
         # Evaluated so that gradients are accumulated before the next rays are traced.
         dr.eval(change)
         return change

@@ -53,7 +53,9 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
         if not dr.grad_enabled(params[key]):
             continue
         name = key.rsplit(".", 1)[-1]
-        if isinstance(node, mi.Shape) or name == "to_world":
+        # Attributes of shapes, such as colours and opacities, move nothing.
+        moves = isinstance(node, mi.Shape) and not node.has_attribute(name)
+        if moves or name == "to_world":
             raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
         if isinstance(node, (mi.Sensor, mi.Film)):
             refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
