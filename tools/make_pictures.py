@@ -424,6 +424,21 @@ def inverse_problems() -> Image.Image:
 
 
 @picture
+def gaussians() -> Image.Image:
+    """Run the code of the page, and show what its fits leave."""
+    names: dict[str, Any] = {}
+    exec(page_code((ROOT / "docs" / "howto" / "gaussians.md").read_text()), names)
+    target = np.array(names["target"])
+    row = [("Wave capture", (target / target.max()).clip(0, 1))]
+    for model, found in names["found"].items():
+        left = np.array(names["mi"].render(names["scene_of"](*found, names[model]), spp=64)) - target
+        row.append(
+            (f"Left by the fit through {model}", coloured(left.mean(2) / target.max(), -0.3, 0.3, colours="RdBu_r"))
+        )
+    return sheet([row])
+
+
+@picture
 def long_runs() -> Image.Image:
     """Show what more samples buy."""
     camera = mp.PlenopticCamera(**(CAMERA | {"crop_offset": (600, 750), "crop_size": (512, 512)}))

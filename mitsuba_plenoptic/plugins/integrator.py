@@ -54,9 +54,10 @@ def numbers_and_others(params: Any, sensor: Any) -> tuple[tuple[str, ...], bool]
             continue
         name = key.rsplit(".", 1)[-1]
         # Attributes of shapes, such as colours and opacities, move nothing.
-        moves = isinstance(node, mi.Shape) and not node.has_attribute(name)
+        moves = isinstance(node, mi.Shape) and not (node.has_attribute(name) or name == "vertex_texcoords")
         if moves or name == "to_world":
-            raise InputError(f"plenoptic_wave: {key}: it has no gradient: places of shapes and cameras are held")
+            held = "places of shapes and cameras are held; differentiate captures by rays, through the sensor plenoptic"
+            raise InputError(f"plenoptic_wave: {key}: it has no gradient: {held}")
         if isinstance(node, (mi.Sensor, mi.Film)):
             refuse_if(name not in DIFFERENTIABLE, f"plenoptic_wave: {key}: captures by waves have no derivative by it")
             if node is sensor:
@@ -171,8 +172,8 @@ def make_class() -> type:
         The same seed gives the same bits, with any thread count, except on CUDA.
 
         ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, with respect to textures,
-        emitters and BSDFs, and in reverse also to media, but not to the positions of shapes. ``path`` is replaced by
-        ``prb``, and ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no
+        emitters, BSDFs and attributes of shapes, such as colours of vertices and the ``sh_coeffs`` and ``opacities`` of
+        ``ellipsoids``, and in reverse also to media, but not to the places of shapes. ``path`` is replaced by ``prb``, and ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no
         gradients for the scene. There are gradients for the sensor's ``focal_length``, ``mla_distance``,
         ``mla_focal_length``, ``mla_pitch``, ``mla_offset``, ``detector_distance`` and ``detector_width`` if the main
         lens is thin, without aberrations, distortion and glass, and the array is regular and near the microlenses'

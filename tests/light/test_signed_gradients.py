@@ -37,6 +37,59 @@ def wall_of(bsdf, camera=None, child="path", light=POINT):
     return scene_of(camera or sensor(4, 8), through(child), wall=facing(250.0, 0.3, bsdf=bsdf), lamp=light)
 
 
+def gaussians():
+    """Return the scene of some Gaussians, which add up in sRGB."""
+    random, count = np.random.default_rng(3), 12
+    values = {
+        "centers": random.uniform((-0.1, -0.1, 230), (0.1, 0.1, 250), (count, 3)),
+        "scales": np.full((count, 3), 0.04),
+        "quaternions": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
+        "opacities": random.uniform(0.3, 0.8, (count, 1)),
+        "sh_coeffs": random.uniform(-0.5, 1.0, (count, 3)),
+    }
+    shape = {"type": "ellipsoids", **{name: mi.TensorXf(value.astype(np.float32)) for name, value in values.items()}}
+    return scene_of(sensor(4, 8), through("volprim_rf_basic"), gaussians=shape)
+
+
+def painted():
+    """Return the scene of a wall with a colour at each corner."""
+    mesh = mi.Mesh("wall", 4, 2, has_vertex_texcoords=True)
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = [-1, -1, 240, 1, -1, 240, -1, 1, 240, 1, 1, 240]
+    values["faces"] = [0, 2, 1, 1, 2, 3]
+    values.update()
+    mesh.add_attribute("vertex_color", 3, np.random.default_rng(0).uniform(0.2, 0.9, 12).astype(np.float32))
+    colour = {"type": "mesh_attribute", "name": "vertex_color"}
+    bsdf = mi.load_dict({"type": "twosided", "child": {"type": "diffuse", "reflectance": colour}})
+    mesh.set_bsdf(bsdf)
+    return scene_of(sensor(4, 8), through("path"), wall=mesh, sky={"type": "constant"})
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [(gaussians, "gaussians.sh_coeffs"), (gaussians, "gaussians.opacities"), (painted, "wall.vertex_color")],
+)
+def test_attributes_of_shapes_against_differences_and_places_refused(make, key):
+    mi.set_variant("llvm_ad_rgb")
+    scene = make()
+    params = mi.traverse(scene)
+    gradient = np.random.default_rng(2).uniform(0, 1, captured(scene, spp=1).shape)
+    start = type(params[key])(params[key])
+    sides = []
+    for side in (1, -1):
+        params[key] = start + side * 5e-3
+        params.update()
+        sides.append(np.vdot(captured(scene), gradient))
+    params[key] = start
+    params.update()
+    assert pulled(scene, key, gradient) == pytest.approx((sides[0] - sides[1]) / 1e-2, rel=0.01)
+    place = key.rpartition(".")[0] + (".data" if make is gaussians else ".vertex_positions")
+    dr.enable_grad(params[place])
+    with pytest.raises(InputError, match=f"^plenoptic_wave: {place}: it has no gradient: places .* by rays"):
+        scene.integrator().render_backward(scene, params, dr.ones(mi.TensorXf, (32, 32, 3)))
+    dr.disable_grad(params[place])
+
+
 def fog(**medium):
     cube = mi.ScalarTransform4f().translate([0, 0, 240]).scale([20, 20, 10])
     medium = {"type": "homogeneous", "sigma_t": 0.03, **medium}
@@ -72,7 +125,7 @@ def captured(scene, seed=0, spp=16):
 def direction_of(value):
     if isinstance(value, mi.TensorXf):
         return mi.TensorXf(np.random.default_rng(5).uniform(-0.2, 0.2, value.shape).astype(np.float32))
-    return type(value)(1.0)
+    return dr.full(type(value), 1.0, dr.width(value))
 
 
 def difference(scene, key, step, spp=16):

@@ -100,8 +100,21 @@ def test_the_comparison_tells_other_lenses_apart(changed):
 
 def test_a_white_scene_reads_one():
     for given in ({}, {"lens_model": "parabolic"}, {"wavefront": (0, 0, 0, 2.0)}, {"distortion": (1e-4, 0, 0, 0, 0)}):
-        image = render_capture(scene_of(ordinary(**given).to_sensor(), **WHITE), spp=4).image
-        np.testing.assert_allclose(image, 1, atol=1e-5)
+        for radius in (5.0, 1e-4, 1e-6):
+            camera = ordinary(**given, aperture_radius=radius, crop_offset=(3, 0), crop_size=(8, 8))
+            image = render_capture(scene_of(camera.to_sensor(), **WHITE), spp=64).image
+            np.testing.assert_allclose(image, 1, atol=1e-5)
+
+
+def test_a_small_pupil_of_a_real_lens_is_found_off_the_axis():
+    """White is as bright as before a wide pupil, although aberrations move the small one by 60 of its radii."""
+    means = [
+        render_capture(scene_of(behind("double_gauss", aperture_radius=radius)[0].to_sensor(), **WHITE), spp=256)
+        .image[:4, :4]
+        .mean()
+        for radius in (1.0, 0.01)
+    ]
+    assert means[1] == pytest.approx(means[0], rel=0.02)
 
 
 def test_colours_are_those_of_lenses_at_their_wavelengths():

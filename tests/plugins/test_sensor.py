@@ -358,3 +358,80 @@ def test_misspelt_parameters_are_answered_by_mitsubas_own_loader(plugin, name, m
     ):
         with pytest.raises(RuntimeError, match=words):
             mi.load_dict(scene)
+
+
+# -- symbolic code and frozen functions ----------------------------------------------------------------
+
+
+SYMBOLIC = {
+    "square": {"mla_pitch": 0.25, "mla_focal_length": 1.5},
+    "parabolic": {"mla_lattice": "hexagonal", "mla_pitch": 0.25, "mla_focal_length": 1.5, "lens_model": "parabolic"},
+    "prescription": {"main_lens": "cooke_triplet", "mla_pitch": 0.25, "mla_focal_length": 1.5},
+    "none": {"mla_lattice": "none"},
+}
+
+
+def small(kind):
+    return PlenopticCamera(
+        focal_length=50, aperture_radius=5, focus_distance=400, resolution=(32, 24), detector_width=2, **SYMBOLIC[kind]
+    )
+
+
+@pytest.mark.parametrize("kind", SYMBOLIC)
+def test_rays_of_symbolic_loops_are_those_of_evaluated_ones(kind):
+    sensor = mi.load_dict(small(kind).to_sensor())
+
+    def total(mode):
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, 500)
+
+        def body(count, sums, sampler):
+            at = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+            ray, weight = sensor.sample_ray_differential(0.0, *at)
+            parts = dr.select(ray.maxt > 0, 1, 0) * mi.Array3f(weight[0], ray.d_x.x, ray.o.y)
+            return count + 1, sums + parts, sampler
+
+        start = mi.UInt32(0), mi.Array3f(0), sampler
+        return np.array(dr.while_loop(start, lambda count, *_: count < 3, body, mode=mode)[1])
+
+    assert np.array_equal(total("symbolic"), total("evaluated"))
+
+
+def test_a_batch_is_the_pictures_of_its_cameras_and_follows_their_parameters():
+    cameras = [small("square"), small("none")]
+    film = {"type": "hdrfilm", "width": 64, "height": 24, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
+    ball = {"sky": {"type": "constant"}, "ball": {"type": "sphere", "center": [0, 0, 400], "radius": 3.0}}
+    batch = {"type": "batch", "a": cameras[0].to_sensor(), "b": cameras[1].to_sensor(), "film": film}
+    scene = mi.load_dict({"type": "scene", "batch": batch, **ball})
+    parameters = mi.traverse(scene)
+    for focal_length in (50.0, 45.0):
+        parameters["batch.a.focal_length"] = focal_length
+        parameters.update()
+        found = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path"}), spp=512))
+        for part, camera in zip(np.hsplit(found, 2), cameras, strict=True):
+            own = camera.replace(focal_length=focal_length) if camera.has_array else camera
+            alone = mi.load_dict({"type": "scene", "camera": own.to_sensor(), **ball})
+            expected = np.array(mi.render(alone, integrator=mi.load_dict({"type": "path"}), spp=512))
+            assert part.mean() == pytest.approx(expected.mean(), rel=0.01)
+            assert np.corrcoef(part.ravel(), expected.ravel())[0, 1] > 0.98
+
+
+@pytest.mark.parametrize("kind", ["square", "none"])
+def test_frozen_functions_capture_by_rays_and_refuse_waves_in_one_line(kind):
+    scene = mi.load_dict({"type": "scene", "camera": small(kind).to_sensor(), "sky": {"type": "constant"}})
+    for child in ({"type": "path"}, {"type": "plenoptic_wave"}):
+        integrator = mi.load_dict(child)
+
+        def taken(seed, integrator=integrator):
+            return mi.render(scene, integrator=integrator, spp=4, seed=seed)
+
+        if child["type"] == "path":
+            assert np.array_equal(dr.freeze(taken)(mi.UInt32(3)), taken(mi.UInt32(3)))
+            continue
+        with pytest.raises(RuntimeError) as caught:
+            dr.freeze(taken)(mi.UInt32(3))
+        error = caught.value
+        while error.__cause__:
+            error = error.__cause__
+        assert isinstance(error, InputError)
+        assert str(error).startswith("captures by waves: dr.freeze: ")
