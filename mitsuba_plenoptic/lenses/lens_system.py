@@ -150,8 +150,7 @@ class LensSystem(FiniteDistance):
         InputError
             If no ray passes the lens, even from the axis.
         """
-        radius, distance = self.pupil_radius, self.pupil_distance
-        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * radius
+        axis = np.linspace(-_WIDER, _WIDER, _ACROSS) * self.pupil_radius
         heights = np.linspace(0, field, _FIELDS)
         y, Px, Py = np.meshgrid(heights, axis[_ACROSS // 2 :], axis, indexing="ij")
         middle = self.pupil_middle(heights)[:, None, None]

@@ -173,11 +173,12 @@ def make_class() -> type:
 
         ``mi.render`` differentiates captures by ``signed_rays``, forward and in reverse, with respect to textures,
         emitters, BSDFs and attributes of shapes, such as colours of vertices and the ``sh_coeffs`` and ``opacities`` of
-        ``ellipsoids``, and in reverse also to media, but not to the places of shapes. ``path`` is replaced by ``prb``, and ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no
-        gradients for the scene. There are gradients for the sensor's ``focal_length``, ``mla_distance``,
-        ``mla_focal_length``, ``mla_pitch``, ``mla_offset``, ``detector_distance`` and ``detector_width`` if the main
-        lens is thin, without aberrations, distortion and glass, and the array is regular and near the microlenses'
-        focus. Spectral variants have gradients only in reverse.
+        ``ellipsoids``, and in reverse also to media, but not to the places of shapes. ``path`` is replaced by ``prb``,
+        and ``volpath`` by ``prbvolpath``, which replay their light paths; other nested integrators have no gradients
+        for the scene. There are gradients for the sensor's ``focal_length``, ``mla_distance``, ``mla_focal_length``,
+        ``mla_pitch``, ``mla_offset``, ``detector_distance`` and ``detector_width`` if the main lens is thin, without
+        aberrations, distortion and glass, and the array is regular and near the microlenses' focus. Spectral variants
+        have gradients only in reverse.
 
         .. tabs::
             .. code-tab:: xml
