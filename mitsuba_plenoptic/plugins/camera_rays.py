@@ -24,7 +24,6 @@ from ..lattice import make_lattice
 from ..lattice.lens_shifts import MOST_DEVIATIONS
 from ..lenses.common import main_lens
 from ..lenses.main_lens import Pair, Traced
-from ..lenses.real_lens import RealLens
 from ..light.lens_kinds import irregularities
 from ..light.walk import Passage, PupilWalk, Walk
 from ..optics.spectrum import RGB_WAVELENGTHS
@@ -203,7 +202,7 @@ class OrdinaryRays(PupilWalk):
         """Return the rays of a camera whose exposed parameters are given as Dr.Jit arrays."""
         plain = main_lens(camera)
         reach, middles, corner, dispersion = plain.reach, None, 1.0, Dispersion.of(camera)
-        if isinstance(plain, RealLens):
+        if not plain.is_open_evenly:
             corner = plain.corner
             heights = np.linspace(0, corner, _MIDDLES + 1)
             middle = plain.pupil_middle(heights)
