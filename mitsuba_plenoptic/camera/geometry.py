@@ -282,6 +282,14 @@ class CameraGeometry(CameraParameters):
             "mitsuba_plenoptic.design has native_field and resolution_limit",
         )
 
+    def require_bounded(self) -> None:
+        """Refuse a camera whose array is in the image of the stop, for computations by rays."""
+        refuse_if(
+            self.lens_data.images_stop,
+            f"main_lens = {self.lens_data.label}: the array is in the image of the stop, so that no stop bounds its "
+            "micro-images for rays; use CaptureOperator with method full_field",
+        )
+
     def require_thin(self, what: str, instead: str = "capture by rays") -> None:
         """Refuse a camera with a real main lens, which `what` does not support; the message offers `instead`."""
         if not self.lens_data.converges:

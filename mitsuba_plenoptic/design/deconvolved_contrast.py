@@ -95,6 +95,8 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     InputError
         If the distance is not beyond the focal length, or the wavelength is out of range.
     """
+    if wavelength is not None:
+        camera = camera.at_wavelength(require_wavelength(wavelength))
     objective = camera.objective
     if objective is not None:
         behind = _in_the_stops_image if objective.images_stop else _behind_objective
@@ -109,7 +111,7 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
     waves, shallow = math.inf, max(camera.mla_pitches)
     in_focus = camera.blur_diameter(distance) < shallow
     if wavelength is not None:
-        lam = in_millimetres(require_wavelength(wavelength))
+        lam = in_millimetres(wavelength)
         waves = width / (_SPARROW * lam * defocus * scale) if defocus > 0 else math.inf
         focus = camera.focus_distance
         # Where no plane is in focus at a finite distance, from the image: its distance from the MLA is M^2 d.
@@ -128,7 +130,7 @@ def _behind_objective(
     pixels = n * camera.reduced_distance / (2 * M * camera.pixel_size * d) if d > 0 else math.inf
     waves, in_focus = math.inf, camera.blur_diameter(depth) < max(camera.mla_pitches)
     if wavelength is not None:
-        lam = in_millimetres(require_wavelength(wavelength))
+        lam = in_millimetres(wavelength)
         waves = min(n * width / (_SPARROW * lam * M * d) if d > 0 else math.inf, 2 * lens.numerical_aperture / lam)
         in_focus = d < n * width**2 / (2 * M * M * lam)
     return ResolutionLimit(waves, pixels, M / (2 * max(camera.mla_pitches)), in_focus)
@@ -142,7 +144,7 @@ def _in_the_stops_image(
     aperture = lens.magnification * camera.lattice.aperture_width / lens.last_focal_length
     blur = aperture * abs(depth) / lens.immersion
     if wavelength is not None:
-        cutoff = aperture / in_millimetres(require_wavelength(wavelength))
+        cutoff = aperture / in_millimetres(wavelength)
         inner = 1 - 4 / (blur * cutoff) if blur > 0 else -1.0
         waves = cutoff if inner < 0 else 2 / blur / (1 + math.sqrt(inner))
     elif blur > 0:

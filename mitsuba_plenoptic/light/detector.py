@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -28,6 +29,9 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
+
+# Standard deviations at which the kernel of a blur ends, and the width of a Gaussian, in pixels, whose samples are 1.
+_BLUR_REACH, _NARROWEST = 6, 0.02
 
 
 @suggest_keywords
@@ -232,23 +236,37 @@ def mix_pixels(image: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
     """Return what the pixels of a camera record of noise-free light (rows, columns[, channels]) that falls on pixels.
 
     The relay and the pixels blur it by `detector_blur`, and neighbours receive `pixel_crosstalk`. Light that would
-    leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint.
+    leave across the edge stays, so that the sum is unchanged. The operation is self-adjoint, and light stays above 0.
     """
     result, fraction, blur = image, camera.pixel_crosstalk or 0.0, camera.detector_blur / camera.pixel_size
     if blur:
-        # Cosine transforms continue the image by its mirror image. Samples of a narrow Gaussian would blur too little.
-        turns = [np.pi * np.arange(count) / count for count in image.shape[:2]]
-        passed = np.exp(-0.5 * blur**2 * (turns[0][:, None] ** 2 + turns[1] ** 2)).astype(image.dtype)
-        spectrum = scipy.fft.dctn(image, axes=(0, 1), norm="ortho")
-        spectrum *= passed.reshape(*passed.shape, *[1] * (image.ndim - 2))
-        result = scipy.fft.idctn(spectrum, axes=(0, 1), norm="ortho", overwrite_x=True)
-    if fraction:
-        light = result
-        result = (1 - 4 * fraction) * light
+        kernel = _blur_kernel(blur)
         for axis in (0, 1):
-            for step, edge in ((1, slice(0, 1)), (-1, slice(-1, None))):
-                neighbour = np.roll(light, step, axis)
-                at_edge = (slice(None),) * axis + (edge,)
-                neighbour[at_edge] = light[at_edge]
-                result += fraction * neighbour
+            result = scipy.ndimage.correlate1d(result, kernel, axis, mode="reflect")
+    if fraction:
+        beside = (scipy.ndimage.correlate1d(result, [1, 0, 1], axis, mode="reflect") for axis in (0, 1))
+        result = (1 - 4 * fraction) * result + fraction * sum(beside)
     return np.asarray(result, image.dtype)
+
+
+def sharp(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the camera with pixels that `mix_pixels` leaves as they are."""
+    return camera.replace(detector_blur=0.0, pixel_crosstalk=0.0)
+
+
+@functools.lru_cache
+def _blur_kernel(deviation: float) -> NDArray[np.float64]:
+    """Return samples of a Gaussian, of sum 1, with a standard deviation in pixels.
+
+    Below a pixel the Gaussian is wider than that, as samples of a narrow one deviate less than itself.
+    """
+    steps = np.arange(-math.ceil(_BLUR_REACH * deviation) - 3, math.ceil(_BLUR_REACH * deviation) + 4)
+
+    def samples(width: float) -> Any:
+        weights = np.exp(-0.5 * (steps / width) ** 2)
+        return weights / weights.sum()
+
+    def excess(width: float) -> float:
+        return float(samples(width) @ steps**2) - deviation**2
+
+    return np.asarray(samples(scipy.optimize.brentq(excess, _NARROWEST, deviation + 1)))

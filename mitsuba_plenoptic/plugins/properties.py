@@ -102,11 +102,7 @@ def read_camera(props: Any, plugin: str, film: Any) -> PlenopticCamera:
             if name in props and entry.form is not Form.FILM
         }
         camera = PlenopticCamera(**given, **film_numbers(film))
-    refuse_if(
-        camera.lens_data.images_stop,
-        f"{plugin}: main_lens = {camera.lens_data.label}: the array is in the image of the stop, so that no stop "
-        "bounds its micro-images for rays; use CaptureOperator with method full_field",
-    )
+        camera.require_bounded()
     return camera
 
 

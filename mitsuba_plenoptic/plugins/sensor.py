@@ -132,9 +132,11 @@ def make_class() -> type:
             camera = self._given = read_camera(props, NAME, film)
             require_read(props, NAME)
             own = _parameters_of(camera)
-            # Parameters that are empty, or of an array that is not there, are not exposed.
+            # Parameters that are empty, set by the main lens, or of an array that is not there, are not exposed.
             self._numbers = [
-                name for name, value in own.items() if PARAMETERS[name].is_exposed and value not in ((), None)
+                name
+                for name, value in own.items()
+                if PARAMETERS[name].is_exposed and value not in ((), None) and name not in camera.lens_data.sets
             ]
             for name, value in own.items():
                 if name in self._numbers:

@@ -68,6 +68,8 @@ class LensData:
         Whether the closed forms of thin lenses hold for its rays.
     converges : bool
         Whether chief rays come to the array from a pupil at a finite distance; else they are parallel to the axis.
+    sets : tuple of str
+        Parameters of the camera that the lens alone determines.
     """
 
     mark: ClassVar[str] = ""
@@ -75,6 +77,7 @@ class LensData:
 
     is_thin: ClassVar[bool] = True
     converges: ClassVar[bool] = True
+    sets: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

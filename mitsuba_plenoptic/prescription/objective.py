@@ -68,6 +68,7 @@ class Objective(LensData):
     mark = "magnification"
     is_thin = False
     converges = False
+    sets = ("focal_length", "aperture_radius", "mla_distance")
 
     magnification: float
     numerical_aperture: float
@@ -167,12 +168,8 @@ class Objective(LensData):
 
     def settled(self, given: dict[str, float]) -> dict[str, float]:
         """Return the parameters set by the objective; refuse given ones that differ."""
-        own = {
-            "focal_length": self.focal_length,
-            "aperture_radius": self.stop_radius,
-            "mla_distance": self.last_focal_length,
-        }
-        return require_unscaled(given, own, SINGLE)
+        numbers = self.focal_length, self.stop_radius, self.last_focal_length
+        return require_unscaled(given, dict(zip(self.sets, numbers, strict=True)), SINGLE)
 
     def require_focusable(self, focus_distance: Any) -> None:
         """Refuse a plane in focus other than the native object plane."""

@@ -206,8 +206,8 @@ def reconstruct(
     distances = require_distances(distance, camera)
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
-        doing = f"method {method} refocuses captures"
-        require_known_to(camera, Captures.POINTS, doing, "use method ray, or ", ("mla_jitter",))
+        what, besides = f"method {method} reconstructs captures", ("mla_jitter", "detector_blur")
+        require_known_to(camera, Captures.POINTS, what, "use method ray, or ", besides)
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
     if chosen.waves and not chosen.as_it_is and camera.wavefront:

@@ -22,6 +22,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import MOST_PIXELS, refuse_if, short_repr
 from ..io.captures import Capture
+from ..light.detector import sharp
 from ..light.optical_system import OpticalSystem
 from ..light.walk import follow_back
 from ..optics import rays
@@ -363,6 +364,8 @@ def _traced_throughput(
     tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
     white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
+    # Rays bring no light back from beyond the sharp micro-images.
+    counted = np.where(white_pixels(sharp(camera)) > 0, white, 0)
     lit = lenses.lit(white)
     order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
     chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]
@@ -372,7 +375,7 @@ def _traced_throughput(
         batch = lenses.batch(lit[number : number + 1])
         fields = pupil_fields(amplitude, tile, batch, relay=relay)
         own = np.logical_and.reduce(np.broadcast_arrays(*(factor != 0 for factor in batch.source)))
-        sent = float((white[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
+        sent = float((counted[batch.row, batch.column] * own).sum(dtype=np.float64)) / tile.subsamples**2
         passed = passing_power(fields, tile, batch, conjugates.distance(distance), conjugates)
         if sent > 0:
             found.append((float(np.hypot(*batch.centre[0])), passed / (sent * camera.pixel_size**2), sent))
@@ -416,6 +419,9 @@ def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[n
     centre = [rays.chief_detector_point(c, b, z) for c in camera.lattice.centre(*index)]
     Px, Py = ((c - camera.pixel_coordinates(axis)) * (b / z) for axis, c in enumerate(centre))
     seen = np.hypot(Px, Py[:, None])
+    if camera.detector_blur:
+        # It mixes the light of neighbours.
+        return white_pixels(camera), seen
     if camera.lenses_are_bins and focus_type(camera) == "unfocused":
         return soft_edge((camera.aperture_radius - seen) / camera.pupil_step), seen
     lens_type = int(camera.lattice.lens_type(*index)) if len(camera.mla_focal_lengths) > 1 else 0

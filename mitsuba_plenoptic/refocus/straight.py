@@ -66,7 +66,7 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     """
     if camera.lens_data.images_stop:
         return camera
-    even = camera.replace(**_EVEN, detector_blur=0.0) if is_uneven(camera) or camera.detector_blur else camera
+    even = camera.replace(**_EVEN) if is_uneven(camera) else camera
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return even
     regular = regular_array(even)

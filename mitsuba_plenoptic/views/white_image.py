@@ -174,9 +174,11 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     Raises
     ------
     InputError
-        If micro-images are so wide or so far out of focus that it would take an hour, or too much memory.
+        If the array is in the image of the stop, or micro-images are so wide or so far out of focus that it would take
+        an hour, or too much memory.
     """
     camera.require_array("white_image")
+    camera.require_bounded()
     camera = regular_array(camera)
     if camera.vignetting is not None or (grid is None and not camera.lens_data.is_thin):
         # Vignetting states places of lenses, as the camera has them.

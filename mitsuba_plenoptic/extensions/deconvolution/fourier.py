@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...design.microscope import objective_of
+from ...light.detector import mix_pixels, sharp
 from ...light.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
@@ -65,6 +66,7 @@ class FourierResponse(StoredResponse):
         steps: float = 0.0,
     ) -> None:
         assert wavelength is not None
+        self._mixing, camera = camera, sharp(camera)
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
@@ -116,14 +118,15 @@ class FourierResponse(StoredResponse):
                     total += self._spectrum(radiance[phase]) * libraries.arrays.asarray(spectrum)
             height, width = self._camera.shape
             found = fft(total, axis=0, inverse=True)[:height]
-            return np.ascontiguousarray(libraries.to_host(irfft(found, columns, axis=1)[:, :width]))
+            image = libraries.to_host(irfft(found, columns, axis=1)[:, :width])
+        return mix_pixels(np.ascontiguousarray(image), self._mixing)
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
         libraries, columns, result = backend(), self._size[1], []
         width, height = self._camera.bin_count
         with resting_drjit():
-            given = self._spectrum(image)
+            given = self._spectrum(mix_pixels(image, self._mixing))
             for shape, spectra in zip(self.shapes, self._spectra, strict=True):
                 plane = np.empty(shape, np.float32)
                 for phase, spectrum in zip(self._phases, spectra, strict=True):

@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_no_shape
+from ...camera.plenoptic_camera import require_ideal, require_no_shape
 from ...design import resolution_limit
+from ...errors import refuse_if
+from ...light.detector import mix_pixels, sharp
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
@@ -201,6 +203,9 @@ _MEMORY = 2 * 2**30
 _LIT = 0.6
 """Fraction of a kernel's blocks that hold light, at most."""
 
+_WIDEST_SPREAD = 0.35
+"""Pixels over which unequal focal lengths may spread light that equal lenses focus."""
+
 _EVERYWHERE = 2**40
 
 _PROGRESS = 1000
@@ -231,10 +236,14 @@ class Response(StoredResponse):
         steps: float = 0.0,
     ) -> None:
         job = job or Job()
+        # Kernels are of the light on the pixels, which then mix it.
+        self._mixing, camera = camera, sharp(camera)
+        _require_equal_lenses(camera)
         self._batches: Batches = ray_batches
         if wavelength is None:
             grid, self._together = ray_grid(camera), 1
         else:
+            camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
         self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
@@ -363,13 +372,26 @@ class Response(StoredResponse):
         for plane, radiance in zip(self.planes, values, strict=True):
             plane.add_forward(radiance, samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
-        return self._recorder.record(sums[None])[..., 0]
+        return mix_pixels(self._recorder.record(sums[None])[..., 0], self._mixing)
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
-        sums = self._recorder.spread(image[..., None])[0]
+        sums = self._recorder.spread(mix_pixels(image, self._mixing)[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
         return [plane.adjoint(samples) for plane in self.planes]
+
+
+def _require_equal_lenses(camera: PlenopticCamera) -> None:
+    """Refuse a camera whose lenses differ by more than responses know, or with parameters that they do not know."""
+    place, focal = camera.mla_jitter
+    # The width on the detector of light that converges to a point behind a lens of the nominal focal length.
+    width = focal * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
+    refuse_if(
+        width > _WIDEST_SPREAD * camera.pixel_size,
+        f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {width / camera.pixel_size:.2g} "
+        f"pixels: responses, of equal lenses, allow {_WIDEST_SPREAD:g}; use method ray, or leave it out",
+    )
+    require_ideal(camera.replace(mla_jitter=(place, 0.0)))
 
 
 def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:

@@ -236,7 +236,8 @@ class CoherentRefocus:
     ) -> None:
         camera.require_thin("captures are reconstructed")
         require_no_warp(camera, "reconstructions have derivatives")
-        camera = regular_array(camera)
+        wavelength = require_wavelength(wavelength)
+        camera = regular_array(camera).at_wavelength(wavelength)
         require_ideal(camera)
         require_no_shape(camera, "captures are reconstructed by waves")
         camera.require_resolved()
@@ -244,7 +245,7 @@ class CoherentRefocus:
         camera = camera.replace(wavefront=())
         distance = require_number("distance", distance, finite=False)
         image_distance(camera.focal_length, distance)
-        wavelength, oversample = require_wavelength(wavelength), require_count("oversample", oversample)
+        oversample = require_count("oversample", oversample)
         system = OpticalSystem(camera, wavelength)
         fine = fine_bins(system, oversample)
         self.camera, self._wavelength, self._oversample = camera, wavelength, oversample * fine
