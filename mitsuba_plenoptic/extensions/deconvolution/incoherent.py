@@ -9,7 +9,8 @@ divided by a white capture W weighted likewise,
 This is the normalised adjoint of the capture :math:`I = \sum_k a_k x_k`, also known as back-projection, and in radar as
 the matched filter (Turin, IRE Trans. Inf. Theory 6, 311 (1960)). `ray` does the same with the geometric images of the
 bins. Neither two lenses nor two points of the object interfere, and the result is linear in the capture. The result is
-blurred by the autocorrelation of each point spread, which `deconvolved` removes.
+blurred by the autocorrelation of each point spread, which `deconvolved` removes. Patterns are those before the
+`detector_blur`, which would widen that further; only white has it.
 
 Point spreads that differ by a shift of whole lenses are computed once for a zone of lenses
 (`mitsuba_plenoptic.extensions.deconvolution.response`).
@@ -21,6 +22,7 @@ import dataclasses
 
 import numpy as np
 
+from ...light.detector import mix_pixels, sharp
 from ...refocus.methods import Task, method, portion, work_of
 from ...refocus.radiance import captures, to_radiance, white_pixels, white_sums
 from ...runtime.batches import Job
@@ -44,7 +46,7 @@ def refocus(task: Task) -> list[np.ndarray]:
             channels = np.flatnonzero(np.equal(task.wavelengths, wavelength))
             progress = portion(portion(task.progress, plane, [1] * len(task.distances)), index, work_of(lights))
             with response_of(camera)(
-                camera,
+                sharp(camera),
                 own.distances,
                 wavelength=wavelength,
                 oversample=task.oversample,
@@ -53,7 +55,7 @@ def refocus(task: Task) -> list[np.ndarray]:
             ) as made:
                 by_waves = task.recorded is not None or not camera.lens_data.converges
                 ones = [np.ones(shape, np.float32) for shape in made.shapes]
-                white = made.forward(ones) if by_waves else white_pixels(camera)
+                white = mix_pixels(made.forward(ones), camera) if by_waves else white_pixels(camera)
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in given), white]
                     weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)

@@ -8,12 +8,15 @@ import pytest
 from mitsuba_plenoptic import (
     Capture,
     CaptureOperator,
+    InputError,
     Objective,
     PlenopticCamera,
     load_scene,
     reconstruct,
     render_capture,
 )
+from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.points.units import radiance_weight
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
@@ -98,6 +101,37 @@ def test_channels_have_their_own_wavelengths():
     for channel, light in enumerate(lights):
         alone = Capture(image[..., channel].astype(np.float32), SMALL, model="wave", wavelength=light)
         assert np.array_equal(together[..., channel], reconstruct(alone, 265, method="incoherent").image)
+
+
+@pytest.mark.parametrize("method", ["incoherent", "deconvolved"])
+def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
+    """Four bins of radiance 1, filled with points that a camera with glasses records at 480 nm."""
+    glass = {"index": 1.5168, "abbe": 64.2}
+    camera = SMALL.replace(resolution=(64, 64), glass=glass, mla_glass=glass)
+    known = camera.at_wavelength(480.0)
+    steps = np.ravel((np.arange(5) - 2) / 5 + np.array([[-0.5], [0.5]])) * 0.064
+    x, y = (2 * each.ravel() for each in np.meshgrid(steps, steps))
+    points = np.column_stack([x, y, np.full(len(x), 240.0)])
+    weight = radiance_weight(known, main_lens(known, 480.0), 0.064**2) / 25
+    image = CaptureOperator(camera, points, wavelength=480.0).forward(np.full(len(x), weight))
+    found, expected, ignored = (
+        reconstruct(Capture(image, each, 480.0, "wave"), 240.0, method=method).image
+        for each in (camera, known, camera.at_wavelength(587.5618))
+    )
+    np.testing.assert_array_equal(found, expected)
+    assert np.abs(found - ignored).max() > 0.02
+    if method == "deconvolved":
+        assert found == pytest.approx(np.pad(np.ones((2, 2)), 1), abs=0.02)
+
+
+@pytest.mark.parametrize("method", ["incoherent", "deconvolved"])
+def test_lenses_may_differ_as_far_as_light_stays_within_pixels(method):
+    """Focal lengths that differ by 1 % widen a point's image by a third of a pixel, those by 3 % by a whole one."""
+    image = np.random.default_rng(0).random(SMALL.shape)
+    near, far = (recorded(SMALL.replace(mla_jitter=(0.0, focal)), image) for focal in (0.01, 0.03))
+    assert np.isfinite(reconstruct(near, 250.0, method=method).image).any()
+    with pytest.raises(InputError, match=r"\Amla_jitter = \(0.0, 0.03\): its focal lengths spread light over .*\Z"):
+        reconstruct(far, 250.0, method=method)
 
 
 def test_a_microscope_sees_a_point_where_it_is():
