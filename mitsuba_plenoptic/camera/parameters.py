@@ -508,7 +508,7 @@ class CoreParameters:
         words=(
             "Standard deviation, at most 1, of a Gaussian blur of the irradiance on the detector, by a relay lens or "
             "the diffusion of charge in pixels. Rays cross the edges of crops; in wave captures, captures of points "
-            "and white images, light that would cross the edge stays. Decoding and method ``ray`` assume none."
+            "and white images, light that would cross the edge stays. Decoding assumes none."
         ),
         unit="mm",
         known_to=Captures.RAYS | Captures.SCENES,

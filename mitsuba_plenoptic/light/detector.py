@@ -30,6 +30,9 @@ _SMALLEST, _LARGEST = 1e-9, 1e9
 # Values of the image that are exposed at once, at most.
 _CHUNK = 2**22
 
+SHARP: dict[str, Any] = {"detector_blur": 0.0, "pixel_crosstalk": 0.0}
+"""Parameters of a camera whose pixels record the light that falls on them."""
+
 # Standard deviations at which the kernel of a blur ends, and the width of a Gaussian, in pixels, whose samples are 1.
 _BLUR_REACH, _NARROWEST = 6, 0.02
 
@@ -247,11 +250,6 @@ def mix_pixels(image: NDArray[Any], camera: PlenopticCamera) -> NDArray[Any]:
         beside = (scipy.ndimage.correlate1d(result, [1, 0, 1], axis, mode="reflect") for axis in (0, 1))
         result = (1 - 4 * fraction) * result + fraction * sum(beside)
     return np.asarray(result, image.dtype)
-
-
-def sharp(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera with pixels that `mix_pixels` leaves as they are."""
-    return camera.replace(detector_blur=0.0, pixel_crosstalk=0.0)
 
 
 @functools.lru_cache

@@ -277,18 +277,19 @@ def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -
     tasks = [task]
     # Methods that compare with computed captures ask for each wavelength's camera themselves.
     if not chosen.as_it_is and (task.camera.glass is not None or task.camera.mla_glass is not None):
-        works = work_of(task.wavelengths)
+        wavelengths = task.wavelengths or task.recorded or []
+        works = work_of(wavelengths)
         tasks = [
             dataclasses.replace(
                 task,
                 progress=portion(task.progress, channel, works),
                 image=np.ascontiguousarray(task.image[..., channel : channel + 1]),
                 camera=task.camera.at_wavelength(wavelength),
-                wavelengths=[wavelength],
+                wavelengths=task.wavelengths[channel : channel + 1],
                 recorded=None if task.recorded is None else task.recorded[channel : channel + 1],
                 white=None if task.white is None else np.ascontiguousarray(task.white[..., channel : channel + 1]),
             )
-            for channel, wavelength in enumerate(task.wavelengths)
+            for channel, wavelength in enumerate(wavelengths)
         ] or tasks
     found = [
         [made if isinstance(made, Found) else Found(made) for made in chosen.refocus(part, **settings)]

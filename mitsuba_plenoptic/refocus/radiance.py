@@ -22,7 +22,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import MOST_PIXELS, refuse_if, short_repr
 from ..io.captures import Capture
-from ..light.detector import sharp
+from ..light.detector import SHARP
 from ..light.optical_system import OpticalSystem
 from ..light.walk import follow_back
 from ..optics import rays
@@ -365,7 +365,7 @@ def _traced_throughput(
     check_memory(tile.memory, "wave reconstruction of white micro-images")
     white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
     # Rays bring no light back from beyond the sharp micro-images.
-    counted = np.where(white_pixels(sharp(camera)) > 0, white, 0)
+    counted = np.where(white_pixels(camera.replace(**SHARP)) > 0, white, 0)
     lit = lenses.lit(white)
     order = np.argsort(np.hypot(*lenses.centre[lit].T), kind="stable")
     chosen = order[np.unique(np.linspace(0, len(order) - 1, _HEIGHTS).round().astype(int))]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...design.microscope import objective_of
-from ...light.detector import mix_pixels, sharp
+from ...light.detector import SHARP, mix_pixels
 from ...light.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
@@ -66,7 +66,7 @@ class FourierResponse(StoredResponse):
         steps: float = 0.0,
     ) -> None:
         assert wavelength is not None
-        self._mixing, camera = camera, sharp(camera)
+        self._mixing, camera = camera, camera.replace(**SHARP)
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
         self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))

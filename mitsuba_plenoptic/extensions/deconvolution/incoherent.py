@@ -22,7 +22,7 @@ import dataclasses
 
 import numpy as np
 
-from ...light.detector import mix_pixels, sharp
+from ...light.detector import SHARP, mix_pixels
 from ...refocus.methods import Task, method, portion, work_of
 from ...refocus.radiance import captures, to_radiance, white_pixels, white_sums
 from ...runtime.batches import Job
@@ -46,7 +46,7 @@ def refocus(task: Task) -> list[np.ndarray]:
             channels = np.flatnonzero(np.equal(task.wavelengths, wavelength))
             progress = portion(portion(task.progress, plane, [1] * len(task.distances)), index, work_of(lights))
             with response_of(camera)(
-                sharp(camera),
+                camera.replace(**SHARP),
                 own.distances,
                 wavelength=wavelength,
                 oversample=task.oversample,

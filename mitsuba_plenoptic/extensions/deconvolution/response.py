@@ -19,7 +19,7 @@ from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_ideal, require_no_shape
 from ...design import resolution_limit
 from ...errors import refuse_if
-from ...light.detector import mix_pixels, sharp
+from ...light.detector import SHARP, mix_pixels
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
@@ -237,7 +237,7 @@ class Response(StoredResponse):
     ) -> None:
         job = job or Job()
         # Kernels are of the light on the pixels, which then mix it.
-        self._mixing, camera = camera, sharp(camera)
+        self._mixing, camera = camera, camera.replace(**SHARP)
         _require_equal_lenses(camera)
         self._batches: Batches = ray_batches
         if wavelength is None:

@@ -103,7 +103,7 @@ def test_channels_have_their_own_wavelengths():
         assert np.array_equal(together[..., channel], reconstruct(alone, 265, method="incoherent").image)
 
 
-@pytest.mark.parametrize("method", ["incoherent", "deconvolved"])
+@pytest.mark.parametrize("method", ["ray", "incoherent", "deconvolved"])
 def test_glasses_have_their_focal_lengths_at_the_wavelength(method):
     """Four bins of radiance 1, filled with points that a camera with glasses records at 480 nm."""
     glass = {"index": 1.5168, "abbe": 64.2}
