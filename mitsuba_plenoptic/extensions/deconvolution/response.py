@@ -383,6 +383,7 @@ class Response(StoredResponse):
 
 def _require_equal_lenses(camera: PlenopticCamera) -> None:
     """Refuse a camera whose lenses differ by more than responses know, or with parameters that they do not know."""
+    camera.require_array("response")
     place, focal = camera.mla_jitter
     # The width on the detector of light that converges to a point behind a lens of the nominal focal length.
     width = focal * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
