@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.ndimage
@@ -15,8 +17,24 @@ from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 # Side of the middle part of the image whose spectrum gives the first guess.
 _CROP = 1024
 
-# Peaks of the spectrum lower than this fraction of the highest are not taken for the lattice's.
-_PEAK = 0.2
+# Peaks of the spectrum count that are this many medians of the spectrum high, and the highest of them.
+_PEAK = 6
+_PEAKS = 8
+
+# Lattices that are tried, and parts of a step by which a wave may miss a wave of a lattice.
+_TRIED = 12
+_HELD = 0.1
+
+# Side of the middle part of the image that is laid over a lattice's cell, and of the cell in bins.
+_FOLDED = 384
+_CELL = 24
+
+# Diameters of discs over the pitch that are tried, and half the width of their rim.
+_DIAMETERS = np.arange(0.1, 1.42, 0.05)
+_RIM = 0.1
+
+# Area of the smallest cell, in pixels.
+_LEAST_AREA = 6
 
 # A lattice's highest peak stands out from the median of the spectrum by far more than that of noise, about 5.
 _CONTRAST = 20
@@ -27,6 +45,8 @@ _REPEATS = 12
 
 # Directions of rows through the lattice count as the same if they part by no more of a lens at the image's corners.
 _SAME = 0.02
+
+NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 
 # Micro-images measured at once.
 _BLOCK = 2048
@@ -70,44 +90,151 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
 
 
 def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two lattice vectors (rows, in pixels) and one centre, read off the spectrum of the image's middle."""
-    rows, columns = image.shape
-    height, width = min(rows, _CROP), min(columns, _CROP)
-    top, left = (rows - height) // 2, (columns - width) // 2
-    part = image[top : top + height, left : left + width].astype(np.float64)
+    """Return two lattice vectors (rows, in pixels) and one centre: the lattice whose discs explain the image best.
+
+    Where micro-images overlap, waves of the lattice vanish from the spectrum, the fundamental one at 1.22 pitches of a
+    square array. So lattices are spanned by sums and differences of the highest peaks, too, and are tried.
+    """
+    part, start = _middle(image, _CROP)
+    height, width = part.shape
     window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
-    part = (part - (part * window).sum() / window.sum()) * window
-    spectrum = np.abs(np.fft.fftshift(np.fft.fft2(part)))
+    spectrum = np.abs(np.fft.fftshift(np.fft.fft2((part - (part * window).sum() / window.sum()) * window)))
     middle = np.array([height // 2, width // 2])
     down, across = (np.arange(n) - m for n, m in zip(spectrum.shape, middle, strict=True))
     # Slow changes of brightness over the image are not the lattice.
     spectrum[(np.abs(down)[:, None] <= 3) & (np.abs(across) <= 3)] = 0
-    peak = (spectrum == scipy.ndimage.maximum_filter(spectrum, 5)) & (spectrum > _PEAK * spectrum.max())
-    refuse_if(
-        not spectrum.max() > _CONTRAST * np.median(spectrum), "white: no regular lattice of micro-images is seen in it"
-    )
+    noise = np.median(spectrum)
+    refuse_if(not spectrum.max() > _CONTRAST * noise, NO_LATTICE)
+    peak = (spectrum == scipy.ndimage.maximum_filter(spectrum, 7)) & (spectrum > _PEAK * noise)
     # One of each pair of opposite peaks, away from the border, where a parabola has no room.
-    half_plane = (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
+    peak &= (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
     peak[[0, -1]] = peak[:, [0, -1]] = False
-    found = np.argwhere(peak & half_plane)
-    frequencies = np.array([_refined(spectrum, position) - middle for position in found]).reshape(-1, 2)
-    frequencies = frequencies[:, ::-1] / [width, height]
-    frequencies = frequencies[np.argsort((frequencies**2).sum(1))]
-    for second in frequencies[1:]:
-        first = frequencies[0]
-        if abs(first[0] * second[1] - first[1] * second[0]) > 0.5 * math.hypot(*first) * math.hypot(*second):
+    highest = sorted(np.argwhere(peak), key=lambda place: -spectrum[tuple(place)])[:_PEAKS]
+    waves = np.array([(_refined(spectrum, place) - middle)[::-1] / [width, height] for place in highest])
+    refuse_if(len(waves) < 2, NO_LATTICE)
+    first, second = np.array(list(itertools.combinations(waves, 2))).swapaxes(0, 1)
+    pairs = np.array(list(itertools.combinations(np.concatenate([waves, first + second, first - second]), 2)))
+    # Cells that are neither too flat nor too small, and at least four along the image; the smallest come first.
+    density = np.abs(np.linalg.det(pairs))
+    oblique = density > 0.3 * np.hypot(*pairs[:, 0].T) * np.hypot(*pairs[:, 1].T)
+    pairs = pairs[oblique & (density < 1 / _LEAST_AREA) & (density > 16 / (height * width))]
+    pairs = pairs[np.argsort(-np.abs(np.linalg.det(pairs)))]
+    # They hold most of what is seen of the lattice.
+    steps, power = waves @ np.linalg.inv(pairs), [spectrum[tuple(place)] ** 2 for place in highest]
+    held = (np.abs(steps - steps.round()).max(2) < _HELD) @ power > 0.5 * np.sum(power)
+    tried: list[np.ndarray] = []
+    for vectors in np.linalg.inv(pairs[held]).swapaxes(1, 2):
+        # The same lattice has other vectors, which are whole sums of these.
+        sums = [vectors @ np.linalg.inv(known) for known in tried]
+        if not any(np.abs(each - each.round()).max() < _HELD and abs(np.linalg.det(each)) < 1.5 for each in sums):
+            tried.append(reduced(vectors))
+        if len(tried) == _TRIED:
             break
-    else:
-        raise InputError("white: no regular lattice of micro-images is seen in it")
-    chosen = np.stack([first, second])
-    # The phase of a wave of the lattice is zero at a centre.
-    x, y = np.arange(width) + left + 0.5, np.arange(height) + top + 0.5
-    waves = [np.exp(-2j * math.pi * f[1] * y) @ part @ np.exp(-2j * math.pi * f[0] * x) for f in chosen]
-    origin = np.linalg.solve(chosen, -np.angle(waves) / (2 * math.pi))
-    vectors = np.linalg.inv(chosen).T
-    # The centre nearest to the image's middle.
-    steps = np.round(np.linalg.solve(vectors.T, np.array([columns, rows]) / 2 - origin))
-    return vectors, origin + steps @ vectors
+    refuse_if(not tried, NO_LATTICE)
+    best, vectors = max(((Discs.of(image, each), each) for each in tried), key=lambda pair: pair[0].explained)
+    return vectors, best.centre
+
+
+@dataclass(frozen=True)
+class Discs:
+    """Lattice of evenly bright discs that explains an image best, for given lattice vectors.
+
+    Where discs overlap, their light adds.
+
+    Attributes
+    ----------
+    explained : float
+        Variance of the image's middle that the discs explain.
+    centre : (2,) array
+        The centre nearest to the image's middle, to a few per cent of the pitch.
+    radius, pitch : float
+        Radius of the discs, and distance of the nearest centres, in pixels.
+    height : float
+        Brightness of a disc.
+    size : (2,) array
+        Columns and rows of the image.
+    """
+
+    explained: float
+    centre: np.ndarray
+    radius: float
+    pitch: float
+    height: float
+    size: np.ndarray
+
+    @classmethod
+    def of(cls, image: np.ndarray, vectors: np.ndarray) -> Discs:
+        """Return the discs that explain the mean of an image's cells best."""
+        part, start = _middle(image, _FOLDED)
+        rows, columns = part.shape
+        inverse = np.linalg.inv(vectors)
+        y, x = (np.arange(rows) + start[1] + 0.5)[:, None], np.arange(columns) + start[0] + 0.5
+        u, v = (np.floor((x * inverse[0, k] + y * inverse[1, k]) % 1 * _CELL).astype(int) % _CELL for k in (0, 1))
+        cell, size = (u * _CELL + v).ravel(), (_CELL, _CELL)
+        count = np.bincount(cell, minlength=_CELL**2).reshape(size)
+        light = np.bincount(cell, (part - part.mean()).ravel(), _CELL**2).reshape(size)
+        steps = np.arange(_CELL) / _CELL
+        place = steps[:, None, None] * vectors[0] + steps[:, None] * vectors[1]
+        around = np.mgrid[-1:3, -1:3].reshape(2, -1).T @ vectors
+        distance = np.hypot(*np.moveaxis(place - around[:, None, None], -1, 0))
+        pitch = min(math.hypot(*step) for step in (*vectors, vectors.sum(0), vectors[0] - vectors[1]))
+        radii = _DIAMETERS * pitch / 2
+        drawn = (radii[:, None, None, None] + 0.5 - distance).clip(0, 1).sum(1)
+        # Sums over all displacements of the discs at once.
+        counts, lights = np.fft.rfft2(count), np.fft.rfft2(light)
+        even, square = (np.fft.rfft2(values).conj() for values in (drawn, drawn**2))
+        common, sums, squares = (np.fft.irfft2(each, size) for each in (lights * even, counts * even, counts * square))
+        power = np.maximum(squares - sums**2 / part.size, 1e-6 * part.size)
+        explained = common.clip(0) ** 2 / power / part.size
+        best = np.unravel_index(explained.argmax(), explained.shape)
+        first = (np.array(best[1:]) + 0.5) / _CELL
+        whole = np.array(image.shape[::-1])
+        centre = (first + np.round(whole / 2 @ inverse - first)) @ vectors
+        height = float((common / power)[best])
+        return cls(float(explained[best]), centre, float(radii[best[0]]), pitch, height, whole)
+
+    @property
+    def reach(self) -> int:
+        """Pixels on each side of a centre that `measured` looks at, a pixel aside."""
+        overlap = self.radius > self.pitch / 2
+        return math.ceil(self.radius + self._rim if overlap else self.pitch / 2) + 1
+
+    @property
+    def _rim(self) -> float:
+        return max(_RIM * self.pitch, 2.0)
+
+    def measured(
+        self,
+        patches: tuple[np.ndarray, np.ndarray, np.ndarray],
+        centres: np.ndarray,
+        weight_at: Callable[[np.ndarray], np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the middles of micro-images about centres, and their brightness.
+
+        The middle is the centroid by a weight, or, of discs that overlap, that of the disc's rim: of two discs there,
+        one ends.
+        """
+        if self.radius <= self.pitch / 2:
+            return centroids(patches, centres, weight_at)
+        x, y, patch = patches
+        dx, dy = (x + 0.5 - centres[:, 0, None])[:, None, :], (y + 0.5 - centres[:, 1, None])[:, :, None]
+        distance = np.hypot(dx, dy)
+        light = (weight_at(distance) * patch).sum((1, 2))
+        rim = np.cos(0.5 * np.pi * ((distance - self.radius) / self._rim).clip(-1, 1)) ** 2
+        # Where the image's border cuts one side of the rim, the other does not count either.
+        room = np.minimum(centres, self.size - centres)
+        rim *= (room[:, None, None, 0] - abs(dx)).clip(0, 1) * (room[:, None, None, 1] - abs(dy)).clip(0, 1)
+        rim *= patch / np.maximum(distance, 1)
+        scale = math.pi * self.radius * self.height * (light / np.median(light)).clip(0.1)
+        shift = np.stack([(rim * dx).sum((1, 2)), (rim * dy).sum((1, 2))], axis=1)
+        return centres + (shift / scale[:, None]).clip(-1, 1), light
+
+
+def _middle(image: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return an image's middle of at most side x side pixels, and its first column and row."""
+    size = np.minimum(image.shape[::-1], side)
+    left, top = start = (np.array(image.shape[::-1]) - size) // 2
+    return image[top : top + size[1], left : left + size[0]].astype(np.float64), start
 
 
 def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -123,8 +250,8 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
-    size = np.array(image.shape[::-1])
-    radius = min(math.hypot(*step) for step in (*vectors, vectors.sum(0))) / 2
+    size, discs = np.array(image.shape[::-1]), Discs.of(image, vectors)
+    radius = discs.pitch / 2
     reach = _FIRST_REACH
     whole = math.ceil(math.hypot(*size) / (2 * radius))
     repeats = 0
@@ -136,8 +263,8 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
         index, centres = index[inside], centres[inside]
         # Of the light within a disc about each centre.
         of_blocks = (
-            centroids(
-                pixels_around(image, block, math.ceil(radius) + 1),
+            discs.measured(
+                pixels_around(image, block, discs.reach),
                 block,
                 lambda distance: (radius + 0.5 - distance).clip(0, 1),
             )
@@ -156,7 +283,7 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
             repeats += 1
             if change < 1e-4:
                 break
-    refuse_if(np.median(moved[used]) > 0.2 * radius, "white: no regular lattice of micro-images is seen in it")
+    refuse_if(np.median(moved[used]) > 0.2 * radius, NO_LATTICE)
     rows, shifted = lattice_rows(vectors, _SAME / whole)
     steps = np.round(np.linalg.solve(rows.T, (index[used] @ vectors).T).T * 2) / 2
     return *_rows_at_right_angles(steps, measured[used]), shifted

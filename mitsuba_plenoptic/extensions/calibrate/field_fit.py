@@ -31,8 +31,8 @@ _ZONES, ZONE_LENSES = 8, 24
 _REPEATS, _CONVERGED = 12, 1e-4
 """Steps of a fit at most, and the relative change of the residual that ends it."""
 
-_OUTLIER = 6.0
-"""Deviations beyond which a pixel is dust or a defect."""
+_OUTLIER, _LEAST_SPREAD = 6.0, 0.005
+"""Deviations beyond which a pixel is dust or a defect, and the least deviation, as pictures hardly have noise."""
 
 _BINS = 2
 """Bins of mean micro-images along a pixel."""
@@ -235,7 +235,7 @@ class WhiteRecording:
             power = np.maximum((weight * image * image).sum(1), 1e-9)
             brightness = (weight * image * value).sum(1) / power
             residual = value / np.maximum(brightness, 1e-9)[:, None] - image
-            spread = 1.4826 * float(np.median(np.abs(residual[weight > 0])))
+            spread = max(1.4826 * float(np.median(np.abs(residual[weight > 0]))), _LEAST_SPREAD)
             weight = good * (np.abs(residual) < _OUTLIER * spread)
         slopes -= (np.einsum("nlp,lp->nl", slopes, weight * image) / power)[:, :, None] * image
         return LensPixels(x, y, weight, brightness, residual, slopes, int((good - weight).sum()))

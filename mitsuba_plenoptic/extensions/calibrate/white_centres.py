@@ -2,7 +2,8 @@
 
 `views.estimate_lens_grid` finds the lattice. Each micro-image is then located by its centroid in a disc with a soft
 rim; the disc follows the centroid until both agree, so that the centre of a symmetrical micro-image is found wherever
-it lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011).
+it lies between pixels (the windowed centroid of E. Bertin's SExtractor, 2011). Where micro-images overlap, a ring about
+their rim follows in its place.
 
 Dust on the array or the detector darkens part of a micro-image and displaces its centroid. Such centres are doubtful:
 they lie off their neighbours' lattice, or their light differs from that of the neighbours.
@@ -19,7 +20,7 @@ from ...errors import refuse_if
 from ...runtime.backend import as_array
 from ...runtime.files import atomic_output
 from ...views import LensGrid, estimate_lens_grid
-from ...views.grid_estimation import centroids, pixels_around
+from ...views.grid_estimation import Discs, pixels_around
 from .adjustment import OUTLIER
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
 
@@ -101,7 +102,8 @@ def find_centres(*whites: np.ndarray) -> Centres:
     size = np.array(images[0].shape[::-1])
     inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
     lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
-    found = [_all_centred(image, start, radius) for image in images]
+    vectors = np.array([first[0, 1] - first[0, 0], first[1, 0] - first[0, 0]])
+    found = [_all_centred(image, start, Discs.of(image, vectors)) for image in images]
     centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
     used = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
     used &= np.hypot(*(centre - start).T) < radius / 2
@@ -111,20 +113,20 @@ def find_centres(*whites: np.ndarray) -> Centres:
     return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
 
 
-def _all_centred(image: np.ndarray, start: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    parts = [_centred(image, block, radius) for block in np.array_split(start, -(-len(start) // _BLOCK))]
+def _all_centred(image: np.ndarray, start: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
+    parts = [_centred(image, block, discs) for block in np.array_split(start, -(-len(start) // _BLOCK))]
     centre, light = (np.concatenate(values) for values in zip(*parts, strict=True))
     return centre, light
 
 
-def _centred(image: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
     """Return centres that equal the centroids of their windows, and the light in each window above its minimum."""
-    patches, light = pixels_around(image, centre, int(np.ceil(radius)) + 2), np.zeros(len(centre))
+    patches, light = pixels_around(image, centre, discs.reach + 1), np.zeros(len(centre))
     for _ in range(_REPEATS):
-        centre, light = centroids(
+        centre, light = discs.measured(
             patches,
             centre,
-            lambda distance: np.cos(0.5 * np.pi * (1 + (distance - radius) / 2).clip(0, 1)) ** 2,
+            lambda distance: np.cos(0.5 * np.pi * (1 + (distance - discs.pitch / 2) / 2).clip(0, 1)) ** 2,
         )
     return centre, light
 

@@ -22,8 +22,11 @@ from .white_frames import WhiteFrame
 _WITHHELD = 1 / 3
 """Part of the lenses that a fit does not see."""
 
-_WHOLE, _FEWEST = 0.95, 16
-"""Part of a cell's pixels that a whole micro-image has, and whole micro-images that are needed."""
+_COUNTING, _FAINT, _FEWEST = 0.5, 0.1, 16
+"""Part of a cell's pixels that must count, least light over the median of lenses, and whole micro-images needed."""
+
+_WIDEST_BLUR, _LEAST_STRAY = 0.1, -0.01
+"""Blur over the lenses' distance from which on, and stray light below which, a fit has failed."""
 
 _MOST_STRUCTURE, _MOST_OUTLIERS = 0.035, 0.05
 """Structure of the residual, and part of the pixels off the model, above which a picture is not evenly white."""
@@ -135,13 +138,13 @@ def fit_white(
     camera = of_size(camera.replace(**_REPLACED), size)
     centres = find_centres(filled(frame))
     require_alike(centres.grid, camera)
-    lens, sure = lattice_index(centres.grid, centres.lens), ~centres.doubtful
-    array = fit_array(centres.pixel[sure], lens[sure], camera)
+    sure = ~centres.doubtful
+    array = fit_array(centres.pixel[sure], lattice_index(centres.grid, centres.lens)[sure], camera)
     camera = camera.replace(**array.lattice_parameters())
+    lens = lattice_index(centres.grid, np.indices(centres.grid.shape)[::-1].reshape(2, -1).T)
     place = places(array, lens, camera)
     recording = WhiteRecording(frame, camera, MicroImageModel(camera, wavelength))
-    whole = recording.pixels(place)[3].sum(1)
-    used = whole > _WHOLE * camera.lattice.cell_area * (camera.image_growth / camera.pixel_size) ** 2
+    used = whole_lenses(recording, place)
     place, lens = place[used], lens[used]
     refuse_if(len(place) < _FEWEST, f"white: {len(place)} whole micro-images are seen: at least {_FEWEST} are needed")
     withheld = generator.random(len(place)) < _WITHHELD
@@ -169,6 +172,14 @@ def fit_white(
         f"light, apart from noise (at most {_MOST_STRUCTURE:.1%}), and by more at {judgement.outliers:.1%} of the "
         f"pixels (at most {_MOST_OUTLIERS:.0%}): it is no white picture, or not by this camera",
     )
+    blur, stray = (float(field.coefficients[name][0]) for name in ("blur", "stray"))
+    apart = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
+    refuse_if(
+        abs(blur) >= _WIDEST_BLUR * apart or stray < _LEAST_STRAY,
+        f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below {_WIDEST_BLUR:g} of the lenses' distance, "
+        f"{_WIDEST_BLUR * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the dark "
+        "picture are wrong",
+    )
     return WhiteFit(
         camera=fitted_camera(camera, array, field, at_array, lens, found.brightness),
         wavelength=wavelength,
@@ -183,6 +194,19 @@ def fit_white(
         withheld=withheld,
         judgement=judgement,
     )
+
+
+def whole_lenses(recording: WhiteRecording, place: np.ndarray) -> np.ndarray:
+    """Return which lenses at places (n, 2) have their cells within the lit part of the sensor, and light there."""
+    camera, frame = recording.camera, recording.frame
+    corners = place[:, None] + camera.lattice.cell_corners() * (camera.image_growth / camera.pixel_size)
+    whole = ((corners >= frame.first - 0.5) & (corners <= frame.last + 0.5)).all((1, 2))
+    value, _, _, weight = recording.pixels(place[whole])
+    pixels = weight.sum(1)
+    light = (weight * value).sum(1) / np.maximum(pixels, 1)
+    cell = camera.lattice.cell_area * (camera.image_growth / camera.pixel_size) ** 2
+    whole[whole] = (pixels >= _COUNTING * cell) & (light > _FAINT * np.median(light))
+    return np.asarray(whole)
 
 
 def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:
