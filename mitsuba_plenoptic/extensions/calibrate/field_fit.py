@@ -44,15 +44,18 @@ _BOOTSTRAPS = 100
 class FieldNumbers:
     """Polynomials over the field whose values are the numbers of `PupilNumbers` at a place."""
 
-    def __init__(self, size: tuple[int, ...], lenses: int, start: PupilNumbers) -> None:
-        """Start with the same numbers everywhere, on a picture of columns and rows, of degrees that lenses allow."""
+    def __init__(self, size: tuple[int, ...], lenses: int, start: PupilNumbers, zero: tuple[str, ...] = ()) -> None:
+        """Start with the same numbers everywhere, on a picture of columns and rows, of degrees that lenses allow.
+
+        Numbers named as `zero` stay so.
+        """
         self.middle, self.scale = (np.array(size) - 1) / 2, max(size) / 2
         # A polynomial has at most a quarter as many coefficients as there are lenses.
         most = next(degree for degree in (4, 3, 2, 1, 0) if 4 * terms_of(degree) <= max(lenses, 4))
-        self.degrees = {name: min(_DEGREES.get(name, 0), most) for name in NUMBERS}
+        self.degrees = {name: -1 if name in zero else min(_DEGREES.get(name, 0), most) for name in NUMBERS}
         self.coefficients = {name: np.zeros(terms_of(degree)) for name, degree in self.degrees.items()}
         for name in NUMBERS:
-            self.coefficients[name][0] = getattr(start, name)
+            self.coefficients[name][:1] = getattr(start, name)
 
     @classmethod
     def of(cls, middle: np.ndarray, scale: float, coefficients: dict[str, np.ndarray]) -> FieldNumbers:

@@ -148,12 +148,14 @@ def fit_white(
     place, lens = place[used], lens[used]
     refuse_if(len(place) < _FEWEST, f"white: {len(place)} whole micro-images are seen: at least {_FEWEST} are needed")
     withheld = generator.random(len(place)) < _WITHHELD
-    # First one pupil for all lenses, from a few of them.
+    # First one pupil for all lenses, from a few of them, and even: a rim that falls off early resembles a wider one.
     start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=_BLUR, stray=_STRAY)
-    field = FieldNumbers(size, 0, start)
     few = FieldZones(place, ~withheld, ZONE_LENSES // 4, generator)
-    recording.fit(place, few, field, lambda done, total: show(done, 4 * total))
-    field = FieldNumbers(size, int((~withheld).sum()), PupilNumbers(*field.values(place[:1])[0]))
+    for zero in (("apodisation_2", "apodisation_4"), ()):
+        field = FieldNumbers(size, 0, start, zero)
+        recording.fit(place, few, field, lambda done, total: show(done, 4 * total))
+        start = PupilNumbers(*field.values(place[:1])[0])
+    field = FieldNumbers(size, int((~withheld).sum()), start)
     zones = FieldZones(place, ~withheld, ZONE_LENSES, generator)
     equations = recording.fit(place, zones, field, lambda done, total: show(done + total, 4 * total))
     deviations = field.deviations(equations, generator)
