@@ -38,6 +38,13 @@ _DEAD, _HOT = 0.25, 10.0
 _LEAST, _MOST_CUT = 32, 0.01
 """Fewest rows and columns of a picture, and the largest part of a dark one that may be cut off at 0."""
 
+_BRIGHTEST, _HIGHEST, _HEADROOM, _LEAST_NOISE = (0.25, 0.1, 0.03), 0.999, 2.3, 1.5
+"""Wells are full where the brightest parts of a picture are nearer to their highest numbers than 2.3 of their standard
+deviations, where noise alone would spread further, or where they vary by less than 1.5 times the dark variance."""
+
+_CLEAR, _FEWEST_LEFT = 6.0, 0.05
+"""Standard deviations below a full well at which pixels are not cut off, and the part of a picture that must be left."""
+
 _ROUNDING = 1 / 12
 """Variance of rounding."""
 
@@ -59,7 +66,7 @@ class PhotonTransfer:
     dark_offset, dark_offset_deviation : float
         Mean of the dark pictures in digital numbers: the detector's black level, not rounded, with the dark current.
     saturated_pixels, dead_pixels, hot_pixels : int
-        Pixels with the largest number in a white picture; single pixels with less than a quarter of the light of all
+        Pixels with the largest number or a full well in a white picture; single pixels with less than a quarter of the light of all
         their neighbours; pixels that are ten standard deviations off in the dark. All are left out.
     signal, variance : array (n,)
         Points of the line: mean above the dark offset and variance, in digital numbers, from dim to bright.
@@ -109,8 +116,8 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     Raises
     ------
     InputError
-        If pictures have different sizes or colours, are smaller than 32 pixels, do not differ in brightness, or a dark
-        one is cut off at 0.
+        If pictures have different sizes or colours, are smaller than 32 pixels, do not differ in brightness, a dark
+        one is cut off at 0, or wells are full: in a single white picture, or in all but 5 % of the pixels of several.
 
     Examples
     --------
@@ -160,11 +167,32 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
         gain = (variance - least) / mean
         return gain, math.sqrt(max(dark_variance - _ROUNDING, 0)) / gain, dark_mean
 
-    if len(bright) == 1:
-        spreads = [_Spread.of(bright - level, bad, order, _FLATTEST) for order in _ORDERS]
-    else:
-        spreads = [_Spread.of(bright - level, bad)]
-    light, *others = sorted(spreads, key=lambda spread: estimate(spread)[0])
+    def spreads() -> list[_Spread]:
+        if len(bright) > 1:
+            return [_Spread.of(bright - level, bad)]
+        found = [_Spread.of(bright - level, bad, order, _FLATTEST) for order in _ORDERS]
+        return sorted(found, key=lambda spread: estimate(spread)[0])
+
+    light, *others = spreads()
+    smooth = ndimage.uniform_filter(mean_light, 5)
+    for part in _BRIGHTEST:
+        brightest = light.used & (smooth >= np.quantile(smooth[light.used], 1 - part))
+        top_mean, top_variance = float(smooth[brightest].mean()), float(light.variances[brightest].mean())
+        highest = float(np.quantile(bright[:, brightest], _HIGHEST)) - level + 0.5
+        near = highest - top_mean < _HEADROOM * math.sqrt(top_variance)
+        if top_mean <= noise or not (near or top_variance < _LEAST_NOISE * max(alike.of_blocks()[1], _ROUNDING)):
+            continue
+        # Full wells cut off the noise below the largest number; of several pictures the other pixels tell the gain.
+        full = smooth > highest - _CLEAR * math.sqrt(light.line()[1].max())
+        saturated, bad = saturated | full, bad | ndimage.binary_dilation(full, iterations=2)
+        refuse_if(
+            len(bright) == 1 or (~bad & (smooth > noise)).mean() < _FEWEST_LEFT,
+            f"white: its brightest pixels, of {top_mean + level:.4g}, vary by {math.sqrt(top_variance):.3g}, and the highest "
+            f"number is {highest + level:.4g}: full wells cut off their noise, or there is too little light; it must be "
+            "exposed otherwise",
+        )
+        light, *others = spreads()
+        break
     (mean, variance), (_, least) = light.of_blocks(), alike.of_blocks()
     refuse_if(
         mean <= noise or variance <= least,

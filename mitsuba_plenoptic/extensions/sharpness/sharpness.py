@@ -22,7 +22,12 @@ _REACH = 16
 _LEAST_REACH = 5
 
 _KNOTS = 4
-"""Knots of the edge's profile in a pixel."""
+"""Knots of the profile of a narrow edge in a pixel; of a wide one as many in its half width as at `_LEAST_REACH`."""
+
+_FOOT, _VALLEY = 0.1, 0.15
+"""Slope over its largest at which an edge ends, and by how much it may rise again on the way."""
+
+_TWO_EDGES = "image: it has two edges or more; cut out the one to measure"
 
 _FREQUENCIES = np.linspace(0, 1, 129)
 """Frequencies in cycles per pixel."""
@@ -113,23 +118,27 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     return replace(found, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
 
 
-def _slopes(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _slopes(image: NDArray[np.float64], smooth: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the derivatives, downwards and across, of the slightly smoothed image."""
-    down, across = (gaussian_filter(image, 1.0, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
+    down, across = (gaussian_filter(image, smooth, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
     return down, across
 
 
 def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
     """Return the sharpness of an edge that is closer to vertical than to horizontal."""
-    down, across = _slopes(image)
-    slope = np.hypot(down, across)
-    tilt, start = _line(image, slope, across)
+    extent = float(_LEAST_REACH)
+    # Again for a wide edge, with the smoothing that it bears.
+    for _ in range(2):
+        down, across = _slopes(image, extent / _LEAST_REACH)
+        slope = np.hypot(down, across)
+        tilt, start = _line(image, slope, down, across, extent)
+        rows = _rows_with_edge(image, slope, tilt, start)
+        first, last = int(rows[0]), int(rows[-1])
+        index = np.arange(first, last + 1)
+        extent = max(extent, _half_width(across[index], start + tilt * index))
     angle = math.degrees(math.atan(tilt))
-    rows = _rows_with_edge(image, slope, tilt, start)
-    first, last = int(rows[0]), int(rows[-1])
-    index = np.arange(first, last + 1)
     middle = (first + last) / 2
-    _refuse_others(slope, tilt, start, index)
+    _refuse_others(slope, tilt, start, index, extent)
     refuse_if(
         not _LEAST_TILT <= abs(angle) <= _MOST_TILT,
         f"image: its edge is turned by {abs(angle):.1f} degrees from the pixels: it must be {_LEAST_TILT:g} to "
@@ -142,11 +151,12 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
         f"{math.ceil(1 / abs(tilt))}",
     )
     line = start + tilt * index
-    reach = min(float(_REACH), line.min(), image.shape[1] - 1 - line.max()) * math.cos(math.atan(tilt))
-    refuse_if(reach < _LEAST_REACH, f"image: its edge is nearer than {_LEAST_REACH} pixels to the border")
+    reach = min(max(float(_REACH), 2 * extent), line.min(), image.shape[1] - 1 - line.max()) * math.cos(math.atan(tilt))
+    least = _LEAST_REACH if extent == _LEAST_REACH else 1.3 * extent
+    refuse_if(reach < least, f"image: its edge is nearer than {least:.3g} pixels to the border")
     distance = (np.arange(image.shape[1]) - line[:, None]) / math.hypot(1, tilt)
     near = np.abs(distance) <= reach
-    width, transfer = _transfer(distance[near], image[index][near], reach)
+    width, transfer = _transfer(distance[near], image[index][near], reach, extent)
     above = np.flatnonzero(transfer < 0.5)
     mtf50 = math.inf
     if above.size:
@@ -157,10 +167,16 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
     )
 
 
-def _line(image: NDArray[np.float64], slope: NDArray[np.float64], across: NDArray[np.float64]) -> tuple[float, float]:
+def _line(
+    image: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    down: NDArray[np.float64],
+    across: NDArray[np.float64],
+    extent: float,
+) -> tuple[float, float]:
     """Return slope and start of the line column = start + slope * row along the strongest edge."""
     rows, columns = np.indices(image.shape)
-    down_over_across = np.divide(_slopes(image)[0], across, out=np.full_like(across, np.inf), where=across != 0)
+    down_over_across = np.divide(down, across, out=np.full_like(across, np.inf), where=across != 0)
     steep = slope**2 * (np.abs(down_over_across) < 0.7)
     refuse_if(
         not steep.sum() > 0 or np.ptp(image) <= 0.1 * np.abs(image).max(), "image: it has no edge: all of it is alike"
@@ -172,7 +188,7 @@ def _line(image: NDArray[np.float64], slope: NDArray[np.float64], across: NDArra
         if sums.max() > best:
             best, tilt, start = float(sums.max()), float(trial), float(sums.argmax() + place.min())
     # Closing in on the line that was found before, by the middle of the slope in each row.
-    for reach in (6.0, 5.0, 4.0, 4.0):
+    for reach in np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH:
         offset = columns - (start + tilt * rows)
         weight = slope * np.cos(math.pi * np.clip(offset / (2 * reach), -0.5, 0.5)) ** 2
         total = weight.sum(axis=1)
@@ -201,21 +217,41 @@ def _rows_with_edge(
     return longest
 
 
-def _refuse_others(slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp]) -> None:
+def _half_width(across: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    """Return how far an edge reaches from its line, which has a column in each row; refuse two edges side by side."""
+    place = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int)
+    count = np.bincount((place - place.min()).ravel())
+    profile = np.abs(np.bincount((place - place.min()).ravel(), across.ravel()) / count)[count >= 0.5 * len(line)]
+    middle = int(np.argmin(np.abs(np.flatnonzero(count >= 0.5 * len(line)) + place.min())))
+    near = slice(max(middle - _LEAST_REACH, 0), middle + _LEAST_REACH + 1)
+    peak = near.start + int(np.argmax(profile[near]))
+    widest = 0
+    for side in (profile[peak:], profile[peak::-1]):
+        foot = int(np.argmax(side < _FOOT * side[0])) or len(side)
+        rise = (side - np.minimum.accumulate(side))[:foot].max()
+        refuse_if(rise > _VALLEY * side[0], _TWO_EDGES)
+        widest = max(widest, foot)
+    return float(widest)
+
+
+def _refuse_others(
+    slope: NDArray[np.float64], tilt: float, start: float, index: NDArray[np.intp], extent: float
+) -> None:
     """Refuse an image with other edges beside the rows of the found edge."""
     columns = np.arange(slope.shape[1])
     offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
     own = slope[index]
     height = np.median(np.max(own * (offset < 3), axis=1))
     # What crosses the edge is in few rows.
-    beside = np.quantile(np.max(own * (offset >= _LEAST_REACH + 1) * (offset <= _REACH), axis=1), 0.95)
-    wide = np.median(np.max(own * (offset >= _LEAST_REACH + 1), axis=1))
+    away = offset >= extent + 1
+    beside = np.quantile(np.max(own * away * (offset <= _REACH), axis=1), 0.95)
+    wide = np.median(np.max(own * away, axis=1))
     refuse_if(height <= 0, "image: it has no edge: all of it is alike")
-    refuse_if(max(beside, wide) > 0.3 * height, "image: it has two edges or more; cut out the one to measure")
+    refuse_if(max(beside, wide) > 0.3 * height, _TWO_EDGES)
 
 
 def _transfer(
-    distance: NDArray[np.float64], values: NDArray[np.float64], reach: float
+    distance: NDArray[np.float64], values: NDArray[np.float64], reach: float, extent: float
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the width of an edge, and the transfer function, from pixels at distances from its line."""
     order = np.argsort(distance)
@@ -226,13 +262,15 @@ def _transfer(
     )
     step = (values - low) / (high - low)
     _refuse_saturated(step, values)
-    inner = np.linspace(-reach, reach, round(2 * reach * _KNOTS) + 1)
+    inner = np.linspace(-reach, reach, round(2 * reach * _KNOTS * _LEAST_REACH / extent) + 1)
     knots = np.concatenate((np.repeat(inner[0], 3), inner, np.repeat(inner[-1], 3)))
     with refusing("image: its edge is sampled too sparsely:", ValueError, np.linalg.LinAlgError):
         profile = make_lsq_spline(distance, step, knots, k=3)
     fine = np.linspace(-reach, reach, round(2 * reach * 32) + 1)
     rising = profile(fine)
-    width = fine[np.argmax(rising >= 0.9)] - fine[np.argmax(rising >= 0.1)]
+    # Outwards from the middle, as noise crosses these heights elsewhere.
+    middle = len(fine) // 2
+    width = fine[middle + np.argmax(rising[middle:] >= 0.9)] - fine[middle + 1 - np.argmax(rising[middle::-1] < 0.1)]
     # Flat over the middle, so that it does not widen the spread; noise far from the edge is faded out.
     fade = np.clip((reach - np.abs(fine)) / (0.4 * reach), 0, 1)
     spread = profile.derivative()(fine) * np.sin(0.5 * math.pi * fade) ** 2
