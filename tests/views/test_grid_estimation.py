@@ -59,6 +59,33 @@ def test_centres_of_an_unknown_lattice(grid):
     assert spurious.max() < 0.1
 
 
+@pytest.mark.parametrize(
+    ("diameter", "lattice", "rotation", "pitch"),
+    [
+        (0.8, "hexagonal", 8.0, 12.5),
+        (1.06, "hexagonal", 1.3, 19.23),
+        (1.1, "square", 1.3, 8.3),
+        # Here the fundamental wave vanishes, beyond it is negative.
+        (1.22, "square", 14.0, 19.23),
+        (1.25, "square", 0.3, 30.0),
+        (1.25, "hexagonal", 3.0, 12.5),
+    ],
+)
+def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitch):
+    """Not the lattice of the gaps, turned by 45 degrees and finer by the root of two."""
+    wide = PlenopticCamera(mla_lattice=lattice, mla_rotation=rotation, mla_offset=(0.017, -0.023))
+    scale = diameter / wide.micro_image_diameter * wide.micro_image_pitch
+    step = wide.micro_image_pitch / pitch
+    camera = wide.replace(aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step)
+    image = np.random.default_rng(0).poisson(4000 * white_image(camera).clip(0)) + 300.0
+    found = estimate_lens_grid(image)
+    assert found.nearest_distance == pytest.approx(pitch, rel=1e-3)
+    sides = 4 if lattice == "square" else 12
+    assert abs((math.degrees(found.rotation) - rotation + 180 / sides) % (360 / sides) - 180 / sides) < 0.02
+    missed, spurious = distances(found, lens_grid(camera), image.shape)
+    assert max(missed.max(), spurious.max()) < 0.1
+
+
 def test_the_lattice_of_a_camera_is_found_as_it_is():
     camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
     found, expected = estimate_lens_grid(white_image(camera)), lens_grid(camera)

@@ -199,15 +199,14 @@ def fit_white(
 
 
 def whole_lenses(recording: WhiteRecording, place: np.ndarray) -> np.ndarray:
-    """Return which lenses at places (n, 2) have their cells within the lit part of the sensor, and light there."""
-    camera, frame = recording.camera, recording.frame
-    corners = place[:, None] + camera.lattice.cell_corners() * (camera.image_growth / camera.pixel_size)
-    whole = ((corners >= frame.first - 0.5) & (corners <= frame.last + 0.5)).all((1, 2))
+    """Return which lenses at places (n, 2) have their cells within the picture, and light there."""
+    camera, scale = recording.camera, recording.camera.image_growth / recording.camera.pixel_size
+    corners = place[:, None] + camera.lattice.cell_corners() * scale + 0.5
+    whole = ((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2))
     value, _, _, weight = recording.pixels(place[whole])
     pixels = weight.sum(1)
     light = (weight * value).sum(1) / np.maximum(pixels, 1)
-    cell = camera.lattice.cell_area * (camera.image_growth / camera.pixel_size) ** 2
-    whole[whole] = (pixels >= _COUNTING * cell) & (light > _FAINT * np.median(light))
+    whole[whole] = (pixels >= _COUNTING * camera.lattice.cell_area * scale**2) & (light > _FAINT * np.median(light))
     return np.asarray(whole)
 
 

@@ -32,8 +32,6 @@ class WhiteFrame:
         Values proportional to light.
     good : (rows, columns) bool array
         Pixels that are lit, and neither saturated nor defective.
-    first, last : (2,) arrays
-        First and last column and row of the lit part of the sensor.
     saturated, defective, unlit : int
         Numbers of pixels that are not good: at the picture's largest value, defective in the dark frame, and in rows
         and columns outside the lit part of the sensor.
@@ -41,8 +39,6 @@ class WhiteFrame:
 
     light: np.ndarray
     good: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
     saturated: int
     defective: int
     unlit: int
@@ -76,17 +72,17 @@ class WhiteFrame:
             defective = np.abs(away) > _HOT * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
             refuse_if(dark.mean() > 0.5 * light.mean(), "dark: it is not darker than half of the white picture")
             light = light - dark
-        first, last = np.zeros(2, int), np.zeros(2, int)
+        unlit = np.zeros(light.shape, bool)
         for axis in (0, 1):
-            mean = light.mean(axis=axis)
+            mean = light.mean(axis=1 - axis)
             lit = np.flatnonzero(mean > _UNLIT * np.median(mean))
             refuse_if(not len(lit), "white: it is dark")
-            first[axis], last[axis] = lit[0], lit[-1]
-        unlit = np.ones(light.shape, bool)
-        unlit[first[1] : last[1] + 1, first[0] : last[0] + 1] = False
+            outer = np.ones(len(mean), bool)
+            outer[lit[0] : lit[-1] + 1] = False
+            unlit |= outer[:, None] if axis == 0 else outer
         defective &= ~unlit
         good = ~(saturated | defective | unlit)
-        return cls(light, good, first, last, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
+        return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
 
 
 def single_channel(name: str, picture: np.ndarray) -> np.ndarray:

@@ -107,6 +107,23 @@ def test_bad_pixels_are_counted_and_left_out(white):
     assert found.gain == pytest.approx(plain.gain, rel=0.01)
 
 
+@pytest.mark.parametrize("level", [0.98, 1.02, 1.5])
+@pytest.mark.parametrize("kind", ["even", "slope", "lenses"])
+def test_full_wells_below_the_largest_number(white, kind, level):
+    """Of pairs the pixels below the full well tell the gain, unless there are none; single pictures are refused."""
+    detector = Detector(quantum_efficiency=1, full_well=8000, read_noise=4, bits=16, gain=0.5, black_level=100)
+    light = {"even": np.ones((300, 300)), "slope": np.ones((300, 1)) * np.linspace(0, 1.05, 300), "lenses": white}[kind]
+    random, light = np.random.default_rng(1), light[-300:, -300:]
+    bright = [detector.digital_numbers(level * 8000 * light, random).astype(float) for _ in range(2)]
+    dark = [detector.digital_numbers(0 * light, random).astype(float) for _ in range(2)]
+    with pytest.raises(InputError, match="full wells cut off their noise"):
+        photon_transfer(bright if kind == "even" else bright[0], dark)
+    if kind != "even":
+        found = photon_transfer(bright, dark)
+        assert found.gain == pytest.approx(0.5, rel=0.03)
+        assert found.saturated_pixels > 1000
+
+
 def test_bad_input():
     dark = np.random.default_rng(0).normal(100, 2, (40, 50)).round()
     for white, black, options, message in (

@@ -41,6 +41,21 @@ def test_known_transfer_functions(angle, sigma, parts):
         assert found.mtf50 == pytest.approx(math.sqrt(math.log(2) / 2) / (math.pi * sigma), rel=0.01)
 
 
+@pytest.mark.parametrize(("width", "offset"), [(0.3, 3.3), (4.0, 3.3), (8.0, -6.0), (15.0, 3.3)])
+@pytest.mark.parametrize("noise", [0.0, 0.016])
+def test_wide_edges_are_one(width, offset, noise):
+    """Widths from 10 to 90 %; two edges 1.8 widths apart, of which each is as wide, are two."""
+    random = np.random.default_rng(1)
+    image = edge(width / 2.5631, 5, shape=(90, 90), offset=offset) + noise * random.standard_normal((90, 90))
+    found = mp.edge_sharpness(image)
+    assert found.width == pytest.approx(width, abs=0.1 + noise * width)
+    if width > 1:
+        assert found.mtf50 == pytest.approx(0.4805 / width, rel=0.03)
+    second = edge(width / 2.5631, 5, shape=(90, 90), offset=offset + max(1.8 * width, 6))
+    with pytest.raises(mp.InputError, match="it has two edges or more"):
+        mp.edge_sharpness((image + second) / 2)
+
+
 def test_edges_are_found_anywhere_and_either_way():
     small, picture = edge(0.7, 6, shape=(60, 60)), np.full((140, 160), 0.1)
     picture[50:110, 30:90] = small
