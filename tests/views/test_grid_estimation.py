@@ -76,7 +76,9 @@ def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitc
     wide = PlenopticCamera(mla_lattice=lattice, mla_rotation=rotation, mla_offset=(0.017, -0.023))
     scale = diameter / wide.micro_image_diameter * wide.micro_image_pitch
     step = wide.micro_image_pitch / pitch
-    camera = wide.replace(aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step)
+    camera = wide.replace(
+        aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step
+    )
     image = np.random.default_rng(0).poisson(4000 * white_image(camera).clip(0)) + 300.0
     found = estimate_lens_grid(image)
     assert found.nearest_distance == pytest.approx(pitch, rel=1e-3)

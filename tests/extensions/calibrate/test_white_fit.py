@@ -11,10 +11,10 @@ import scipy.ndimage
 from PIL import Image
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
+from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.camera.lens_transmissions import LensTransmissions
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.calibrate.white_fit import fit_white
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.views import lens_grid, white_image
