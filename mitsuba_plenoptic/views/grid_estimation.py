@@ -95,7 +95,7 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Where micro-images overlap, waves of the lattice vanish from the spectrum, the fundamental one at 1.22 pitches of a
     square array. So lattices are spanned by sums and differences of the highest peaks, too, and are tried.
     """
-    part, start = _middle(image, _CROP)
+    part, _ = _middle(image, _CROP)
     height, width = part.shape
     window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
     spectrum = np.abs(np.fft.fftshift(np.fft.fft2((part - (part * window).sum() / window.sum()) * window)))

@@ -202,12 +202,12 @@ def whole_lenses(recording: WhiteRecording, place: np.ndarray) -> np.ndarray:
     """Return which lenses at places (n, 2) have their cells within the picture, and light there."""
     camera, scale = recording.camera, recording.camera.image_growth / recording.camera.pixel_size
     corners = place[:, None] + camera.lattice.cell_corners() * scale + 0.5
-    whole = ((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2))
+    whole = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
     value, _, _, weight = recording.pixels(place[whole])
     pixels = weight.sum(1)
     light = (weight * value).sum(1) / np.maximum(pixels, 1)
     whole[whole] = (pixels >= _COUNTING * camera.lattice.cell_area * scale**2) & (light > _FAINT * np.median(light))
-    return np.asarray(whole)
+    return whole
 
 
 def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:

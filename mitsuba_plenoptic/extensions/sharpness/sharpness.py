@@ -135,7 +135,7 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
         rows = _rows_with_edge(image, slope, tilt, start)
         first, last = int(rows[0]), int(rows[-1])
         index = np.arange(first, last + 1)
-        extent = max(extent, _half_width(across[index], start + tilt * index))
+        extent = max(extent, _half_width(across[index], np.asarray(start + tilt * index, np.float64)))
     angle = math.degrees(math.atan(tilt))
     middle = (first + last) / 2
     _refuse_others(slope, tilt, start, index, extent)
