@@ -39,7 +39,7 @@ _LEAST, _MOST_CUT = 32, 0.01
 """Fewest rows and columns of a picture, and the largest part of a dark one that may be cut off at 0."""
 
 _BRIGHTEST, _HIGHEST, _HEADROOM, _LEAST_NOISE = (0.25, 0.1, 0.03), 0.999, 2.3, 1.5
-"""Wells are full where the brightest parts of a picture are nearer to their highest numbers than 2.3 of their standard
+"""Wells are full where the brightest parts of a picture are nearer to their highest numbers than 2.3 standard
 deviations, where noise alone would spread further, or where they vary by less than 1.5 times the dark variance."""
 
 _CLEAR, _FEWEST_LEFT = 6.0, 0.05
@@ -66,7 +66,8 @@ class PhotonTransfer:
     dark_offset, dark_offset_deviation : float
         Mean of the dark pictures in digital numbers: the detector's black level, not rounded, with the dark current.
     saturated_pixels, dead_pixels, hot_pixels : int
-        Pixels with the largest number or a full well in a white picture; single pixels with less than a quarter of the light of all
+        Pixels with the largest number or a full well in a white picture; single
+        pixels with less than a quarter of the light of all
         their neighbours; pixels that are ten standard deviations off in the dark. All are left out.
     signal, variance : array (n,)
         Points of the line: mean above the dark offset and variance, in digital numbers, from dim to bright.
@@ -187,9 +188,9 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
         saturated, bad = saturated | full, bad | ndimage.binary_dilation(full, iterations=2)
         refuse_if(
             len(bright) == 1 or (~bad & (smooth > noise)).mean() < _FEWEST_LEFT,
-            f"white: its brightest pixels, of {top_mean + level:.4g}, vary by {math.sqrt(top_variance):.3g}, and the highest "
-            f"number is {highest + level:.4g}: full wells cut off their noise, or there is too little light; it must be "
-            "exposed otherwise",
+            f"white: its brightest pixels, of {top_mean + level:.4g}, vary by {math.sqrt(top_variance):.3g}, and the "
+            f"highest number is {highest + level:.4g}: full wells cut off their noise, or there is too little light; "
+            "it must be exposed otherwise",
         )
         light, *others = spreads()
         break

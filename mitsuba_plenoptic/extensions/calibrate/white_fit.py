@@ -179,8 +179,8 @@ def fit_white(
     refuse_if(
         abs(blur) >= _WIDEST_BLUR * apart or stray < _LEAST_STRAY,
         f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below {_WIDEST_BLUR:g} of the lenses' distance, "
-        f"{_WIDEST_BLUR * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the dark "
-        "picture are wrong",
+        f"{_WIDEST_BLUR * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the "
+        "dark picture are wrong",
     )
     return WhiteFit(
         camera=fitted_camera(camera, array, field, at_array, lens, found.brightness),
