@@ -43,7 +43,7 @@ _BRIGHTEST, _HIGHEST, _HEADROOM, _LEAST_NOISE = (0.25, 0.1, 0.03), 0.999, 2.3, 1
 deviations, where noise alone would spread further, or where they vary by less than 1.5 times the dark variance."""
 
 _CLEAR, _FEWEST_LEFT = 6.0, 0.05
-"""Standard deviations below a full well at which pixels are not cut off, and the part of a picture that must be left."""
+"""Deviations below a full well at which pixels are not cut off, and the part of a picture that must remain."""
 
 _ROUNDING = 1 / 12
 """Variance of rounding."""

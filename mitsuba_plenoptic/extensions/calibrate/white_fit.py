@@ -178,7 +178,7 @@ def fit_white(
     apart = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
     refuse_if(
         abs(blur) >= _WIDEST_BLUR * apart or stray < _LEAST_STRAY,
-        f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below {_WIDEST_BLUR:g} of the lenses' distance, "
+        f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below {_WIDEST_BLUR:g} of a lens, "
         f"{_WIDEST_BLUR * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the "
         "dark picture are wrong",
     )
