@@ -110,7 +110,8 @@ def test_micro_images_that_overlap_are_fitted(diameter, lattice):
     numbers = {name: values[0] for name, values in found.field.coefficients.items()}
     assert numbers["radius"] == pytest.approx(camera.pupil_radius / camera.pupil_step, rel=5e-3)
     assert numbers["blur"] == pytest.approx(0.6, abs=0.05)
-    assert abs(numbers["stray"]) < 0.01
+    # Hardly any gap is left that tells of it.
+    assert abs(numbers["stray"]) < 0.02
 
 
 SMALL = THIN.replace(resolution=(150, 120), detector_width=1.0)
