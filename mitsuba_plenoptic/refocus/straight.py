@@ -60,7 +60,7 @@ def is_uneven(camera: PlenopticCamera) -> bool:
 
 
 def straightened(camera: PlenopticCamera) -> PlenopticCamera:
-    """Return the camera with an upright array of regular, equal lenses and no blur; the same camera if it has these.
+    """Return the camera with an upright array of regular, equal lenses; the same camera if it has these.
 
     In the image of the stop displaced lenses see the object from other directions, which the response to points knows.
     """
@@ -106,9 +106,7 @@ def evening(camera: PlenopticCamera) -> tuple[NDArray[np.float32], NDArray[np.fl
 
     The light, over that of the even camera, is 1 but where vignetting leaves hardly any.
     """
-    # A blur changes the images' rims alike.
-    sharp = camera.replace(detector_blur=0.0)
-    white, even = white_image(sharp), white_image(sharp.replace(**_EVEN))
+    white, even = white_image(camera), white_image(camera.replace(**_EVEN))
     known = (white > 0) & (white > _DARKEST * even)
     missing = ~known & (even > 0)
     return (

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.ndimage
 
-from ..errors import InputError, refuse_if
+from ..errors import refuse_if
 from ..runtime.backend import as_pixels
 from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 
