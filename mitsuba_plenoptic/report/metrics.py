@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 import skimage.metrics
 
 from ..camera import PlenopticCamera
@@ -29,7 +30,8 @@ class ImageMetrics:
     psnr : float
         Peak signal-to-noise ratio in dB; the peak is the reference's maximum.
     ssim : float or None
-        Structural similarity over windows of 7 x 7 pixels; None for smaller images, which have no such window.
+        Structural similarity over windows of 7 x 7 pixels, the data's range being the reference's maximum; None for
+        images that have no such window, or a black reference.
     energy : float
         Sum over the reference's sum.
     """
@@ -52,29 +54,39 @@ def ssim_text(ssim: float | None) -> str:
 def common_scale(images: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> float:
     """Return the common factor on all images that fits them best to their references (least squares)."""
     products = sum(float(np.nansum(a * b)) for a, b in zip(images, references, strict=True))
-    squares = sum(float(np.nansum(np.square(a))) for a in images)
+    squares = sum(float(np.sum(np.square(a), where=~np.isnan(a * b))) for a, b in zip(images, references, strict=True))
     return products / squares if squares > 0 else 1.0
 
 
 def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
-    """Return the metrics of an image against a reference of the same shape, brightness included.
+    """Return the metrics of an image (rows, columns[, channels]) against a reference of its shape, brightness included.
 
-    Pixels that are NaN in the image are not compared.
+    Samples that are NaN in either are not compared: the error, the peak and the sums are those of all others, the
+    structural similarity that of the windows without such samples, by channel.
     """
     image, reference = (as_array(*each, np.float32) for each in (("image", image), ("reference", reference)))
-    unknown = np.isnan(image)
-    image, reference = np.where(unknown, 0, image), np.where(unknown, 0, reference)
-    peak = float(reference.max())
-    mean_square = float(np.mean((image - reference) ** 2, dtype=np.float64))
-    total = float(reference.sum(dtype=np.float64))
-    ssim = 1.0 if min(image.shape) >= _WINDOW else None
-    if ssim is not None and peak > 0:
-        ssim = float(skimage.metrics.structural_similarity(image, reference, win_size=_WINDOW, data_range=peak))
-    return ImageMetrics(
-        psnr=10 * math.log10(peak**2 / mean_square) if mean_square > 0 and peak > 0 else math.inf,
-        ssim=ssim,
-        energy=float(image.sum(dtype=np.float64)) / total if total > 0 else 1.0,
-    )
+    known = ~(np.isnan(image) | np.isnan(reference))
+    if not known.any():
+        return ImageMetrics(psnr=math.nan, ssim=None, energy=math.nan)
+    peak = float(reference[known].max())
+    mean_square = float(np.mean((image - reference)[known] ** 2, dtype=np.float64))
+    energy, total = (float(each[known].sum(dtype=np.float64)) for each in (image, reference))
+    window = (_WINDOW, _WINDOW, 1)[: image.ndim]
+    # Windows that lie within the image and know all of their samples.
+    whole = scipy.ndimage.minimum_filter(known, window, mode="constant", cval=0)
+    ssim = None
+    if whole.any() and peak > 0:
+        filled = (np.where(known, each, 0) for each in (image, reference))
+        channels = -1 if image.ndim == 3 else None
+        _, likeness = skimage.metrics.structural_similarity(
+            *filled, win_size=_WINDOW, data_range=peak, channel_axis=channels, full=True
+        )
+        ssim = float(likeness[whole].mean(dtype=np.float64))
+    psnr = math.inf if mean_square == 0 else -math.inf
+    if mean_square > 0 and peak > 0:
+        psnr = -10 * math.log10(mean_square / peak**2)
+    # Nothing is as bright as a black reference but what is black itself.
+    return ImageMetrics(psnr, ssim, energy / total if total > 0 else 1.0 if energy == 0 else math.inf)
 
 
 def relative_error(image: np.ndarray, reference: np.ndarray) -> float:

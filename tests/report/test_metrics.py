@@ -6,10 +6,12 @@ import math
 
 import numpy as np
 import pytest
+import skimage.metrics
 from scipy.special import erf
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.report.metrics import (
+    ImageMetrics,
     common_scale,
     image_metrics,
     interference,
@@ -37,9 +39,32 @@ def test_psnr_and_energy_of_a_constant_difference():
     assert found.energy == pytest.approx(1 + 0.02 * 100 / (2 * 36), rel=1e-5)
 
 
-def test_a_black_reference_gives_finite_answers():
+def test_a_black_reference_is_met_by_black_alone():
     black = np.zeros((8, 8))
-    assert image_metrics(black, black).energy == 1
+    assert image_metrics(black, black) == ImageMetrics(psnr=math.inf, ssim=None, energy=1)
+    assert image_metrics(black + 0.1, black) == ImageMetrics(psnr=-math.inf, ssim=None, energy=math.inf)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (64, 48, 3)])
+def test_what_is_unknown_does_not_count(shape):
+    """Against scikit-image on the known part alone, in both images and in each."""
+    random = np.random.default_rng(4)
+    reference = random.random(shape, dtype=np.float32)
+    image = (reference + random.normal(0, 0.3, shape)).astype(np.float32)
+    part, peak = (slice(9, 40), slice(None, 30)), float(reference[9:40, :30].max())
+    half = [np.full(shape, np.nan, np.float32) for _ in range(2)]
+    half[0][9:40], half[1][:, :30] = image[9:40], reference[:, :30]
+    image, reference = image[part], reference[part]
+    found = image_metrics(*half)
+    channels = -1 if len(shape) == 3 else None
+    psnr = skimage.metrics.peak_signal_noise_ratio(reference, image, data_range=peak)
+    ssim = skimage.metrics.structural_similarity(reference, image, data_range=peak, channel_axis=channels)
+    assert (found.psnr, found.ssim) == pytest.approx((psnr, ssim), rel=1e-4)
+    assert found.energy == pytest.approx(image.sum() / reference.sum(), rel=1e-5)
+    assert common_scale(half[:1], half[1:]) == pytest.approx((image * reference).sum() / (image**2).sum(), rel=1e-5)
+    nothing = image_metrics(half[0], np.full(shape, np.nan))
+    assert math.isnan(nothing.psnr)
+    assert nothing.ssim is None
 
 
 def test_common_scale_serves_all_images():
