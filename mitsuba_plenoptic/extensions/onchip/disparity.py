@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import convolve1d, uniform_filter
 
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_round
@@ -22,7 +22,10 @@ from ...views.coordinates import require_light_field
 from ...views.viewpoints import AXES
 
 _FLAT = 1e-6
-"""Least variance in a window, over the square of the largest value, for which there is something to match."""
+"""Least variance in a window, over its mean square, for which there is something to match."""
+
+_COLOURS = (0.25, 0.5, 0.25)
+"""Weights along both axes that give each lens of a Bayer mosaic a quarter of red, a half of green, a quarter of blue."""
 
 
 @suggest_keywords
@@ -100,7 +103,8 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     The normalised correlation of a window with windows displaced by whole lenses is highest at the disparity; a
     parabola through the highest value and its neighbours gives fractions of a lens. The blurs of the two pictures are
     mirror images of each other, so that the result differs from `half_disparity` by a scale that depends on texture and
-    window: calibrate it with captures at known distances.
+    window: calibrate it with captures at known distances. A mosaic's colours would match at even displacements only: the
+    lenses of a mosaic are averaged with their neighbours, so that each has all colours.
 
     Parameters
     ----------
@@ -131,7 +135,12 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     refuse_if(require_count("window", window, minimum=3) % 2 == 0, f"window = {window}: it must be odd")
     search = require_count("search", search, maximum=max(1, halves.sizes["st"[1 - along]] - 2))
     pair = halves.sum([dim for dim in (other, "c") if dim in halves.dims]).transpose(pupil, "t", "s")
-    first, second = np.asarray(pair.values, np.float64)
+    views = np.asarray(pair.values, np.float64)
+    if halves.attrs.get("mosaic") and "c" not in halves.dims:
+        # Mirrored about the last lens, the mosaic goes on.
+        for axis_of_lenses in (1, 2):
+            views = convolve1d(views, _COLOURS, axis=axis_of_lenses, mode="mirror")
+    first, second = views
     scores = np.stack([_correlation(first, second, step, along, window) for step in range(-search, search + 1)])
     best = scores.argmax(axis=0)
     inner = np.clip(best, 1, 2 * search - 1)
@@ -159,9 +168,9 @@ def _correlation(first: np.ndarray, second: np.ndarray, step: int, axis: int, wi
         return np.asarray(uniform_filter(values, window, mode="nearest"))
 
     a, b = mean(first), mean(moved)
-    spread = (mean(first**2) - a * a), (mean(moved**2) - b * b)
-    least = _FLAT * max(float(np.abs(first).max()), float(np.abs(second).max())) ** 2
-    textured = (spread[0] > least) & (spread[1] > least)
+    squares = mean(first**2), mean(moved**2)
+    spread = squares[0] - a * a, squares[1] - b * b
+    textured = (spread[0] > _FLAT * squares[0]) & (spread[1] > _FLAT * squares[1])
     product = np.where(textured, spread[0] * spread[1], 1)
     score = np.where(textured, (mean(first * moved) - a * b) / np.sqrt(product), -np.inf)
     # Windows around lenses that were moved in from the other side compare what does not belong together.
