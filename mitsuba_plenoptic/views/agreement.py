@@ -7,7 +7,7 @@ import scipy
 import xarray as xr
 
 from .coordinates import channel_planes, view_steps
-from .refocusing import shifted
+from .refocusing import moved
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
 _WINDOW = 1.0
@@ -117,12 +117,12 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
         # Counts, sums of values and of their squares over each quadrant of the pupil.
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
         for row, row_weight, down in zip(plane, weight, v, strict=True):
-            moved, moved_weight = (shifted(part, down * slope, axis=1) for part in (row * row_weight, row_weight))
-            for view, view_weight, across in zip(moved, moved_weight, u, strict=True):
+            by_row, row_open = (moved(part, down * slope, axis=1) for part in (row * row_weight, row_weight))
+            for view, view_weight, across in zip(by_row, row_open, u, strict=True):
                 if not view_weight.any():
                     continue
                 # Between a bin and none, the bin's value counts, for as much as its weight.
-                total, part = (shifted(one, across * slope, axis=1) for one in (view, view_weight))
+                total, part = (moved(one, across * slope, axis=1) for one in (view, view_weight))
                 moments = np.stack([part, total, total * total / np.maximum(part, 1e-6)])
                 # A view on a dividing line belongs to both of its sides by half.
                 for j, vertical in enumerate(_sides(down)):

@@ -141,23 +141,44 @@ def focal_stack(
     return stack.assign_coords(distance=("distance", distances, {"units": "mm"}))
 
 
-def shifted(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
-    """Return an array read `shift` samples further along an axis, by linear interpolation; outside it is 0."""
+# Variance of the places that `moved` takes a sample from, in squared bins: that for which both of its rules can be kept.
+_SPREAD = 0.55 - math.sqrt(0.015)
+
+
+def moved(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
+    """Return an array read `shift` samples further along an axis, as blurred and as noisy for any shift.
+
+    Linear interpolation averages noise between samples only, so that moved views seem to agree where shifts are not
+    whole. Four weights, with the sum 1, the mean `shift`, one variance and one sum of squares, do not. Outside the
+    array is 0.
+    """
+    part = shift - math.floor(shift)
+    before, at, after = (_SPREAD + part**2 - part) / 2, 1 - _SPREAD - part**2, (_SPREAD + part**2 + part) / 2
+    # What is left free is a third difference; it sets the sum of squares to that of three weights of a whole shift.
+    half = 3 * (at - after) - before
+    excess = before**2 + at**2 + after**2 - (1 - 2 * _SPREAD + 1.5 * _SPREAD**2)
+    last = (math.copysign(math.sqrt(max(half**2 - 20 * excess, 0)), 0.5 - part) - half) / 20
     result = np.zeros_like(values)
-    _add_shifted(result, values, shift, axis)
+    _add_shifted(result, values, shift, axis, {-1: before - last, 0: at + 3 * last, 1: after - 3 * last, 2: last})
     return result
 
 
-def _add_shifted(total: np.ndarray, values: np.ndarray, shift: float, axis: int) -> None:
-    """Add the values returned by `shifted` to a total."""
-    whole, size, before = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
-    part = np.float32(shift - whole)
-    for count, factor in ((whole, 1 - part), (whole + 1, part)):
+def _add_shifted(
+    total: np.ndarray, values: np.ndarray, shift: float, axis: int, weights: dict[int, float] | None = None
+) -> None:
+    """Add an array read `shift` samples further along an axis to a total; outside it is 0.
+
+    The weights are those of the samples about the last one before the place; without them, of linear interpolation.
+    """
+    whole, size, left = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
+    part = shift - whole
+    for step, factor in (weights or {0: 1 - part, 1: part}).items():
+        count = whole + step
         overlap = size - abs(count)
-        if overlap > 0 and factor > 0:
-            source = values[(*before, slice(max(count, 0), max(count, 0) + overlap))]
-            total[(*before, slice(max(-count, 0), max(-count, 0) + overlap))] += (
-                source if factor == 1 else source * factor
+        if overlap > 0 and factor != 0:
+            source = values[(*left, slice(max(count, 0), max(count, 0) + overlap))]
+            total[(*left, slice(max(-count, 0), max(-count, 0) + overlap))] += (
+                source if factor == 1 else source * np.float32(factor)
             )
 
 
