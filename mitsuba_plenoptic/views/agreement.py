@@ -18,6 +18,9 @@ _HALF = 2.0
 # Views that have the noise of one: decoding interpolates them between the same pixels.
 _SHARED = 2.0
 
+# Views that are the nearest of those without a common pixel: how they differ tells what noise does.
+_APART = 2
+
 # Fraction of the views that must see a bin: few agree by chance.
 _SEEN = 0.25
 
@@ -37,7 +40,7 @@ _BROAD, _SINGLE = 0.88, 0.96
 _COARSE, _FINE = 0.33, 0.37
 
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the unexplained fraction of the variance between views that are shifted for one disparity.
 
     Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a bin;
@@ -48,7 +51,7 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     of the pupil is less than half as large, twice that ratio counts: next to an occluder's edge, one half of the pupil
     sees past it.
     """
-    variance, mean, count = _moved_views(lf, slope)
+    variance, mean, count, noise = _moved_views(lf, slope)
     seen, parts, means, squares = (
         scipy.ndimage.gaussian_filter(part, (0, _WINDOW, _WINDOW), mode="nearest")
         for part in (count, count * variance, count * mean, count * np.square(mean))
@@ -63,7 +66,8 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     samples = np.square(independent) * (2 * np.pi * _WINDOW**2)
     best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
     ratio, samples = (np.take_along_axis(part, best, 0)[0] for part in (ratio, samples))
-    return ratio, whole[0], samples
+    squares, pairs = scipy.ndimage.gaussian_filter(noise, (0, _WINDOW, _WINDOW), mode="nearest")
+    return ratio, whole[0], samples, np.minimum(squares / np.maximum(pairs, 1e-6), parts[0])
 
 
 def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
@@ -104,7 +108,7 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     return np.asarray(possible * np.square(coarser) / (np.square(coarser) + np.square(finer)))
 
 
-def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return variance, mean and number of the views that see each bin, shifted for one disparity.
 
     Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
@@ -113,17 +117,24 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
+    noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
         # Counts, sums of values and of their squares over each quadrant of the pupil.
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
         for row, row_weight, down in zip(plane, weight, v, strict=True):
             by_row, row_open = (moved(part, down * slope, axis=1) for part in (row * row_weight, row_weight))
+            passed: list[tuple[np.ndarray, np.ndarray]] = []
             for view, view_weight, across in zip(by_row, row_open, u, strict=True):
                 if not view_weight.any():
                     continue
                 # Between a bin and none, the bin's value counts, for as much as its weight.
                 total, part = (moved(one, across * slope, axis=1) for one in (view, view_weight))
-                moments = np.stack([part, total, total * total / np.maximum(part, 1e-6)])
+                values = total / np.maximum(part, 1e-6)
+                moments = np.stack([part, total, total * values])
+                passed.append((values, part))
+                if len(passed) > _APART:
+                    other, both = passed[-1 - _APART][0], part * passed[-1 - _APART][1]
+                    noise += np.stack([both * np.square(values - other) / 2, both])
                 # A view on a dividing line belongs to both of its sides by half.
                 for j, vertical in enumerate(_sides(down)):
                     for i, horizontal in enumerate(_sides(across)):
@@ -136,7 +147,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
             mean[index] += total / seen
             views[index] += count
     channels = lf.sizes.get("c", 1)
-    return variance / channels, mean / channels, views / channels
+    return variance / channels, mean / channels, views / channels, noise
 
 
 def _sides(step: float) -> tuple[float, float]:

@@ -244,16 +244,16 @@ def disagreement_of_planes(
     else:
         measure, samples = partial(view_disagreement, lf), VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
-    ratio, whole, counted_for = np.empty((3, len(slopes), *lf.shape[2:4]), dtype=np.float32)
+    ratio, whole, counted_for, noise = np.empty((4, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        ratio[index], whole[index], counted_for[index] = measure(float(slope))
+        ratio[index], whole[index], counted_for[index], noise[index] = measure(float(slope))
     distances = distance_of(lf, slopes)
     if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    return disagreement(ratio, whole, counted_for, brightness, 1 / distances), samples
+    return disagreement(ratio, whole, counted_for, brightness, 1 / distances, noise), samples
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ class LensComparison:
         self._values = np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
-    def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
         The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. The
@@ -80,7 +80,7 @@ class LensComparison:
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
         if slope == 0 or min(self._images.weight.shape[2:]) < 3:
-            return np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
+            return np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape), np.zeros(shape)
         values, opened = self._straightened(slope)
         squares, counts, sums, sums_of_squares = np.zeros((4, *opened.shape), dtype=np.float32)
         views = opened.shape[2:]
@@ -111,7 +111,7 @@ class LensComparison:
         whole = np.maximum(second / many - np.square(first / many), 0) + variance / 2
         ratio = np.divide(variance, whole, out=np.ones_like(whole), where=whole > 0)
         ratio, whole = np.where(seen >= _FEWEST, (ratio, whole), np.nan).astype(np.float32)
-        return ratio, whole, _PER_COMPARISON * seen
+        return ratio, whole, _PER_COMPARISON * seen, np.zeros(shape)
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:

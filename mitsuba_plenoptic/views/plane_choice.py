@@ -52,6 +52,9 @@ _BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 # cameras. Model errors, which most of them share, leave this few.
 VIEWS, LENSES = 20.0, 3.0
 
+# Fraction of the variance of noise of which its estimate leaves unsure.
+_UNSURE = 0.05
+
 # Most neighbours agree with a plane where this fraction of them does.
 _MAJORITY = 0.5
 
@@ -88,10 +91,17 @@ class Disagreement:
     contrast: np.ndarray
     # Inverse distances of the planes, falling or rising.
     inverse: np.ndarray
+    # Fraction of the variance that is to be explained which is noise, like `ratio`.
+    noise: np.ndarray | float = 0.0
 
 
 def disagreement(
-    ratio: np.ndarray, whole: np.ndarray, samples: np.ndarray, brightness: np.ndarray, inverse: np.ndarray
+    ratio: np.ndarray,
+    whole: np.ndarray,
+    samples: np.ndarray,
+    brightness: np.ndarray,
+    inverse: np.ndarray,
+    noise: np.ndarray | float = 0.0,
 ) -> Disagreement:
     """Return the disagreement of views; deviations too small for the bins' brightness count as noise."""
     bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
@@ -99,7 +109,7 @@ def disagreement(
         warnings.simplefilter("ignore", RuntimeWarning)
         contrast = np.sqrt(np.nan_to_num(np.nanmedian(whole, axis=0))) / bright
     floor = np.square(_NOISE * bright)
-    return Disagreement((ratio * whole + floor) / (whole + floor), samples, contrast, inverse)
+    return Disagreement((ratio * whole + floor) / (whole + floor), samples, contrast, inverse, noise / (whole + floor))
 
 
 def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
@@ -166,13 +176,20 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     # However far apart planes are, the next ones agree.
     agreeing = _mass(asked, np.minimum(low, plane - 1), np.maximum(high, plane + 1))
     del own, asked
-    misfit = energy.min(axis=0) + np.log(found.contrast + np.finfo(np.float32).tiny)
-    averaged, explained, independent = (
+    averaged, explained, independent, noise = (
         scipy.ndimage.gaussian_filter(part, (0, _AVERAGED, _AVERAGED), mode="nearest")
-        for part in (energy, 1 - ratio, _MORE * found.samples)
+        for part in (energy, 1 - ratio, _MORE * found.samples, np.broadcast_to(np.nan_to_num(found.noise), ratio.shape))
     )
     here = np.rint(plane).astype(np.int64)[None]
-    significance = np.take_along_axis(explained * np.sqrt(independent), here, 0)[0]
+    significance, noise = (np.take_along_axis(part, here, 0)[0] for part in (explained * np.sqrt(independent), noise))
+    # Noise is no error of the model: it has many independent samples.
+    noise = noise * (1 - _UNSURE)
+    left = np.maximum(1 - noise / np.maximum(1 - explained, 1e-6), _UNSURE)
+    averaged = averaged + 0.5 * np.log(left)
+    least = ratio.min(axis=0)
+    misfit = 0.5 * np.log(np.maximum(least - noise, _UNSURE * least)) + np.log(
+        found.contrast + np.finfo(np.float32).tiny
+    )
     mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, plane, tolerance))
     evidence = (
         np.ones_like(plane),
