@@ -9,8 +9,8 @@ import xarray as xr
 from .coordinates import channel_planes, view_steps
 from .refocusing import moved
 
-# Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
-_WINDOW = 1.0
+# Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
+_WINDOW = 0.85
 
 # What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out less.
 _HALF = 2.0
@@ -18,7 +18,7 @@ _HALF = 2.0
 # Views that have the noise of one: decoding interpolates them between the same pixels.
 _SHARED = 2.0
 
-# Views that are the nearest of those without a common pixel: how they differ tells what noise does.
+# Steps between the nearest views without a common pixel. They differ by noise, and by little else near the right plane.
 _APART = 2
 
 # Fraction of the views that must see a bin: few agree by chance.
@@ -44,7 +44,8 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     """Return the unexplained fraction of the variance between views that are shifted for one disparity.
 
     Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a bin;
-    the variance to be explained; and the number of samples, over which 1 is the variance of the ratio of pure noise.
+    the variance to be explained; the number of samples, over which 1 is the variance of the ratio of pure noise; and
+    the variance of noise, half of the mean square of the differences between views that are two steps apart.
 
     The variance to be explained is that of the views in each bin, which is left unexplained, plus that of their mean
     among neighbouring bins. Interpolation reduces both alike. Where the ratio for the upper, lower, left or right half
@@ -112,7 +113,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     """Return variance, mean and number of the views that see each bin, shifted for one disparity.
 
     Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
-    Samples at the pupil's edge are left out.
+    Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
     """
     weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
     v, u = view_steps(lf, "v"), view_steps(lf, "u")

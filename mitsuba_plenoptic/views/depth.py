@@ -114,7 +114,7 @@ def depth_map(
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
     samples = lf.size if micro_images is None else micro_images.values.size
-    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 84.0 * bins
+    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 100.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",

@@ -52,7 +52,7 @@ _BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 # cameras. Model errors, which most of them share, leave this few.
 VIEWS, LENSES = 20.0, 3.0
 
-# Fraction of the variance of noise of which its estimate leaves unsure.
+# Fraction of a variance up to which that of noise is known.
 _UNSURE = 0.05
 
 # Most neighbours agree with a plane where this fraction of them does.
@@ -157,10 +157,10 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
 
     The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane is
     right, if the average evidence of the bin's surroundings is taken literally, since repeated texture agrees at
-    several distances about as well. The third is the deviation on the best plane over the brightness, or 0.06 where it
-    is less: at edges of foreground objects, on gloss and on steep surfaces no plane explains the views. The fourth is
-    by how many deviations of noise the surroundings' average ratio is below 1 on this plane, beyond what pure noise
-    would leave on the best of all planes.
+    several distances about as well. The third is the deviation on the best plane, without noise, over the brightness,
+    or 0.06 where it is less: at edges of foreground objects, on gloss and on steep surfaces no plane explains the
+    views. The fourth is by how many deviations of noise the surroundings' average ratio is below 1 on this plane,
+    beyond what pure noise would leave on the best of all planes.
 
     The last result is the fraction of neighbours that, by their own evidence, are within twice the tolerance of this
     plane.
@@ -182,14 +182,11 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     )
     here = np.rint(plane).astype(np.int64)[None]
     significance, noise = (np.take_along_axis(part, here, 0)[0] for part in (explained * np.sqrt(independent), noise))
-    # Noise is no error of the model: it has many independent samples.
+    # Noise, of many independent samples, is no error of the model: evidence is what it leaves of the variances.
     noise = noise * (1 - _UNSURE)
-    left = np.maximum(1 - noise / np.maximum(1 - explained, 1e-6), _UNSURE)
-    averaged = averaged + 0.5 * np.log(left)
+    averaged = averaged + 0.5 * np.log(np.maximum(1 - noise / np.maximum(1 - explained, 1e-6), _UNSURE))
     least = ratio.min(axis=0)
-    misfit = 0.5 * np.log(np.maximum(least - noise, _UNSURE * least)) + np.log(
-        found.contrast + np.finfo(np.float32).tiny
-    )
+    misfit = 0.5 * np.log(np.maximum(least - noise, _UNSURE * least)) + np.log(found.contrast + 1e-30)
     mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, plane, tolerance))
     evidence = (
         np.ones_like(plane),

@@ -141,7 +141,7 @@ def focal_stack(
     return stack.assign_coords(distance=("distance", distances, {"units": "mm"}))
 
 
-# Variance of the places that `moved` takes a sample from, in squared bins: that for which both of its rules can be kept.
+# Variance of the places, in squared bins, from which `moved` takes a sample: that for which all of its rules hold.
 _SPREAD = 0.55 - math.sqrt(0.015)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from scene_cases import letters, pinhole_picture
+from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
 from mitsuba_plenoptic import (
     Capture,
@@ -27,7 +28,9 @@ from mitsuba_plenoptic.views import (
     LensGrid,
     depth_map,
     disparity,
+    distance_of,
     focal_stack,
+    lens_grid,
     refocus,
     shift_and_add,
     white_image,
@@ -36,6 +39,7 @@ from mitsuba_plenoptic.views.agreement import view_disagreement
 from mitsuba_plenoptic.views.coordinates import view_steps
 from mitsuba_plenoptic.views.lens_agreement import LensComparison
 from mitsuba_plenoptic.views.lens_images import micro_images_of
+from mitsuba_plenoptic.views.refocusing import moved
 
 # Fewer pixels a lens than the paper's, to be quick: 11 views.
 CAMERA = PlenopticCamera(detector_width=2.56, resolution=(640, 640))
@@ -68,6 +72,27 @@ def flat_scene(lf, distance, function):
     y = t - slope * v[:, None]
     values = function(x[None, :, None, :], y[:, None, :, None]).astype(np.float32)
     return lf.copy(data=np.where(lf.weight.values > 0, values, 0))
+
+
+def noisy_camera(pixels):
+    """Give a camera at f/4 with so many pixels a lens, which finds 1 % of the distance in 0.1 lens a view."""
+    return PlenopticCamera(
+        aperture_radius=10.0, mla_pitch=0.0822, mla_focal_length=6 * 0.0822,
+        detector_width=36 * 0.0822, resolution=(36 * pixels, 36 * pixels),
+    )  # fmt: skip
+
+
+def card(camera, slope, blob, contrast):
+    """Give the capture of a card with random blobs, which moves by `slope` lenses from view to view, without noise."""
+    pattern = gaussian_filter(np.random.default_rng(0).normal(size=(600, 600)), 8 * blob, mode="wrap")
+    # Lenses and pixels average over what they see, eight samples a lens.
+    for width in (8, max(1, round(8 * abs(slope)))):
+        pattern = uniform_filter(pattern, width, mode="wrap")
+    pattern = 0.5 * (1 + contrast * pattern / pattern.std())
+    pixel, lenses = np.arange(camera.shape[0]) + 0.5, lens_grid(camera).centres()[0, :, 0]
+    lens = np.abs(pixel[:, None] - lenses).argmin(axis=1)
+    place = 8 * (lens - slope * (pixel - lenses[lens]) + 16)
+    return map_coordinates(pattern, np.meshgrid(place, place, indexing="ij"), order=1) * white_image(camera)
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +208,18 @@ class TestFourierSlice:
 
 
 class TestDepth:
+    @pytest.mark.parametrize("shift", [0, 0.02, 0.37, 0.5, 0.98, -1.25, 3])
+    def test_views_are_moved_with_one_blur_and_one_gain_of_noise(self, shift):
+        impulse = np.zeros((1, 15), dtype=np.float32)
+        impulse[0, 7] = 1
+        weight, place = moved(impulse, shift, axis=1)[0], 7.0 - np.arange(15)
+        assert weight.sum() == pytest.approx(1)
+        assert weight.min() >= 0
+        assert weight @ place == pytest.approx(shift, abs=1e-6)
+        still = moved(impulse, 0, axis=1)[0]
+        assert np.square(weight).sum() == pytest.approx(np.square(still).sum(), rel=1e-6)
+        assert weight @ np.square(place - shift) == pytest.approx(still @ np.square(place), rel=1e-6)
+
     def test_two_planes(self, blank):
         # The left half at 212 mm in front of the right half at 265 mm, by their place in the middle view.
         near, far = flat_scene(blank, 212.0, texture(1)), flat_scene(blank, 265.0, texture(2))
@@ -219,14 +256,30 @@ class TestDepth:
         assert float(found.confidence.where(np.isfinite(found.depth)).min()) >= 0.5 or bool(np.isnan(found.depth).all())
         assert found.attrs["near"] == pytest.approx(188.5, abs=0.1)
 
-    def test_noise_does_not_move_the_depth(self, blank):
-        lf = flat_scene(blank, 228.0, texture(4))
-        lf = lf + np.random.default_rng(0).normal(0, 0.03, lf.shape).astype(np.float32)
-        lf.attrs = blank.attrs
-        found = depth_map(lf, 200, 300, planes=32)
-        sure = found.confidence > 0.5
-        assert float(sure.mean()) > 0.5
-        assert float(found.depth.where(sure).median()) == pytest.approx(228, abs=0.5)
+    # Pixels a lens; lenses that the card moves from view to view; photons; size of its blobs in lenses; contrast.
+    @pytest.mark.parametrize(
+        "case",
+        [(10, 0.98, 300, 1.6, 0.18), (10, 0, 50, 1.6, 0.18), (9, -0.5, 100, 0.8, 0.3), (12, 1.02, 1000, 3, 0.1)],
+    )
+    def test_noise_does_not_move_the_depth(self, case):
+        pixels, slope, photons, blob, contrast = case
+        camera = noisy_camera(pixels)
+        lf = decode(expose(Capture(card(camera, slope, blob, contrast), camera), Detector(), photons=photons, seed=1))
+        inner = depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
+        error = distance_of(lf, inner.disparity.values) / distance_of(lf, slope) - 1
+        assert abs(np.median(error)) < 0.003
+        right = float((abs(error) < 0.01).mean())
+        assert right > 0.95
+        assert float(inner.confidence.mean()) == pytest.approx(right, abs=0.1)
+
+    def test_confidence_falls_with_the_rate_of_right_depths(self):
+        # So few photons that noise decides in every other bin.
+        camera = noisy_camera(10)
+        lf = decode(expose(Capture(card(camera, 0.5, 1.6, 0.08), camera), Detector(), photons=25, seed=1))
+        inner = depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
+        right = np.abs(distance_of(lf, inner.disparity.values) / distance_of(lf, 0.5) - 1) < 0.01
+        assert 0.2 < right.mean() < 0.8
+        assert float(inner.confidence.mean()) == pytest.approx(right.mean(), abs=0.1)
 
     def test_colour(self, colours):
         found = depth_map(colours[1], 200, 300, planes=24)

@@ -25,7 +25,7 @@ _FLAT = 1e-6
 """Least variance in a window, over its mean square, for which there is something to match."""
 
 _COLOURS = (0.25, 0.5, 0.25)
-"""Weights along both axes that give each lens of a Bayer mosaic a quarter of red, a half of green, a quarter of blue."""
+"""Weights along both axes that give each lens of a Bayer mosaic a quarter of red, half of green, a quarter of blue."""
 
 
 @suggest_keywords
@@ -103,8 +103,8 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
     The normalised correlation of a window with windows displaced by whole lenses is highest at the disparity; a
     parabola through the highest value and its neighbours gives fractions of a lens. The blurs of the two pictures are
     mirror images of each other, so that the result differs from `half_disparity` by a scale that depends on texture and
-    window: calibrate it with captures at known distances. A mosaic's colours would match at even displacements only: the
-    lenses of a mosaic are averaged with their neighbours, so that each has all colours.
+    window: calibrate it with captures at known distances. The colours of a mosaic match at even displacements only: its
+    lenses are averaged with their neighbours, so that each has all colours.
 
     Parameters
     ----------
