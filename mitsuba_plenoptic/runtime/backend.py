@@ -409,7 +409,7 @@ def unit_of(values: Any) -> str:
     return "" if stated is None else str(stated)
 
 
-def require_units(name: str, data: Mapping[Any, Any], known: Mapping[str, Names]) -> None:
+def require_units(name: str, data: Any, known: Mapping[str, Names]) -> None:
     """Refuse labelled data that states another unit of a variable than one of those named."""
     for part, units in known.items():
         unit = unit_of(data[part])
