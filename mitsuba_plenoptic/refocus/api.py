@@ -47,7 +47,7 @@ from .methods import (
 )
 from .radiance import as_reference
 from .results import Reconstruction
-from .straight import displaced_image, passed_light, straightened, straightened_image
+from .straight import displaced_image, moves_images, passed_light, straightened, straightened_image
 
 _log = logging.getLogger(__name__)
 
@@ -181,9 +181,10 @@ def reconstruct(
     capture = as_capture(capture, camera)
     capture.camera.require_array("reconstruct")
     tilted = capture.camera
-    camera, image = straightened(tilted), straightened_image(np.atleast_3d(capture.image), tilted)
-    capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     chosen = registered(method)
+    image = straightened_image(np.atleast_3d(capture.image), tilted, soft=chosen.soft)
+    camera = straightened(tilted)
+    capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     if not camera.lens_data.converges and not chosen.as_it_is:
         methods = " or ".join(each.name for each in METHODS.values() if each.as_it_is) or "of extension deconvolution"
         raise InputError(
@@ -249,6 +250,7 @@ def reconstruct(
             exposure=capture.metadata.get("exposure"),
             checkpoint=used["checkpoint"],
             batch_map=used["batch_map"],
+            softened=chosen.soft and moves_images(tilted),
         )
         images = [
             dataclasses.replace(made, image=displaced_image(made.image, tilted, oversample))

@@ -94,6 +94,8 @@ class Task:
         For long methods: saves intermediate results.
     batch_map : BatchMap, optional
         For long methods: computes their point spreads.
+    softened : bool
+        Whether the pixels are smoothed (see `refocus.straight.softened`), which methods with `soft` allow for.
     systems : dict
         Optical systems that `system` has built.
     """
@@ -110,6 +112,7 @@ class Task:
     exposure: dict[str, Any] | None = None
     checkpoint: Checkpoint | None = None
     batch_map: BatchMap | None = None
+    softened: bool = False
     systems: dict[float, OpticalSystem] = field(default_factory=dict)
 
     def system(self, wavelength: float) -> OpticalSystem:
@@ -153,6 +156,7 @@ class RegisteredMethod:
     as_it_is: bool = False
     long: bool = False
     white: bool = True
+    soft: bool = False
 
     def takes(self, option: str) -> bool:
         """Return whether the method has an option of `reconstruct` that only some methods have."""
@@ -193,6 +197,7 @@ def method(
     as_it_is: bool = False,
     long: bool = False,
     white: bool = True,
+    soft: bool = False,
 ) -> Callable[[Refocus], Refocus]:
     """Register a function as a reconstruction method.
 
@@ -210,11 +215,13 @@ def method(
         Whether the method may take long, so that it writes checkpoints and uses workers.
     white : bool
         Whether the method's images can be divided by those of a white capture.
+    soft : bool
+        Whether micro-images that are moved shall be smoothed; the task says whether they are.
     """
     taken = (*options, *(option for option, record in OPTIONS.items() if name in record.methods))
 
     def register(refocus: Refocus) -> Refocus:
-        METHODS[name] = RegisteredMethod(name, refocus, taken, waves, as_it_is, long, white)
+        METHODS[name] = RegisteredMethod(name, refocus, taken, waves, as_it_is, long, white, soft)
         return refocus
 
     return register

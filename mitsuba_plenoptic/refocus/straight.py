@@ -7,7 +7,10 @@ the same point, at distances smaller by the factor :math:`(z + h) b / (b - h) z`
 array is one of the upright array, enlarged about its chief ray, and the lenses are displaced by :math:`c h / b`.
 
 A displaced lens moves its micro-image by its displacement, times :math:`(b + z) / b`. Every micro-image is moved back
-to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. What the lens
+to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. Splines through
+the pixels overshoot at the edges of micro-images, and a response may have no light where edges have moved by a part of
+a pixel. So for deconvolution, pixels are the coefficients of the splines instead, which are smooth and keep the light,
+and its response is smoothed by the same splines (`softened`). What the lens
 has seen then counts to the regular position; where displacements are no small part of a lens, the refocused image is
 displaced at the end.
 
@@ -26,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import convolve1d, map_coordinates, spline_filter
 
 from ..camera import PlenopticCamera
 from ..lattice import Displacement
@@ -40,6 +43,9 @@ _BLOCK = 2**20
 
 _ORDER = 3
 """Order of the splines between pixels."""
+
+SOFT_NOISE = (151 / 315) ** 2
+"""Variance of softened pixels over that of pixels, where micro-images have moved by any part of a pixel."""
 
 _NEAR = 0.01
 """Pixels by which micro-images may be displaced that stay as they are."""
@@ -73,8 +79,26 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     return regular.replace(mla_tilt=(0.0, 0.0), mla_warp=(), mla_jitter=(0.0, camera.mla_jitter[1]))
 
 
-def straightened_image(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
-    """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it."""
+def moves_images(camera: PlenopticCamera) -> bool:
+    """Return whether `straightened_image` moves micro-images of a camera."""
+    moved = camera.lattice.displacement is not None or any(camera.mla_tilt)
+    return moved and not camera.lens_data.images_stop
+
+
+def softened(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return pixels as coefficients of a cubic spline, at the pixels' own places; a symmetric map."""
+    for axis in (0, 1):
+        image = convolve1d(image, [1 / 6, 4 / 6, 1 / 6], axis, mode="reflect")
+    return image
+
+
+def straightened_image(
+    image: NDArray[np.float32], camera: PlenopticCamera, *, soft: bool = False
+) -> NDArray[np.float32]:
+    """Return a capture (rows, columns, channels) by a camera as its `straightened` camera records it.
+
+    A `soft` image that is moved is also smoothed as by `softened`.
+    """
     regular = straightened(camera)
     if regular is camera:
         return image
@@ -89,10 +113,13 @@ def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.fl
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
     found = np.empty_like(image)
-    splines = [spline_filter(channel, _ORDER) for channel in np.moveaxis(image.astype(np.float64), -1, 0)]
+    channels = np.moveaxis(image.astype(np.float64), -1, 0)
+    splines = channels if soft else [spline_filter(channel, _ORDER) for channel in channels]
     for rows, x, y in _seen(camera, regular):
         for channel, spline in enumerate(splines):
             found[rows, :, channel] = map_coordinates(spline, (y, x), order=_ORDER, mode="nearest", prefilter=False)
+        if soft:
+            continue
         row, column = np.indices(x.shape)
         still = np.maximum(abs(x - column), abs(y - row - rows.start)) < _NEAR
         found[rows][still] = image[rows][still]

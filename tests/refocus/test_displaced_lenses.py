@@ -88,6 +88,25 @@ def test_displaced_lenses_are_refocused_as_well_as_regular_ones(name, method):
     assert found > straight - (0.003 if name == "fitted" else 0.002)
 
 
+@pytest.mark.parametrize(
+    "name", ["tilted", *(pytest.param(n, marks=pytest.mark.slow) for n in ("warped", "irregular"))]
+)
+def test_deconvolution_keeps_the_light_of_squares_behind_displaced_lenses(name):
+    """Bins of radiance 1 in the dark, by rays: micro-images that move by a part of a pixel stay in the response."""
+    mi.set_variant("llvm_ad_mono")
+    camera = STRAIGHT.replace(**CAMERAS[name])
+    scene, bins = {"type": "scene", "camera": camera.to_sensor(), "i": {"type": "direct"}}, [(2, 2), (2, 8), (8, 3)]
+    size = camera.bin_size(DISTANCE)
+    for row, column in bins:
+        x, y = (-(index - 5.5) * size for index in (column, row))
+        place = mi.ScalarTransform4f().translate([x, y, DISTANCE]).rotate([0, 1, 0], 180).scale([size / 2, size / 2, 1])
+        scene[f"square {row} {column}"] = {"type": "rectangle", "to_world": place, "emitter": {"type": "area"}}
+    taken = render_capture(mi.load_dict(scene), spp=256)
+    found = np.nan_to_num(reconstruct(taken, DISTANCE, method="deconvolved").image)
+    for row, column in bins:
+        assert found[row - 1 : row + 2, column - 1 : column + 2].sum() == pytest.approx(1, abs=0.015)
+
+
 def test_unequal_lenses_are_refocused_as_well_as_equal_ones():
     """Their capture differs by a twelfth in its mean."""
     straight, found = (reconstruct(capture(name), DISTANCE, method="coherent").image for name in ("straight", "fitted"))

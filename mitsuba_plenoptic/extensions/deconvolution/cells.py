@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
@@ -177,51 +177,76 @@ class BinCells:
 _ALIGNED = 1e-6
 """Fraction of a bin by which places may differ that are one."""
 
+_POINTS = (np.arange(2)[:, None] + 0.5 + np.array([-1, 1]) / math.sqrt(12)).ravel() / 2
+"""Points in a unit interval whose mean integrates parabolas in both halves."""
 
-def to_bins(
-    values: NDArray[np.float32],
-    cells: BinCells,
-    lit: CellSet,
-    camera: PlenopticCamera,
-    distance: float,
-    oversample: int,
-) -> NDArray[np.float32]:
-    """Return values at the centres of bins, interpolated from cells; unchanged if both grids are equal."""
-    across, down = (count * oversample for count in camera.bin_count)
-    made = bins_matrix(cells, lit, camera, distance, oversample) @ values.ravel()
-    return made.astype(np.float32).reshape(down, across)
+_NO_SHARE = 1e-6
+"""Share of a bin that counts as none: rounding leaves it."""
 
 
-def bins_matrix(cells: BinCells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int) -> csr_array:
-    """Return the matrix from the bins of cells to the bins of a reconstruction; see `to_bins`.
+@dataclass(frozen=True)
+class UprightBins:
+    """Upright square bins over lit cells: those of a reconstruction, and others around these.
 
-    Behind a real main lens, cells are positions of chief rays on the array, and its distortion is corrected.
+    `first` is the index of the first column and row in the reconstruction. `share` (bins, bins of cells) is what a bin
+    has of each bin of cells: its transpose brings radiance to cells, and the matrix itself brings responses to bins.
     """
-    pitch = camera.mla_pitch / oversample
-    x, y = ((np.arange(count * oversample) - (count * oversample - 1) / 2) * pitch for count in camera.bin_count)
-    x, y = np.broadcast_arrays(x, y[:, None])
-    x, y = cells.grid.lens.stretch(x, y, camera, distance)
-    u, v = turn(x.ravel(), y.ravel(), -camera.mla_rotation)
-    across, down = cells.bins
-    width, height = cells.bin_sizes
-    row = _snapped(v / height - 0.5)
-    low = np.floor(row).astype(np.int64)
-    weights, positions = [], []
-    for line, share in ((low, 1 - (row - low)), (low + 1, row - low)):
-        J = line // down
-        column = _snapped((u - J * cells.vectors[1, 0]) / width - 0.5)
-        left = np.floor(column).astype(np.int64)
-        for k, part in ((left, 1 - (column - left)), (left + 1, column - left)):
-            cell = lit.find(np.stack([k // across, J], axis=-1))
-            positions.append((cell * down + line % down) * across + k % across)
-            weights.append(share * part)
-    weight, position = np.concatenate(weights), np.concatenate(positions)
-    # Positions outside of the lit cells lie beyond the last bin.
-    used = (weight > 0) & (position < len(lit) * down * across)
-    bins = np.tile(np.arange(u.size), len(positions))
-    return csr_array((weight[used], (bins[used], position[used])), shape=(u.size, len(lit) * down * across))
+
+    first: tuple[int, int]
+    shape: tuple[int, int]
+    share: csr_array
+
+    @classmethod
+    def over(
+        cls, cells: BinCells, lit: CellSet, camera: PlenopticCamera, distance: float, oversample: int
+    ) -> UprightBins:
+        """Return the bins over lit cells.
+
+        Along the rows of cells and across them the response to points is taken for parabolas whose means over the bins
+        of cells are known. Behind a real main lens cells are positions of chief rays on the array, and its distortion
+        is corrected.
+        """
+        pitch, (across, down), (width, height) = camera.mla_pitch / oversample, cells.bins, cells.bin_sizes
+        stretch, middle = cells.grid.lens.stretch, np.array(camera.bin_count) * oversample / 2
+        corners = (lit.index[:, None] + np.indices((2, 2)).reshape(2, 4).T) @ cells.vectors
+        far = np.stack(turn(*np.moveaxis(corners, -1, 0), camera.mla_rotation)).reshape(2, -1)
+        far *= np.hypot(*far) / np.hypot(*stretch(*far, camera, distance)).clip(_ALIGNED)
+        low = np.floor(far.min(1) / pitch + middle + _ALIGNED).astype(np.int64)
+        high = np.ceil(far.max(1) / pitch + middle - _ALIGNED).astype(np.int64)
+        parts = math.ceil(pitch / min(width, height) - _ALIGNED)
+        inside = (np.arange(parts)[:, None] + _POINTS).ravel() / parts
+        x, y = (
+            ((np.arange(start, stop)[:, None] + inside).ravel() - half) * pitch
+            for start, stop, half in zip(low, high, middle, strict=True)
+        )
+        columns, rows = (high - low).tolist()
+        number = np.repeat(np.arange(columns), inside.size)
+        shares = []
+        for line in np.split(y, rows):
+            places = np.meshgrid(x, line)
+            # Farther from the axis by a small part of the radius, for the image's area over that of the bins.
+            near, beyond = (np.stack(stretch(*(size * q for q in places), camera, distance)) for size in (1, 1 + 1e-4))
+            radius, ratio = (np.hypot(*some) / np.hypot(*places).clip(_ALIGNED) for some in (near, beyond))
+            area = radius * (ratio - radius) / 1e-4 * pitch**2 / (inside.size**2 * width * height)
+            u, v = turn(*near, -camera.mla_rotation)
+            weights, bins = [], []
+            for row, along_y in _parabola(v / height - 0.5):
+                J = row // down
+                for column, along_x in _parabola((u - J * cells.vectors[1, 0]) / width - 0.5):
+                    cell = lit.find(np.stack([column // across, J], axis=-1))
+                    weights.append(np.where(cell < len(lit), area * along_y * along_x, 0))
+                    bins.append((np.minimum(cell, len(lit) - 1) * down + row % down) * across + column % across)
+            size, targets = (columns, len(lit) * down * across), np.broadcast_to(number, np.shape(bins))
+            made = csr_array((np.ravel(weights), (targets.ravel(), np.ravel(bins))), shape=size)
+            made.data[abs(made.data) < _NO_SHARE] = 0
+            made.eliminate_zeros()
+            shares.append(made.astype(np.float32))
+        return cls((int(low[0]), int(low[1])), (rows, columns), vstack(shares, "csr"))
 
 
-def _snapped(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    whole = np.rint(position)
-    return np.asarray(np.where(np.abs(position - whole) < _ALIGNED, whole, position))
+def _parabola(position: NDArray[np.float64]) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """Return the three nearest bins of positions, in bins, with the weights of their means in the parabola there."""
+    nearest = np.rint(position).astype(np.int64)
+    aside = position - nearest
+    bend = aside**2 - 1 / 12
+    return [(nearest - 1, (bend - aside) / 2), (nearest, 1 - bend), (nearest + 1, (bend + aside) / 2)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,11 @@ from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if
 from ...io.checkpoints import digest
 from ...refocus.methods import Found, Progress, Task, method, portion, work_of
+from ...refocus.straight import SOFT_NOISE, softened
 from ...runtime.batches import Job
 from .fourier import response_of
-from .solver import Solved, State, Work, richardson_lucy
-from .variation import Noise
+from .solver import Linear, Solved, State, Values, Work, richardson_lucy
+from .variation import Noise, TotalVariation
 
 DEFAULT_ITERATIONS, MOST_ITERATIONS = 30, 100
 """Steps where nothing is known of the noise, and at most where it is."""
@@ -24,7 +26,7 @@ LEAST_SEEN = 0.01
 """Light of a bin, over that of the best one, below which it is NaN."""
 
 
-@method("deconvolved", waves=True, as_it_is=True, long=True, white=False)
+@method("deconvolved", waves=True, as_it_is=True, long=True, white=False, soft=True)
 def refocus(task: Task, **options: Any) -> list[Found]:
     """Return planes found by inverting the camera's response with Richardson and Lucy's iteration.
 
@@ -38,6 +40,8 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     """
     noise = Noise.of(task.exposure, options["photons"])
     _require_light(task.image, noise)
+    if noise and task.softened:
+        noise = Noise(noise.electrons / SOFT_NOISE, noise.dark * SOFT_NOISE)
     groups = [[distance] for distance in task.distances]
     if options["volume"]:
         groups = [list(task.distances)]
@@ -72,6 +76,21 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class _Softened:
+    """A response to softened pixels."""
+
+    response: Linear
+
+    def forward(self, values: Values) -> NDArray[np.float32]:
+        """Return the softened pixels lit by bins."""
+        return softened(self.response.forward(values))
+
+    def adjoint(self, image: NDArray[np.float32]) -> Values:
+        """Return the transpose of `forward`, applied to pixels."""
+        return self.response.adjoint(softened(image))
+
+
 def _solve(
     task: Task,
     distances: Sequence[float],
@@ -99,13 +118,13 @@ def _solve(
         steps=most,
     ) as made:
         solution = richardson_lucy(
-            made,
+            _Softened(made) if task.softened else made,
             image,
             iterations=most,
             accelerate=options["accelerate"],
             misfit=noise.misfit if noise and iterations is None else None,
             shift=noise.shift if noise else 0.0,
-            penalty=(made.variation(), variation) if variation else None,
+            penalty=(TotalVariation(), variation) if variation else None,
             state=work.take_state(made.shapes),
             keep=keep,
             progress=lambda done: report(made.prepared + (1 - made.prepared) * done),

@@ -33,7 +33,6 @@ from ...runtime.batches import Job
 from ...runtime.fft import Field, fast_length, fft, irfft, resting_drjit, rfft
 from .kernels import StoredResponse, require_response_memory
 from .response import Response
-from .variation import TotalVariation
 
 _MEMORY = 2 * 2**30
 """Bytes of the kernels' spectra beyond which they are stored on disk."""
@@ -95,10 +94,6 @@ class FourierResponse(StoredResponse):
         """Rows and columns of the bins of each plane."""
         columns, rows = (self._oversample * count for count in self._camera.bin_count)
         return [(rows, columns)] * self._count
-
-    def variation(self) -> TotalVariation:
-        """Return the total variation, as a regulariser, of the response's planes."""
-        return TotalVariation.of_grids(self.shapes)
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
         """Return the values of a plane's bins, which are ordered as in a lens's picture, as an upright image."""

@@ -23,6 +23,7 @@ from ...light.detector import SHARP, mix_pixels
 from ...light.microlenses import upright
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk
+from ...optics.waves import in_millimetres
 from ...points.accuracy import band_for
 from ...points.field_grid import Grid, place
 from ...points.patch_factors import Fields, chunks_of
@@ -32,9 +33,8 @@ from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
 from ...runtime.batches import Box, Job, Part
-from .cells import BinCells, bins_matrix, to_bins
+from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, require_response_memory, zones
-from .variation import TotalVariation
 
 _ACCURACY = 0.01
 """Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
@@ -46,6 +46,9 @@ _RADIATORS, _MOST_RADIATORS = 8, 32
 
 _RADIATORS_PER_LINE = 4
 """The same along a period of the finest lines that the plane's light resolves."""
+
+_RADIATORS_PER_SPOT = 1.5
+"""The same along the spot of a point on the array, which shows how much light crosses the borders of lenses."""
 
 _PIXEL_SAMPLES = 3
 """Samples across a pixel, at least, in which the light of kernels is kept."""
@@ -76,7 +79,10 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
     limit = resolution_limit(cells.camera, distance, grid.wavelength)
     lines = 0.0 if limit.in_focus else limit.frequency / (2 * limit.lenses)  # along a lens
-    points_along = max(_RADIATORS, min(_MOST_RADIATORS, math.ceil(_RADIATORS_PER_LINE * lines)))
+    airy = in_millimetres(grid.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
+    spots = max(cells.camera.mla_pitches) / (airy + cells.camera.blur_diameter(distance))
+    wanted = math.ceil(max(_RADIATORS_PER_LINE * lines, _RADIATORS_PER_SPOT * spots))
+    points_along = max(_RADIATORS, min(_MOST_RADIATORS, wanted))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
     places = lens.within(places)
@@ -109,7 +115,7 @@ def finite_distance(camera: PlenopticCamera, distance: float) -> float:
 
 
 _RAYS = 256
-"""Square root of the rays of a bin."""
+"""Square root of the rays of a bin of a reconstruction."""
 
 _NO_WAVE = 1.0
 """Wavelength, in nanometres, of the grid; nothing depends on it."""
@@ -135,11 +141,12 @@ class RayBatch:
     cells: BinCells
     distance: float
     corner: NDArray[np.float64]
+    across: int
 
     @property
     def samples(self) -> int:
         """Number of rays."""
-        return _RAYS**2
+        return self.across**2
 
     @property
     def memory(self) -> float:
@@ -151,22 +158,22 @@ class RayBatch:
         return functools.partial(_trace, self)
 
 
-def ray_batches(cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
-    """Return, for each bin of a cell, the batch whose result is the bin's response, as `wave_batches` does."""
+def ray_batches(across: int, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[RayBatch]]:
+    """Return, for each bin of a cell, the batch of `across` x `across` rays that are its response."""
     half = np.array(cells.bin_sizes) / 2
-    return [[RayBatch(cells, distance, positions[0] - half)] for positions in cells.bin_places(cell)]
+    return [[RayBatch(cells, distance, positions[0] - half, across)] for positions in cells.bin_places(cell)]
 
 
 @functools.cache
-def _pairs() -> NDArray[np.float64]:
-    return sample_pairs(_RAYS**2)
+def _pairs(count: int) -> NDArray[np.float64]:
+    return sample_pairs(count)
 
 
 def _trace(batch: RayBatch) -> Part:
     """Return the light of a bin's rays, each distributed to the four nearest samples."""
     cells, grid, camera = batch.cells, batch.cells.grid, batch.cells.camera
     lens, light, walk = grid.lens, grid.lens.bind(np.empty((0, 3))), Walk.of(camera, grid.lens)
-    pairs, b = _pairs(), camera.mla_distance
+    pairs, b = _pairs(batch.samples), camera.mla_distance
     q = batch.corner + pairs[:, :2] * cells.bin_sizes
     radius, angle = lens.pupil_radius * np.sqrt(pairs[:, 2]), 2 * np.pi * pairs[:, 3]
     pupil = radius * np.cos(angle), radius * np.sin(angle)
@@ -193,6 +200,9 @@ def _trace(batch: RayBatch) -> Part:
 
 Batches = Callable[[BinCells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
 """From the cells, a distance and a cell to the batches of each of its bins."""
+
+_FINE = 6
+"""Bins along a lens, at least, of which upright bins are composed that are not those of the lattice."""
 
 _ZONE = 16
 """Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
@@ -239,14 +249,16 @@ class Response(StoredResponse):
         # Kernels are of the light on the pixels, which then mix it.
         self._mixing, camera = camera, camera.replace(**SHARP)
         _require_equal_lenses(camera)
-        self._batches: Batches = ray_batches
+        across = _fine(camera, oversample)
+        # Rays of the finer bins of cells add up to those of one bin.
+        self._batches: Batches = functools.partial(ray_batches, math.ceil(_RAYS * oversample / across))
         if wavelength is None:
             grid, self._together = ray_grid(camera), 1
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
-        self.cells, self._camera, self._distances = BinCells(grid, oversample), camera, tuple(distances)
+        self.cells, self._camera, self._distances = BinCells(grid, across), camera, tuple(distances)
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
@@ -277,6 +289,15 @@ class Response(StoredResponse):
                 for kernel in kernels
             ] * (len(groups) // len(kernels))
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
+        self.bins = [
+            UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
+            for plane, distance in zip(self.planes, distances, strict=True)
+        ]
+        columns, rows = (oversample * count for count in camera.bin_count)
+        # Of the bins of a reconstruction among these.
+        self._windows = [
+            (slice(-top, rows - top), slice(-left, columns - left)) for left, top in (bins.first for bins in self.bins)
+        ]
 
     def _kernels(
         self, distance: float, groups: Sequence[NDArray[np.int64]], job: Job, done: int, total: int
@@ -346,31 +367,26 @@ class Response(StoredResponse):
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
-        """For each plane, the number of cells and the number of bins in a cell."""
-        return [plane.shape for plane in self.planes]
-
-    def variation(self) -> TotalVariation:
-        """Return the total variation, as a regulariser, of the response's planes."""
-        return TotalVariation.of_cells(self.cells, [plane.lit for plane in self.planes])
+        """Rows and columns of the bins of each plane."""
+        return [bins.shape for bins in self.bins]
 
     def to_image(self, values: NDArray[np.float32], plane: int) -> NDArray[np.float32]:
-        """Return the values of a plane's bins (cells, bins) as an upright image of a reconstruction's bins."""
-        lit, distance = self.planes[plane].lit, self._distances[plane]
-        return to_bins(values, self.cells, lit, self._camera, distance, self.cells.oversample)
+        """Return the values of a plane's bins as an upright image of a reconstruction's bins."""
+        return np.ascontiguousarray(values[self._windows[plane]])
 
     def from_image(self, image: NDArray[Any], plane: int) -> NDArray[np.float32]:
         """Return the transpose of `to_image`, applied to an image."""
-        lit, distance = self.planes[plane].lit, self._distances[plane]
-        matrix = bins_matrix(self.cells, lit, self._camera, distance, self.cells.oversample)
-        return (matrix.T @ image.ravel()).astype(np.float32).reshape(self.shapes[plane])
+        values = np.zeros(self.shapes[plane], np.float32)
+        values[self._windows[plane]] = image
+        return values
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
         width, height = self.cells.size
         libraries = backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
-        for plane, radiance in zip(self.planes, values, strict=True):
-            plane.add_forward(radiance, samples)
+        for plane, bins, radiance in zip(self.planes, self.bins, values, strict=True):
+            plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
         sums = self.cells.join(samples, self._sampled, self._recorder.box)
         return mix_pixels(self._recorder.record(sums[None])[..., 0], self._mixing)
 
@@ -378,7 +394,10 @@ class Response(StoredResponse):
         """Return the transpose of `forward`, applied to an image."""
         sums = self._recorder.spread(mix_pixels(image, self._mixing)[..., None])[0]
         samples = self.cells.split(sums, self._recorder.box, self._sampled)
-        return [plane.adjoint(samples) for plane in self.planes]
+        return [
+            (bins.share @ plane.adjoint(samples).ravel()).reshape(bins.shape)
+            for plane, bins in zip(self.planes, self.bins, strict=True)
+        ]
 
 
 def _require_equal_lenses(camera: PlenopticCamera) -> None:
@@ -400,3 +419,10 @@ def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
     without = camera.mla_medium == 1 and not any(camera.wavefront)
     by_rays = wavelength is None and camera.lens_model == "ideal" and without
     return by_rays or not camera.lens_data.converges
+
+
+def _fine(camera: PlenopticCamera, oversample: int) -> int:
+    """Return the bins of cells along a lens: those of a reconstruction if they repeat with the lenses, or finer ones."""
+    lattice = camera.lattice
+    own = lattice.separable and lattice.aspect == 1 and not camera.lens_data.traced_surfaces
+    return oversample if own else max(_FINE, oversample)

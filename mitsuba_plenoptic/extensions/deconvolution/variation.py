@@ -2,26 +2,20 @@ r"""Total variation of planes of bins, by which an iteration prefers uniform are
 
 .. math:: \mathrm{TV}(x) = \sum \sqrt{(\Delta_1 x)^2 + (\Delta_2 x)^2 + \epsilon^2}
 
-(Rudin, Osher and Fatemi 1992, Physica D 60, 259), with the differences to the next bin along the rows of the lattice
-and across them. Its gradient is :math:`-\mathrm{div}(\nabla x / |\nabla x|)`, by which Richardson's and Lucy's step is
-divided (Dey et al. 2006, Microscopy Research and Technique 69, 260). Bins may be wider than high: differences count
-over the shorter side, so that the gradient is at most :math:`2 + \sqrt 2`.
+(Rudin, Osher and Fatemi 1992, Physica D 60, 259), with the differences to the next bin along rows and columns. Its gradient is :math:`-\mathrm{div}(\nabla x / |\nabla x|)`, by which Richardson's and Lucy's step is
+divided (Dey et al. 2006, Microscopy Research and Technique 69, 260); it is at most :math:`2 + \sqrt 2`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-
 from ...errors import refusing, require_number
 from ...light.detector import Detector
-from .cells import BinCells, CellSet
 
 _DARKEST = 0.01
 """Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
@@ -74,84 +68,24 @@ _SMOOTH = 1e-3
 """Largest step between bins, over their mean, that counts as even."""
 
 
-Differences = tuple[sparse.csr_matrix, sparse.csr_matrix]
-"""The steps to the next bin along a row and across the rows, as matrices over all bins of a plane."""
-
-
 class TotalVariation:
-    """Total variation of planes, with its gradient."""
-
-    def __init__(self, differences: Sequence[Differences]) -> None:
-        self._differences = differences
-
-    @classmethod
-    def of_cells(cls, cells: BinCells, lit: Sequence[CellSet]) -> TotalVariation:
-        """Return the total variation for bins grouped in the cells of each plane."""
-        return cls([_differences(cells, some) for some in lit])
-
-    @classmethod
-    def of_grids(cls, shapes: Sequence[tuple[int, int]]) -> TotalVariation:
-        """Return the total variation of planes of upright square bins, (rows, columns)."""
-        known = {}
-        for shape in set(shapes):
-            number = np.arange(math.prod(shape)).reshape(shape)
-            right, below = np.full(shape, -1), np.full(shape, -1)
-            right[:, :-1], below[:-1] = number[:, 1:], number[1:]
-            whole = np.ones(number.size)
-            known[shape] = _steps([(right.ravel(), whole)], 1.0), _steps([(below.ravel(), whole)], 1.0)
-        return cls([known[shape] for shape in shapes])
+    """Total variation of planes of upright square bins, as a penalty."""
 
     def gradient(
         self, values: Sequence[NDArray[np.float32]], inside: Sequence[NDArray[np.bool_]]
     ) -> list[NDArray[np.float32]]:
         """Return the dimensionless gradient, one value for each bin."""
         slopes = []
-        for differences, part, mask in zip(self._differences, values, inside, strict=True):
-            flat, beyond = part.ravel(), (~mask.ravel()).astype(np.float32)
+        for part, mask in zip(values, inside, strict=True):
             # Steps to bins that are not inside do not count.
-            steps = [np.where(abs(matrix) @ beyond > 0, np.float32(0), matrix @ flat) for matrix in differences]
+            known = [mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]]
+            right, below = np.zeros_like(part), np.zeros_like(part)
+            right[:, :-1], below[:-1] = (np.diff(part, axis=1 - axis) * known[axis] for axis in (0, 1))
             even = _SMOOTH * float(part[mask].mean()) if mask.any() else 0.0
-            length = np.sqrt(sum(np.square(step) for step in steps) + np.float32(even**2 + 1e-30))
-            slope = sum(matrix.T @ (step / length) for matrix, step in zip(differences, steps, strict=True))
-            slopes.append(np.asarray(slope, np.float32).reshape(part.shape))
+            length = np.sqrt(right**2 + below**2 + np.float32(even**2 + 1e-30))
+            right, below = right / length, below / length
+            slope = -right - below
+            slope[:, 1:] += right[:, :-1]
+            slope[1:] += below[:-1]
+            slopes.append(slope)
         return slopes
-
-
-def _differences(cells: BinCells, lit: CellSet) -> Differences:
-    """Return the matrices of differences between neighbouring bins of cells, along rows and across them."""
-    across, down = cells.bins
-    width, height = cells.bin_sizes
-    index = lit.index
-    line = (index[:, 1, None, None] * down + np.arange(down)[:, None]) + np.zeros(across, np.int64)
-    column = (index[:, 0, None, None] * across + np.arange(across)) + np.zeros((down, 1), np.int64)
-    line, column = line.ravel(), column.ravel()
-    # Rows of cells may be staggered by a part of a bin.
-    aside = ((line + 1) // down - line // down) * (float(cells.vectors[1, 0]) / width)
-    left = np.floor(column - aside + 1e-9).astype(np.int64)
-    share = np.clip(column - aside - left, 0, 1)
-    share[share < 1e-6] = 0
-
-    def number(column: NDArray[np.int64], line: NDArray[np.int64]) -> NDArray[np.int64]:
-        cell = lit.find(np.stack([column // across, line // down], axis=-1))
-        found = (cell * down + line % down) * across + column % across
-        return np.asarray(np.where(cell < len(lit), found, -1))
-
-    shortest = min(width, height)
-    along = _steps([(number(column + 1, line), np.ones(len(line)))], shortest / width)
-    below = [(number(left, line + 1), 1 - share), (number(left + 1, line + 1), share)]
-    return along, _steps(below, shortest / height)
-
-
-def _steps(neighbours: list[tuple[NDArray[np.int64], NDArray[np.float64]]], scale: float) -> sparse.csr_matrix:
-    """Return the matrix of differences from every bin to a mean of neighbours; 0 for bins without all neighbours."""
-    count = len(neighbours[0][0])
-    bins = np.arange(count)
-    whole = np.all([(number >= 0) | (share == 0) for number, share in neighbours], axis=0)
-    rows, columns, values = [bins[whole]], [bins[whole]], [np.full(int(whole.sum()), -scale)]
-    for number, share in neighbours:
-        used = whole & (share > 0)
-        rows.append(bins[used])
-        columns.append(number[used])
-        values.append(scale * share[used])
-    entries = np.concatenate(values).astype(np.float32), (np.concatenate(rows), np.concatenate(columns))
-    return sparse.csr_matrix(entries, shape=(count, count))

@@ -7,6 +7,7 @@ import functools
 import mitsuba as mi
 import numpy as np
 import pytest
+from wave_cases import places_of
 
 from mitsuba_plenoptic import (
     Capture,
@@ -19,11 +20,9 @@ from mitsuba_plenoptic import (
     render_capture,
 )
 from mitsuba_plenoptic.design import resolution_limit
-from mitsuba_plenoptic.extensions.deconvolution.cells import to_bins
-from mitsuba_plenoptic.extensions.deconvolution.response import Response, bin_weight
+from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.extensions.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.extensions.deconvolution.variation import Noise
-from mitsuba_plenoptic.lattice import turn
 from mitsuba_plenoptic.views import white_image
 
 WAVELENGTH = 633.0
@@ -43,16 +42,16 @@ def response_of(camera, distance=253.0, oversample=2, wavelength=WAVELENGTH):
     return Response(camera, [distance], wavelength=wavelength, oversample=oversample)
 
 
-def exact_capture(camera, cells, index, values, distance, parts):
-    """Add the point spreads of bins one by one."""
-    lit = np.flatnonzero(values.any(axis=1))
-    places = np.concatenate([cells.bin_places(index[cell], parts) for cell in lit])
-    weights = np.repeat(values[lit].ravel(), parts**2) * (bin_weight(cells) / parts**2)
-    q = np.column_stack(turn(*places.reshape(-1, 2).T, camera.mla_rotation))
+def filled(camera, places, size, values, distance, across):
+    """Return the exact capture of points that fill bins, whose middles on the array are given."""
+    inside = ((np.arange(across) + 0.5) / across - 0.5) * size
+    q = (places[:, None] + np.stack(np.meshgrid(inside, inside), -1).reshape(-1, 2)).reshape(-1, 2)
+    weight = np.pi * camera.aperture_radius**2 * (camera.detector_distance / camera.mla_medium) ** 2 * size**2
+    weight /= camera.lattice.lens_area * camera.pixel_size**2 * camera.mla_distance**2 * across**2
     points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
-    lit = weights > 0
-    operator = CaptureOperator(camera, points[lit], wavelength=WAVELENGTH, accuracy=0)
-    return operator.forward(weights[lit])
+    return CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward(
+        np.repeat(values, across**2) * weight
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,15 +61,15 @@ def exact_capture(camera, cells, index, values, distance, parts):
 def test_response_is_that_of_exact_point_spreads(name):
     camera = CAMERAS[name]
     response = response_of(camera)
-    plane, cells = response.planes[0], response.cells
-    # some bins of cells that are one or two lenses off the middle, by other radiators
-    index = plane.lit.index
-    values = np.zeros(plane.shape, np.float32)
-    random = np.random.default_rng(0)
-    near = np.flatnonzero((np.abs(index - np.median(index, axis=0)) <= 2).all(1))
-    values[random.choice(near, 2, replace=False), random.integers(0, values.shape[1], 2)] = 1, 2
+    places = places_of(response.bins[0], camera, 2)
+    # two bins near the middle, by other radiators
+    values = np.zeros(response.shapes[0], np.float32)
+    near = np.argwhere((np.abs(places - np.median(places, axis=(0, 1))) <= 0.14).all(-1))
+    lit = tuple(near[np.random.default_rng(0).choice(len(near), 2, replace=False)].T)
+    values[lit] = 1, 2
     # A focused camera tells single radiators apart.
-    expected = exact_capture(camera, cells, index, values, 253.0, 5 if name == "focused" else 3)
+    across = 5 if name == "focused" else 3
+    expected = filled(camera, places[lit], camera.mla_pitch / 2, values[lit], 253.0, across)
     found = response.forward([values])
     assert np.linalg.norm(found - expected) <= (0.04 if name == "focused" else 0.025) * np.linalg.norm(expected)
     assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
@@ -87,7 +86,7 @@ def test_response_is_that_of_exact_point_spreads(name):
 def test_adjoint_is_the_transpose(name, wavelength):
     response = response_of(CAMERAS[name], wavelength=wavelength)
     random = np.random.default_rng(1)
-    values = random.random(response.planes[0].shape).astype(np.float32)
+    values = random.random(response.shapes[0]).astype(np.float32)
     image = response.forward([values])
     other = random.random(image.shape).astype(np.float32)
     back = response.adjoint(other)[0]
@@ -98,7 +97,7 @@ def test_adjoint_is_the_transpose(name, wavelength):
 def test_white_planes_by_rays_are_white_captures(distance):
     camera = CAMERAS["three types"] if distance == 230 else SMALL
     response = response_of(camera, distance, 1, wavelength=None)
-    image = response.forward([np.ones(response.planes[0].shape, np.float32)])
+    image = response.forward([np.ones(response.shapes[0], np.float32)])
     expected = white_image(camera)
     # Edges of micro-images are interpolated; what is beside them is right.
     assert image.sum() == pytest.approx(expected.sum(), rel=1e-3)
@@ -112,7 +111,7 @@ def test_white_planes_by_rays_follow_snells_law():
         detector_width=38.4, resolution=(9600, 9600), crop_offset=(9000, 4752), crop_size=(96, 96),
     )  # fmt: skip
     response = response_of(camera, 120.0, 1, wavelength=None)
-    image = response.forward([np.ones(response.planes[0].shape, np.float32)])
+    image = response.forward([np.ones(response.shapes[0], np.float32)])
     mi.set_variant("llvm_ad_mono")
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
@@ -127,7 +126,7 @@ def test_white_planes_by_rays_follow_snells_law():
 def test_volume_is_the_sum_of_its_planes():
     both = Response(SMALL, [230.0, 253.0], wavelength=WAVELENGTH, oversample=2)
     random = np.random.default_rng(2)
-    values = [random.random(plane.shape).astype(np.float32) for plane in both.planes]
+    values = [random.random(shape).astype(np.float32) for shape in both.shapes]
     dark = [np.zeros_like(part) for part in values]
     image = both.forward(values)
     np.testing.assert_allclose(
@@ -138,28 +137,51 @@ def test_volume_is_the_sum_of_its_planes():
     assert np.linalg.norm(alone - both.forward([dark[0], values[1]])) <= 0.02 * np.linalg.norm(alone)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "square",
-        "turned, moved, two pitches",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("hexagonal", "three types")),
-    ],
-)
-def test_bins_are_upright_whatever_the_lattice(name):
-    camera, oversample = CAMERAS[name], 4
-    response = response_of(camera, oversample=oversample, wavelength=None)
-    cells, lit = response.cells, response.planes[0].lit
-    places = np.stack([cells.bin_places(cell)[:, 0] for cell in lit.index])
-    x, y = turn(places[..., 0], places[..., 1], camera.mla_rotation)
-    plane = (3 + 5 * x - 2 * y).astype(np.float32)
-    found = to_bins(plane, cells, lit, camera, 240.0, oversample)
-    size = camera.mla_pitch / oversample
-    rows, columns = found.shape
-    assert (columns, rows) == tuple(oversample * count for count in camera.bin_count)
-    expected = 3 + 5 * (np.arange(columns) - (columns - 1) / 2) * size
-    expected = expected - 2 * ((np.arange(rows) - (rows - 1) / 2) * size)[:, None]
-    np.testing.assert_allclose(found, expected, atol=2e-4)
+LATTICES = {
+    "square": {},
+    "high": {"mla_pitch": (0.064, 0.072)},
+    "low, turned": {"mla_pitch": (0.064, 0.0576), "mla_rotation": 7.0},
+    "low": {"mla_pitch": (0.064, 0.0576)},
+    "turned": {"mla_rotation": -13.0},
+    "hexagonal": {"mla_lattice": "hexagonal"},
+    "circles, moved": {
+        "mla_lattice": "hexagonal", "mla_aperture": "circle", "mla_fill": 0.95, "mla_offset": (0.01, 0.02)
+    },
+    "stretched, turned": {"mla_lattice": "hexagonal", "mla_pitch": (0.056, 0.07), "mla_rotation": 4.0},
+    "three types": {"mla_lattice": "hexagonal", "mla_focal_length": (0.45, 0.512, 0.6), "detector_distance": 0.512},
+    "medium": {"mla_medium": 1.5, "mla_pitch": (0.064, 0.072)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "low, turned")) for n in LATTICES])
+def test_filled_bins_come_back_on_every_lattice(name):
+    """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""
+    distance, camera = 222.0, PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])
+    rows, columns = np.array(camera.bin_count[::-1])[:, None] // 2 + np.array([[1, -3, 1, -3], [1, -2, -3, 1]])
+    size = camera.mla_pitch
+    places = (np.stack([columns, rows], -1) + 0.5 - np.array(camera.bin_count) / 2) * size
+    image = filled(camera, places, size, np.ones(4), distance, 5)
+    capture = Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
+    result = reconstruct(capture, distance, method="deconvolved")
+    found = np.nan_to_num(result.image)
+    squares = [
+        found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in zip(rows, columns, strict=True)
+    ]
+    np.testing.assert_allclose(squares, 1, atol=0.005)
+    np.testing.assert_allclose(found[rows, columns], 1, atol=0.01)
+    assert result.facts["residual"] < 0.03
+
+
+@pytest.mark.parametrize("name", ["square", "turned, moved, two pitches"])
+def test_white_is_even_on_every_lattice(name):
+    """Each point of the plane belongs to one bin: bins of cells have whole shares of bins in all."""
+    response = response_of(CAMERAS[name], wavelength=None)
+    bins, cells = response.bins[0], response.cells
+    whole = (bins.share.T @ np.ones(np.prod(bins.shape), np.float32)).reshape(response.planes[0].shape)
+    assert whole.mean() == pytest.approx(1, abs=0.002)
+    assert np.abs(whole - 1).max() < (1e-5 if name == "square" else 0.25)
+    area = np.median(bins.share.sum(1)) * np.prod(cells.bin_sizes)
+    assert area == pytest.approx((CAMERAS[name].mla_pitch / 2) ** 2, rel=1e-4)
 
 
 class Blur:
@@ -208,7 +230,7 @@ def test_dim_areas_stay_as_bright_as_they_are():
         np.testing.assert_allclose(found[:7], 0.05, atol=0.025)
         assert found[:10].mean() == pytest.approx(0.05, abs=0.01)
     response = response_of(SMALL, wavelength=None)
-    x = np.stack([response.cells.bin_places(cell)[:, 0, 0] for cell in response.planes[0].lit.index])
+    x = places_of(response.bins[0], SMALL, 2)[..., 0]
     found = richardson_lucy(response, response.forward([np.where(x < 0, 0.05, 1).astype(np.float32)]), iterations=30)
     dim = found.values[0][(x < -0.05) & (found.seen[0] > 0.3)]
     assert dim.min() > 0.01 and dim.max() < 0.1
@@ -278,7 +300,7 @@ def test_finer_than_the_lenses():
     distance, frequency, oversample = 253.0, 11.0, 6
     camera = SMALL
     response = response_of(camera, distance, 9)
-    places = np.stack([response.cells.bin_places(cell)[:, 0] for cell in response.planes[0].lit.index])
+    places = places_of(response.bins[0], camera, 9)
     wave = 2 * np.pi * frequency * distance / camera.mla_distance
     scene = (0.5 + 0.5 * np.cos(wave * places[..., 0])).astype(np.float32)
     capture = Capture(np.maximum(response.forward([scene]), 0), camera, WAVELENGTH, "wave")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from wave_cases import places_of
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.design import resolution_limit
@@ -18,9 +19,9 @@ def transfer(camera, distance, fractions):
     limit = resolution_limit(camera, distance, 633.0)
     oversample = int(np.ceil(4 * limit.frequency / (2 * limit.lenses)))
     response = Response(camera, [distance], wavelength=633.0, oversample=oversample)
-    places = np.stack([response.cells.bin_places(cell)[:, 0] for cell in response.planes[0].lit.index])
+    places = places_of(response.bins[0], camera, oversample)
     scale = distance / camera.mla_distance
-    size = np.array(response.cells.bin_sizes) * scale
+    size = camera.mla_pitch / oversample * scale
     white = response.forward([np.ones(places.shape[:2], np.float32)])
     found = []
     for fraction in fractions:

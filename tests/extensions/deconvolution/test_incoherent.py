@@ -64,11 +64,12 @@ def test_it_is_linear_also_below_zero():
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_a_uniform_scene_reads_its_radiance(model):
-    scene = load_scene("white", parameters={"detector_width": 0.512, "resolution": 128})
+    """Also in focus, where a point's spot is narrow, and how much light borders of lenses take must be known."""
+    scene = load_scene("white", parameters={"detector_width": 0.512, "resolution": 128, "aperture_radius": 7.5})
     capture = render_capture(scene, model=model, spp=64)
     options = {} if model == "wave" else {"wavelength": WAVELENGTH}
     for result in reconstruct(capture, [210, 240], method="incoherent", **options):
-        assert np.nanmax(np.abs(result.image - 1)) < 0.02
+        assert np.nanmax(np.abs(result.image - 1)) < 0.01
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -33,7 +33,6 @@ import numpy as np
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Detector, PlenopticCamera, expose, load_scene, reconstruct
 from mitsuba_plenoptic.design import resolution_limit
-from mitsuba_plenoptic.extensions.deconvolution.cells import to_bins
 from mitsuba_plenoptic.extensions.deconvolution.deconvolved import MOST_ITERATIONS
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.extensions.deconvolution.solver import PlaneEstimates, richardson_lucy
@@ -268,9 +267,7 @@ class Plane:
     def solved(self, response: Response, image: np.ndarray, **options: Any) -> tuple[np.ndarray, PlaneEstimates]:
         """Return the upright bins that explain an image, and the solution that they are of."""
         found = richardson_lucy(response, np.ascontiguousarray(image, np.float32), **options)
-        return to_bins(
-            found.values[0], response.cells, response.planes[0].lit, self.camera, self.distance, self.oversample
-        ), found
+        return response.to_image(found.values[0], 0), found
 
     def rows(self, iterations: int) -> Iterator[Row]:
         """Yield contrasts and errors at each frequency."""
@@ -507,7 +504,7 @@ def _one_plane(
 ) -> tuple[dict[str, float], float, dict[str, float], float]:
     camera = PlenopticCamera(detector_width=2e-3 * resolution, resolution=(resolution, resolution))
     response, planning, _ = once(lambda: Response(camera, [distance], wavelength=WAVELENGTH, oversample=oversample))
-    values = np.random.default_rng(0).random(response.planes[0].shape).astype(np.float32)
+    values = np.random.default_rng(0).random(response.shapes[0]).astype(np.float32)
     image = response.forward([values])
     timings = paired({"forward": lambda: response.forward([values]), "adjoint": lambda: response.adjoint(image)}, runs)
     return (
