@@ -182,7 +182,9 @@ def reconstruct(
     capture.camera.require_array("reconstruct")
     tilted = capture.camera
     chosen = registered(method)
-    image = straightened_image(np.atleast_3d(capture.image), tilted, soft=chosen.soft)
+    soft = chosen.soft and moves_images(tilted)
+    soft = soft and require_response(options.get("response"), capture, wavelength) == "ray"
+    image = straightened_image(np.atleast_3d(capture.image), tilted, soft=soft)
     camera = straightened(tilted)
     capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
     if not camera.lens_data.converges and not chosen.as_it_is:
@@ -250,7 +252,7 @@ def reconstruct(
             exposure=capture.metadata.get("exposure"),
             checkpoint=used["checkpoint"],
             batch_map=used["batch_map"],
-            softened=chosen.soft and moves_images(tilted),
+            softened=soft,
         )
         images = [
             dataclasses.replace(made, image=displaced_image(made.image, tilted, oversample))

@@ -9,7 +9,7 @@ array is one of the upright array, enlarged about its chief ray, and the lenses 
 A displaced lens moves its micro-image by its displacement, times :math:`(b + z) / b`. Every micro-image is moved back
 to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. Splines through
 the pixels overshoot at the edges of micro-images, and a response may have no light where edges have moved by a part of
-a pixel. So for deconvolution, pixels are the coefficients of the splines instead, which are smooth and keep the light,
+a pixel. So for deconvolution by rays, pixels are the coefficients of the splines instead, which are smooth and keep the light,
 and its response is smoothed by the same splines (`softened`). What the lens
 has seen then counts to the regular position; where displacements are no small part of a lens, the refocused image is
 displaced at the end.
@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve1d, map_coordinates, spline_filter
+from scipy.ndimage import convolve1d, map_coordinates, spline_filter, uniform_filter
 
 from ..camera import PlenopticCamera
 from ..lattice import Displacement
@@ -82,7 +82,7 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
 def moves_images(camera: PlenopticCamera) -> bool:
     """Return whether `straightened_image` moves micro-images of a camera."""
     moved = camera.lattice.displacement is not None or any(camera.mla_tilt)
-    return moved and not camera.lens_data.images_stop
+    return moved and straightened(camera) is not camera
 
 
 def softened(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -123,8 +123,14 @@ def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.fl
         row, column = np.indices(x.shape)
         still = np.maximum(abs(x - column), abs(y - row - rows.start)) < _NEAR
         found[rows][still] = image[rows][still]
-    # Splines overshoot at the edges of micro-images.
-    return found.clip(image.min(), None)
+    # Splines overshoot at the edges of micro-images, which keep their light.
+    least = image.min()
+    clipped = found.clip(least, None)
+    if least < 0 or soft:
+        return clipped
+    size = max(1, round(camera.micro_image_pitch / camera.pixel_size))
+    light, more = (uniform_filter(each, size, mode="nearest", axes=(0, 1)) for each in (found, clipped))
+    return clipped * np.divide(light, more, out=np.ones_like(more), where=more > 0).clip(0.5, 1)
 
 
 @once_a_camera

@@ -249,16 +249,20 @@ class Response(StoredResponse):
         # Kernels are of the light on the pixels, which then mix it.
         self._mixing, camera = camera, camera.replace(**SHARP)
         _require_equal_lenses(camera)
-        across = _fine(camera, oversample)
-        # Rays of the finer bins of cells add up to those of one bin.
-        self._batches: Batches = functools.partial(ray_batches, math.ceil(_RAYS * oversample / across))
         if wavelength is None:
             grid, self._together = ray_grid(camera), 1
+            # Several of the finer bins of cells make up a bin.
+            rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, distances[0], oversample)))
+            self._batches: Batches = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid, self._batches = fine.merged(self._together), functools.partial(wave_batches, fine)
-        self.cells, self._camera, self._distances = BinCells(grid, across), camera, tuple(distances)
+        self.cells, self._camera, self._distances = (
+            BinCells(grid, _fine(grid, camera, distances[0], oversample)),
+            camera,
+            tuple(distances),
+        )
         all_pixels = np.full((1, 2), -_EVERYWHERE), np.full((1, 2), _EVERYWHERE)
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
@@ -421,8 +425,8 @@ def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
     return by_rays or not camera.lens_data.converges
 
 
-def _fine(camera: PlenopticCamera, oversample: int) -> int:
-    """Return the bins of cells along a lens: those of a reconstruction if they repeat with the lenses, or finer ones."""
+def _fine(grid: Grid, camera: PlenopticCamera, distance: float, oversample: int) -> int:
+    """Return the bins of cells along a lens: those of a reconstruction if they repeat with lenses, or finer ones."""
     lattice = camera.lattice
-    own = lattice.separable and lattice.aspect == 1 and not camera.lens_data.traced_surfaces
+    own = lattice.separable and lattice.aspect == 1 and grid.lens.stretch(1.0, 1.0, camera, distance) == (1.0, 1.0)
     return oversample if own else max(_FINE, oversample)

@@ -2,8 +2,9 @@ r"""Total variation of planes of bins, by which an iteration prefers uniform are
 
 .. math:: \mathrm{TV}(x) = \sum \sqrt{(\Delta_1 x)^2 + (\Delta_2 x)^2 + \epsilon^2}
 
-(Rudin, Osher and Fatemi 1992, Physica D 60, 259), with the differences to the next bin along rows and columns. Its gradient is :math:`-\mathrm{div}(\nabla x / |\nabla x|)`, by which Richardson's and Lucy's step is
-divided (Dey et al. 2006, Microscopy Research and Technique 69, 260); it is at most :math:`2 + \sqrt 2`.
+(Rudin, Osher and Fatemi 1992, Physica D 60, 259), with the differences to the next bin along rows and columns. Its
+gradient is :math:`-\mathrm{div}(\nabla x / |\nabla x|)`, at most :math:`2 + \sqrt 2`, by which Richardson's and Lucy's
+step is divided (Dey et al. 2006, Microscopy Research and Technique 69, 260).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from ...errors import refusing, require_number
 from ...light.detector import Detector
 
