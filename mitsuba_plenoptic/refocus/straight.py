@@ -9,8 +9,8 @@ array is one of the upright array, enlarged about its chief ray, and the lenses 
 A displaced lens moves its micro-image by its displacement, times :math:`(b + z) / b`. Every micro-image is moved back
 to that of the lens's regular position, and reduced to the size of the upright array, by cubic splines. Splines through
 the pixels overshoot at the edges of micro-images, and a response may have no light where edges have moved by a part of
-a pixel. So for deconvolution by rays, pixels are the coefficients of the splines instead, which are smooth and keep the light,
-and its response is smoothed by the same splines (`softened`). What the lens
+a pixel. So for deconvolution by rays, pixels are the coefficients of the splines instead, which are smooth and keep
+the light, and its response is smoothed by the same splines (`softened`). What the lens
 has seen then counts to the regular position; where displacements are no small part of a lens, the refocused image is
 displaced at the end.
 
@@ -104,10 +104,10 @@ def straightened_image(
         return image
     if is_uneven(camera):
         image = image * evening(camera)[0][..., None]
-    return _moved(image, camera)
+    return _moved(image, camera, soft)
 
 
-def _moved(image: NDArray[np.float32], camera: PlenopticCamera) -> NDArray[np.float32]:
+def _moved(image: NDArray[np.float32], camera: PlenopticCamera, soft: bool = False) -> NDArray[np.float32]:
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
     regular = straightened(camera)
     if camera.lattice.displacement is None and not any(camera.mla_tilt):

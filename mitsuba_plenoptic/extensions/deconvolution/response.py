@@ -245,7 +245,7 @@ class Response(StoredResponse):
         job: Job | None = None,
         steps: float = 0.0,
     ) -> None:
-        job = job or Job()
+        job, self._oversample = job or Job(), oversample
         # Kernels are of the light on the pixels, which then mix it.
         self._mixing, camera = camera, camera.replace(**SHARP)
         _require_equal_lenses(camera)
@@ -361,13 +361,14 @@ class Response(StoredResponse):
 
     def _require_memory(self, groups: int, fields: float = 0.0) -> None:
         def memory(oversample: int) -> float:
+            oversample = math.ceil(oversample * self.cells.oversample / self._oversample)
             each = [self._kernel_memory(distance, oversample) for distance in self._distances]
             bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(each)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(each) if self._folder else sum(each))
             return kernels + 2 * max(each) + 12 * bins + 4 * samples + self._recorder.memory + fields
 
-        require_response_memory(memory, self.cells.oversample, self._distances)
+        require_response_memory(memory, self._oversample, self._distances)
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
