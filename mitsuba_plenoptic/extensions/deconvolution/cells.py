@@ -209,8 +209,8 @@ class UprightBins:
         pitch, (across, down), (width, height) = camera.mla_pitch / oversample, cells.bins, cells.bin_sizes
         stretch, middle = cells.grid.lens.stretch, np.array(camera.bin_count) * oversample / 2
         corners = (lit.index[:, None] + np.indices((2, 2)).reshape(2, 4).T) @ cells.vectors
-        far = np.stack(turn(*np.moveaxis(corners, -1, 0), camera.mla_rotation)).reshape(2, -1)
-        far *= np.hypot(*far) / np.hypot(*stretch(*far, camera, distance)).clip(_ALIGNED)
+        far = np.stack(turn(corners[..., 0], corners[..., 1], camera.mla_rotation)).reshape(2, -1)
+        far *= np.hypot(*far) / np.hypot(*stretch(far[0], far[1], camera, distance)).clip(_ALIGNED)
         low = np.floor(far.min(1) / pitch + middle + _ALIGNED).astype(np.int64)
         high = np.ceil(far.max(1) / pitch + middle - _ALIGNED).astype(np.int64)
         parts = math.ceil(pitch / min(width, height) - _ALIGNED)
@@ -225,10 +225,12 @@ class UprightBins:
         for line in np.split(y, rows):
             places = np.meshgrid(x, line)
             # Farther from the axis by a small part of the radius, for the image's area over that of the bins.
-            near, beyond = (np.stack(stretch(*(size * q for q in places), camera, distance)) for size in (1, 1 + 1e-4))
+            near, beyond = (
+                np.stack(stretch(size * places[0], size * places[1], camera, distance)) for size in (1, 1 + 1e-4)
+            )
             radius, ratio = (np.hypot(*some) / np.hypot(*places).clip(_ALIGNED) for some in (near, beyond))
             area = radius * (ratio - radius) / 1e-4 * pitch**2 / (inside.size**2 * width * height)
-            u, v = turn(*near, -camera.mla_rotation)
+            u, v = turn(near[0], near[1], -camera.mla_rotation)
             weights, bins = [], []
             for row, along_y in _parabola(v / height - 0.5):
                 J = row // down
