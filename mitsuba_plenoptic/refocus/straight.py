@@ -109,10 +109,9 @@ def straightened_image(
 
 def _moved(image: NDArray[np.float32], camera: PlenopticCamera, soft: bool = False) -> NDArray[np.float32]:
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
-    regular = straightened(camera)
-    if camera.lattice.displacement is None and not any(camera.mla_tilt):
+    if not moves_images(camera):
         return image
-    found = np.empty_like(image)
+    regular, found = straightened(camera), np.empty_like(image)
     channels = np.moveaxis(image.astype(np.float64), -1, 0)
     splines = channels if soft else [spline_filter(channel, _ORDER) for channel in channels]
     for rows, x, y in _seen(camera, regular):

@@ -77,18 +77,21 @@ def refocus(task: Task, **options: Any) -> list[Found]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Softened:
-    """A response to softened pixels."""
+class _Straightened:
+    """A response of the pixels of a straightened capture: with the light that they hold, and softened."""
 
     response: Linear
+    passed: NDArray[np.float32] | float
+    soft: bool
 
     def forward(self, values: Values) -> NDArray[np.float32]:
-        """Return the softened pixels lit by bins."""
-        return softened(self.response.forward(values))
+        """Return the pixels lit by bins."""
+        image = self.response.forward(values) * self.passed
+        return softened(image) if self.soft else image
 
     def adjoint(self, image: NDArray[np.float32]) -> Values:
         """Return the transpose of `forward`, applied to pixels."""
-        return self.response.adjoint(softened(image))
+        return self.response.adjoint((softened(image) if self.soft else image) * self.passed)
 
 
 def _solve(
@@ -117,8 +120,11 @@ def _solve(
         job=Job(progress=lambda done, total: report(done / total), batch_map=task.batch_map),
         steps=most,
     ) as made:
+        # Light that vignetting keeps out is no part of the response.
+        held = 1.0 if task.passed is None else task.passed
+        as_recorded = task.softened or task.passed is not None
         solution = richardson_lucy(
-            _Softened(made) if task.softened else made,
+            _Straightened(made, held, task.softened) if as_recorded else made,
             image,
             iterations=most,
             accelerate=options["accelerate"],

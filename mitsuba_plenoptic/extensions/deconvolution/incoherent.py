@@ -56,6 +56,7 @@ def refocus(task: Task) -> list[np.ndarray]:
                 by_waves = task.recorded is not None or not camera.lens_data.converges
                 ones = [np.ones(shape, np.float32) for shape in made.shapes]
                 white = mix_pixels(made.forward(ones), camera) if by_waves else white_pixels(camera)
+                white = white if task.passed is None else white * task.passed
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in given), white]
                     weighed = (made.adjoint(np.ascontiguousarray(each, np.float32))[0] for each in pixels)
