@@ -137,11 +137,11 @@ def behind_pupil(
     }
 
 
-def _pair(name: str, value: Any, form: str) -> tuple[Any, Any]:
+def _pair(name: str, value: object, form: str) -> tuple[Any, Any]:
     """Return two values, of which one number stands for both."""
     return require_pair(name, value if hasattr(value, "__len__") else (value, value), form)
 
 
-def _counts(name: str, value: Any) -> tuple[int, int]:
+def _counts(name: str, value: object) -> tuple[int, int]:
     columns, rows = _pair(name, value, "(columns, rows)")
     return require_count(name, columns, maximum=MOST_PIXELS), require_count(name, rows, maximum=MOST_PIXELS)

@@ -206,13 +206,6 @@ def require_no_glass(camera: CameraGeometry, what: str) -> None:
             raise InputError(f"{name} = {glass.name or glass.form}: {what} leave it out")
 
 
-def _absent(name: str) -> str:
-    """Return the line on an argument that a missing extension would add, or that `dataclasses.replace` gives."""
-    if name in {entry.attribute for entry in PARAMETERS.values()}:
-        return f"{name}: dataclasses.replace does not know which parameters were given; use camera.replace"
-    return missing("parameters", name)
-
-
 @record
 class PlenopticCamera(CameraGeometry, Displayed):
     r"""A main lens, a microlens array behind it, and a detector behind that.
@@ -252,7 +245,14 @@ class PlenopticCamera(CameraGeometry, Displayed):
             require_whole(self)
 
         __init__.__signature__ = signature()
-        __init__ = suggest_keywords(__init__, absent=_absent)
+        __init__ = suggest_keywords(
+            __init__,
+            absent=lambda name: (
+                f"{name}: dataclasses.replace does not know which parameters were given; use camera.replace"
+                if name in {entry.attribute for entry in PARAMETERS.values()}
+                else missing("parameters", name)
+            ),
+        )
         # Python without docstrings has none.
         __doc__ = (__doc__ or "").replace("    TABLE\n", numpy_section())
 
@@ -346,8 +346,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             behind.pupil_distance, behind.pupil_radius, **sheet, lattice=kinds.mla_lattice, medium=kinds.mla_medium
         )
         if others.get("mla_shape") is not None:
-            # It brings a focal length of its own.
-            found.pop("mla_focal_length")
+            found.pop("mla_focal_length")  # a shape brings its own
         return cls(**others | {"aperture_radius": behind.aperture_radius} | found)
 
     @classmethod
@@ -523,8 +522,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Parameters
         ----------
         **changes
-            Parameters by name. With another `main_lens`, an `aperture_radius` to which the old lens opens becomes that
-            to which the new one opens.
+            Parameters by name. A new `main_lens` opens as far as it does if the old one did.
 
         Raises
         ------

@@ -96,14 +96,13 @@ def require_camera_name(name: str, source: str) -> None:
         )
 
 
-def _require_method(name: str, method: str) -> None:
-    # Those of other packages, too.
-    require_choice(name, method, tuple(dict.fromkeys((*METHODS, *(key for _, key, _ in entries("methods"))))))
-
-
 COUNTED, WAVELENGTH = Judged(require_count), Judged(lambda name, value: require_wavelength(value, name))
 WAVELENGTHS = Judged(_require_wavelengths)
 SCENE = Judged(lambda _, scene: Path(scene).is_file() or scene_path(scene))
-METHOD = Judged(_require_method)
+METHOD = Judged(
+    lambda name, value: require_choice(
+        name, value, tuple(dict.fromkeys((*METHODS, *(key for _, key, _ in entries("methods")))))
+    )
+)
 CAMERA = Judged(require_camera_name)
 FILE, RECORDING = Judged(_require_file), Judged(_require_recording)

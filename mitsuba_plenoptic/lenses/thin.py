@@ -340,13 +340,14 @@ class DistortedLens(ThinLens):
 
     def images(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
-        return np.stack(self._distort(super().images(points).T), -1)
+        x, y = super().images(points).T
+        return np.stack(self._distort((x, y)), -1)
 
     def land(self, pupil: Pair, point: tuple[Any, Any, Any]) -> Pair:
         """Return the position on the MLA of the ray from a scene point through a pupil point, with aberrations."""
         return self._distort(super().land(pupil, point))
 
-    def _distort(self, image: Any) -> Pair:
+    def _distort(self, image: Pair) -> Pair:
         """Return the positions on the MLA of which `undistort` makes given ones."""
         (x, y), (u, v) = image, image
         # Each step multiplies the error by the derivative of the displacement, some per cent.

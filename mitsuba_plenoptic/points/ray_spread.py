@@ -12,7 +12,6 @@ from ..camera import PlenopticCamera
 from ..camera.aperture import NOT_ROUND
 from ..camera.entry import Captures
 from ..camera.plenoptic_camera import require_known_to
-from ..errors import refuse_if
 from ..light.detector import mix_pixels
 from ..light.optical_system import OpticalSystem
 from ..light.walk import Passage, Walk
@@ -39,10 +38,7 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
     The point radiates evenly in all directions, as that of waves does.
     """
     require_known_to(camera, Captures.POINTS, "rays of points are followed", "use captures of scenes, or ", _FOLLOWED)
-    refuse_if(
-        camera.lens_data.images_stop,
-        f"main_lens = {camera.lens_data.label}: no stop bounds rays where the array is in its image; use waves",
-    )
+    camera.require_bounded()
     lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
     light = lens.bind(point[None])
     places = 2 * sample_pairs(_RAYS)[:, :2] - 1

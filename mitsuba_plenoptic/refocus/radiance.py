@@ -217,7 +217,7 @@ _MOST_RAY_BINS = 2**26
 white_pixels = once_a_camera(white_image)
 
 
-def plane_white(
+def light_of_bins(
     task: Task, distance: float, radius: float, footprint: str, wavelength: float | None = None, relay: bool = True
 ) -> np.ndarray:
     """Return the `white_sums` of a task's camera, less the light that pixels have lost."""

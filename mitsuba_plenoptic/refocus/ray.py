@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .methods import Task, method
-from .radiance import captures, plane_white, to_radiance
+from .radiance import captures, light_of_bins, to_radiance
 from .ray_sums import pupil_radius, ray_sums
 
 
@@ -29,7 +29,7 @@ def refocus(task: Task, *, footprint: str) -> list[np.ndarray]:
         Radiance.
     """
     radius = pupil_radius(task.camera)
-    reach = [plane_white(task, g, radius, footprint) for g in task.distances]
+    reach = [light_of_bins(task, g, radius, footprint) for g in task.distances]
     sums: list[list[np.ndarray]] = []
     for image, distances, progress in captures(task):
         sums.append([])

@@ -89,7 +89,7 @@ from .planning import (
     plan,
     require_feasible,
 )
-from .radiance import captures, lens_scale, over_lenses, plane_white, to_radiance
+from .radiance import captures, lens_scale, light_of_bins, over_lenses, to_radiance
 
 _APART = 2
 """Bins between the geometric images of two lenses that do not interfere, for diffraction."""
@@ -126,10 +126,10 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[np.ndarray]
         of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
         sums.append([np.stack(planes, axis=-1) for planes in of_planes])
     white = [
-        np.stack([plane_white(task, g, camera.lit_radius, "lens", w, relay) for w in task.wavelengths], axis=-1)
+        np.stack([light_of_bins(task, g, camera.lit_radius, "lens", w, relay) for w in task.wavelengths], axis=-1)
         for g in (task.distances if task.white is None else ())
     ]
-    reach = [plane_white(task, g, camera.lit_radius, "lens") for g in task.distances]
+    reach = [light_of_bins(task, g, camera.lit_radius, "lens") for g in task.distances]
     return to_radiance(task, sums, white, reach)
 
 
