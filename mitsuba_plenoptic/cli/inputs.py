@@ -57,6 +57,12 @@ _DISTANCE = numeric("Distance from the main lens to focus on, beyond its focal l
 
 # Depths before an objective may be negative, and only the capture tells whether there is one.
 Distances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, finite=False))]
+AnyDistances = Annotated[list[float] | None, _DISTANCE, Judged(partial(require_number, finite=False))]
+Disparities = Annotated[
+    list[float] | None,
+    numeric("Instead: shift of points in focus from view to view, negative nearer; no camera needed.", unit="LENSES"),
+    Judged(require_number),
+]
 PositiveDistances = Annotated[list[float] | None, _DISTANCE, Judged(partial(require_number, positive=True))]
 
 Variant = Annotated[

@@ -11,8 +11,9 @@ from ..errors import naming, refuse_if, require_suffix, warn
 from ..runtime.progress import progress_bar
 from .choices import ANIMATED, AXES, LIGHT_FIELDS, PICTURES, VIEW_METHODS
 from .inputs import (
+    AnyDistances,
     CameraFile,
-    Distances,
+    Disparities,
     Exposure,
     Figure,
     LightFieldSource,
@@ -152,7 +153,8 @@ def stack(
         ),
         ends_in(*PICTURES, *ANIMATED),
     ],
-    distance: Distances,
+    distance: AnyDistances = None,
+    disparity: Disparities = None,
     method: Annotated[
         str, typer.Option(metavar="|".join(VIEW_METHODS), help="Shift views and add, or slice the spectrum.")
     ] = "shift",
@@ -176,8 +178,14 @@ def stack(
       mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
 
       mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
+
+      mitsuba-plenoptic stack field.mat -o stack.png --disparity -0.5 --disparity 0.5
     """
-    known = require_in_sight(source, named_camera(camera), *distance)
+    if not distance and not disparity:
+        raise typer.BadParameter("give at least one, or a disparity", param_hint="--distance")
+    refuse_if(distance and disparity, "--distance, --disparity: give one of the two")
+    known = require_in_sight(source, named_camera(camera), *(distance or []))
+    by, given = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
     from ..report.animations import sweep_distances
@@ -191,10 +199,12 @@ def stack(
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
-        images = focal_stack(lf, sweep_distances(distance) if animated else distance, method=method, progress=progress)
+        images = focal_stack(
+            lf, sweep_distances(given, by) if animated else given, method=method, by=by, progress=progress
+        )
     if animated:
         frames = write_focal_sweep(output, images, drawing)
-        typer.echo(f"{output}: {frames} images from {distance[0]:g} to {distance[-1]:g} mm and back")
+        typer.echo(f"{output}: {frames} images from {given[0]:g} to {given[-1]:g} {images[by].units} and back")
         return
     write_stack(output, images, drawing)
     rows, columns = images.shape[1:3]
@@ -219,10 +229,10 @@ def depth(
         ends_in(*PICTURES),
     ],
     near: Annotated[
-        float | None, numeric("Nearest distance to search.", "as near as the capture shows depth", unit="MM")
+        float | None, numeric("Nearest distance to search, or least disparity.", "as near as depth shows", unit="MM")
     ] = None,
     far: Annotated[
-        float | None, numeric("Farthest distance to search.", "as far as the capture shows depth", unit="MM")
+        float | None, numeric("Farthest distance to search, or greatest disparity.", "as far as depth shows", unit="MM")
     ] = None,
     planes: Annotated[int | None, numeric("Number of distances to try.", "64, more for a wide search")] = None,
     white: White = None,
@@ -239,7 +249,8 @@ def depth(
 
     Depth is measured from the main lens along the axis. The confidence estimates the probability that a depth is within
     1 %; below 0.5 the depth is unknown. It is 0 where the views agree best at an end of the search range. With a known
-    ground truth, the error of the depth is printed.
+    ground truth, the error of the depth is printed. Light fields of other programs without a camera give disparities:
+    pixels that a point moves along the index from view to view, negative nearer than the plane in focus.
 
     [bold]Example:[/bold]
 
@@ -256,28 +267,34 @@ def depth(
     known = named_camera(camera)
     lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)
     images = None
-    if lf.attrs.get("camera") and is_focused(lf):
+    if is_focused(lf):
         images = open_micro_images(source, white=white, linear=linear, camera=known)
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
     write_depth(output, found, drawing)
     sure = found.confidence > 0.5
-    where = found.depth.where(sure)
+    unit = "mm" if "depth" in found else "pixels per view"
+    where = (found.depth if "depth" in found else found.disparity).where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
     ends = dict(zip(("near", "far"), beyond_search(found), strict=True))
     for end, beyond in ends.items():
         if beyond >= _LITTLE:
             warn(
                 f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
-                f"{found.attrs[end]:.4g} mm, and are probably {_BEYOND[end]}: widen the search with --{end}"
+                f"{found.attrs[end]:.4g} {unit}, and are probably {_BEYOND[end]}: widen the search with --{end}"
             )
     if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
         warn(
             "depth: hardly any bin determines it: the scene has too little texture, or is nearer than --near or "
             "farther than --far; look at the confidence before you use a depth"
         )
-    span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} mm" if bool(sure.any()) else ""
+    span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} {unit}" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")
+    if "depth" not in found:
+        typer.echo(
+            "no camera: these are disparities, negative nearer than the plane in focus, positive farther (HCI's have "
+            "the other sign)"
+        )
     if "truth" in found and (error := depth_error(found)).share:
         typer.echo(
             f"error there against ground truth: median {error.median:.2%} of the distance, 90th percentile "

@@ -31,12 +31,14 @@ def require_animation(path: Path) -> Any:
     return require_module("imageio_ffmpeg", f"{path}: MP4 needs a package: pip install 'mitsuba-plenoptic[video]'")
 
 
-def sweep_distances(distances: Sequence[float]) -> list[float]:
-    """Return the distances of a focal sweep between two distances, in even steps of their reciprocals."""
+def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[float]:
+    """Return the distances of a focal sweep between two, in even steps of their reciprocals, or of disparities."""
     refuse_if(
         len(distances) != 2,
-        f"{argument('distance')}: a focal sweep goes from one distance to another, and {len(distances)} are given",
+        f"{argument(by)}: a focal sweep goes from one {by} to another, and {len(distances)} are given",
     )
+    if by == "disparity":
+        return np.linspace(*distances, _SWEEP).tolist()
     first, last = (1 / require_number("distance", value, positive=True, finite=False) for value in distances)
     return [float(1 / step) if step else math.inf for step in np.linspace(first, last, _SWEEP)]
 

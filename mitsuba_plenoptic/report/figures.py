@@ -101,7 +101,7 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
     Parameters
     ----------
     stack : xarray.DataArray
-        As `focal_stack` returns it: distance, t, s[, c].
+        As `focal_stack` returns it: distance or disparity, t, s[, c].
     white : float, optional
         As for `contact_sheet`.
 
@@ -110,6 +110,9 @@ def stack_figure(stack: xr.DataArray, white: float | None = None) -> Canvas:
     Canvas
         Its method `save` writes PNG or PDF.
     """
+    if "disparity" in stack.dims:
+        panels = [Panel(np.asarray(image.values), f"disparity {float(image.disparity):g}", None) for image in stack]
+        return _sheet([panels], [], white, "lenses per view")
     camera = camera_of(stack)
     panels = [
         Panel(
@@ -194,7 +197,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     Parameters
     ----------
     found : xarray.Dataset
-        Depth map from `depth_map`; where the depth is NaN, the figure is hatched.
+        Depth map from `depth_map`; where the depth, or without it the disparity, is unknown, the figure is hatched.
     white : float, optional
         As for `contact_sheet`.
 
@@ -203,6 +206,8 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     Canvas
         Its method `save` writes PNG or PDF.
     """
+    sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "lenses per view")
+    found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
     image, depth = np.asarray(found["image"].values), np.asarray(found["depth"].values)
     known = depth[np.isfinite(depth)]
     near, far = (float(known.min()), float(known.max())) if known.size else (found.attrs["near"], found.attrs["far"])
@@ -213,7 +218,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Canvas:
     unknown = "" if known.size == depth.size else "; hatched: unknown"
     parts: list[tuple[str, np.ndarray, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
-        ("Depth", depth, Normalize(near, far), "viridis_r", f"mm from the main lens{unknown}"),
+        (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
         ("Confidence", np.asarray(found["confidence"].values), Normalize(0, 1), "gray", "probability"),
     ]
     for index, (title, values, norm, colours, label) in enumerate(parts):

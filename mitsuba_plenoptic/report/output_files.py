@@ -104,8 +104,9 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
 
 
 def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
-    """Write a focal stack: as parts named by distance, or as a PNG with the images side by side."""
-    images = {f"{float(image.distance):.6g} mm": np.asarray(image.values) for image in stack}
+    """Write a focal stack: as parts named by distance or disparity, or as a PNG with the images side by side."""
+    by = str(stack.dims[0])
+    images = {f"{at:.6g} {stack[by].units}": image for at, image in zip(stack[by].values, stack.values, strict=True)}
     white = drawing.brightness.peak([stack.values])
     picture = _tiled(list(images.values()))
     parts = as_parts(**images)
@@ -116,7 +117,8 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
 
 def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
     """Write a focal stack as an animation, there and back; return the number of its frames."""
-    frames = [(np.asarray(image.values), f"{float(image.distance):.4g} mm") for image in stack]
+    by = str(stack.dims[0])
+    frames = [(image, f"{at:.4g} {stack[by].units}") for at, image in zip(stack[by].values, stack.values, strict=True)]
     frames += frames[-2:0:-1]
     write_animation(path, frames, drawing.brightness.peak([stack.values]), drawing.scale)
     return len(frames)
@@ -146,7 +148,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
 
     The true depth is a part, too, if it is known.
 
-    The PNG shows, from left to right, the all-in-focus image, the depth from near (white) to far (black), and the
+    The PNG shows, from left to right, the all-in-focus image, the disparity from near (white) to far (black), and the
     confidence.
     """
     parts = {str(name): np.asarray(values) for name, values in found.items()}

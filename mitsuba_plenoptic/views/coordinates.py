@@ -138,7 +138,10 @@ def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
         If the light field has no camera.
     """
     if not lf.attrs.get("camera"):
-        instead = advice(python="give a disparity", shell="use a capture, or a light field that has its camera")
+        instead = advice(
+            python="disparities serve: shift_and_add, focal_stack(by='disparity') and depth_map take them",
+            shell="'stack' takes --disparity, and 'depth' finds disparities; or use a capture",
+        )
         raise InputError(f"light field: it has no camera, so distances in millimetres mean nothing; {instead}")
     return PlenopticCamera.from_dict(_record(lf, "camera"))
 

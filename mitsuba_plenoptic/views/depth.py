@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +14,7 @@ import xarray as xr
 
 from ..camera import are_alike
 from ..design import focus_types
-from ..errors import InputError, require_count, require_number, suggest_keywords
+from ..errors import InputError, naming, require_count, require_number, suggest_keywords
 from ..runtime.batches import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import finer_stripes, view_disagreement
@@ -26,6 +27,9 @@ from .repetition import wrong_by_repetition
 
 RIGHT = 0.01
 """Relative error of a depth that counts as right."""
+
+# Without a camera: disparities from this one fall like inverse distances, and the error of one that counts as right.
+_ORIGIN, _RIGHT_SHIFT = 1e3, 0.05
 
 # Lenses per view up to which depth is sought by default: views, that then show blur as wide, still show coarse texture.
 _WIDEST = 2.0
@@ -66,10 +70,11 @@ def depth_map(
     Parameters
     ----------
     lf : xarray.DataArray
-        A light field of a camera.
+        A light field. Without a camera its disparities are found, and the confidence is that of an error below 0.05.
     near, far : float
-        Range of distances in millimetres to search. Default: where a point moves by at most two lenses from view to
-        view, twice as far as `depth_range`; of a focused camera `depth_range`.
+        Range of distances in millimetres to search; without a camera of disparities, the nearest the least. Default:
+        where a point moves by at most two lenses from view to view, twice as far as `depth_range`; of a focused camera
+        `depth_range`.
     micro_images : MicroImages, optional
         The micro-images of the same capture, from `micro_images`. A focused camera whose lenses are not upright and
         square needs them, as its light field is interpolated between lenses; others do without.
@@ -82,15 +87,16 @@ def depth_map(
     Returns
     -------
     xarray.Dataset
-        Over t, s: ``depth`` (distance from the main lens along the axis, mm; NaN where it is unknown), ``disparity``
-        (lenses per view, the best guess everywhere), ``confidence`` (0 to 1), and ``image``, the image in focus
+        Over t, s: ``depth`` (distance from the main lens along the axis, mm; NaN where it is unknown; absent without a
+        camera), ``disparity`` (lenses per view along the index, negative nearer than the plane in focus, the best guess
+        everywhere), ``confidence`` (0 to 1), and ``image``, the image in focus
         everywhere; and, where the light field has ground truth, ``truth``, the depth that the central view sees (mm),
         which `depth_error` compares with.
 
     Raises
     ------
     InputError
-        If the light field has no camera, near is not before far, an argument is out of range, a focused camera resolves
+        If near is not before far, an argument is out of range, a focused camera resolves
         no depth between near and far, or its micro-images are needed and not given, or of another camera.
 
     Examples
@@ -103,13 +109,18 @@ def depth_map(
     """
     lf = require_light_field(lf)
     nearest, farthest = _default_search(lf)
-    near = require_number("near", nearest if near is None else near)
-    far = require_number("far", farthest if far is None else far, finite=False)
+    known = bool(lf.attrs.get("camera"))
+    # Views that are moved farther have nothing in common with the central one.
+    most = None if known else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
+    with contextlib.nullcontext() if known else naming("no camera, the search is by disparity in lenses per view"):
+        near = require_number("near", nearest if near is None else near, minimum=most and -most)
+        far = require_number("far", farthest if far is None else far, finite=not known, maximum=most)
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
     if planes is not None:
         planes = require_count("planes", planes, minimum=3, maximum=1024)
-    slopes = _slopes(lf, disparity(lf, near), disparity(lf, far), planes)
+    first, last = (disparity(lf, near), disparity(lf, far)) if known else (near, far)
+    slopes = _slopes(lf, first, last, planes)
     planes = len(slopes)
     bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
@@ -120,7 +131,9 @@ def depth_map(
         f"depth map of {planes} planes",
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
-    choice = choose(*disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT)
+    choice = choose(
+        *disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT if known else _RIGHT_SHIFT / _ORIGIN
+    )
     found = np.interp(choice.plane, np.arange(planes), slopes)
     nearest_plane = np.rint(choice.plane).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
@@ -134,10 +147,11 @@ def depth_map(
         moved = np.abs(found) * view_steps(lf, "u").max() > 1
         ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
     probability = choice.probability * (1 - ambiguous)
-    depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, found))
-    dims = ("t", "s")
-    maps: dict[str, Any] = {
-        "depth": (dims, depth, {"units": "mm"}),
+    dims, maps = ("t", "s"), dict[str, Any]()
+    if known:
+        depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, found))
+        maps["depth"] = (dims, depth, {"units": "mm"})
+    maps |= {
         "disparity": (dims, found, {"units": "lenses per view"}),
         "confidence": (dims, probability),
         "image": (("t", "s", "c")[: sharp.ndim], sharp),
@@ -156,18 +170,23 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
-    distance = distance_of(found.disparity.assign_attrs(found.attrs), found.disparity.values)
     unknown, reach = found.confidence.values == 0, 1 + 2 * RIGHT
-    near, far = distance < found.attrs["near"] * reach, distance > found.attrs["far"] / reach
-    return float((unknown & near).mean()), float((unknown & far).mean())
+    near, far, place = found.attrs["near"], found.attrs["far"], found.disparity.values
+    if "depth" in found:
+        near, far, place = near * reach, far / reach, distance_of(found.disparity.assign_attrs(found.attrs), place)
+    else:
+        near, far = near + 2 * _RIGHT_SHIFT, far - 2 * _RIGHT_SHIFT
+    return float((unknown & (place < near)).mean()), float((unknown & (place > far)).mean())
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
-    """Return the nearest and farthest distance in mm at which views or micro-images can show depth.
+    """Return the nearest and farthest distance in mm, or disparity, at which views or micro-images can show depth.
 
     Views can while they move by up to `_WIDEST` lenses, twice as far as in `depth_range`; micro-images of focused
     cameras can while their lenses are no farther apart than the field that each shows.
     """
+    if not lf.attrs.get("camera"):
+        return -_WIDEST, _WIDEST
     if is_focused(lf):
         return depth_range(lf)
     near, far = distance_of(lf, np.array([-_WIDEST, _WIDEST]))
@@ -222,7 +241,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
 
 def is_focused(lf: xr.DataArray) -> bool:
     """Return whether all microlenses of a light field's camera are focused on the image of the main lens."""
-    return "unfocused" not in focus_types(camera_of(lf))
+    return bool(lf.attrs.get("camera")) and "unfocused" not in focus_types(camera_of(lf))
 
 
 def disagreement_of_planes(
@@ -247,7 +266,7 @@ def disagreement_of_planes(
     ratio, whole, counted_for, noise = np.empty((4, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
         ratio[index], whole[index], counted_for[index], noise[index] = measure(float(slope))
-    distances = distance_of(lf, slopes)
+    distances = distance_of(lf, slopes) if lf.attrs.get("camera") else 1 / (_ORIGIN - slopes)
     if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "

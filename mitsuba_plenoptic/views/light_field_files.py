@@ -20,7 +20,7 @@ from ..runtime.files import atomic_output, require_file, require_size, require_w
 from ..runtime.limits import require_memory
 from . import MicroImages, decode, estimate_lens_grid, micro_images
 from .coordinates import camera_of, require_light_field
-from .mosaics import read_mosaic, write_mosaic
+from .mosaics import read_mosaic, stated_mosaic, write_mosaic
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
 _LENSES = ".eslf.png"
@@ -49,7 +49,7 @@ def open_light_field(
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
         `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder with ``parameters.cfg``: one of the
         4D Light Field Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with
-        `views`: a mosaic of views; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of a plenoptic camera.
+        `views`: a mosaic of views, both without `views` if `save_light_field` wrote them; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of a plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
         it replaces the computed one; for a raw picture it shows where the micro-images are.
@@ -92,9 +92,13 @@ def open_light_field(
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
         return read_labelled(path)
     if name.endswith((".png", *TIFF)):
-        if views is not None:
-            layout = "lenses" if name.endswith(_LENSES) else "views"
-            return read_mosaic(path, views, layout=layout, linear=linear)
+        picture = read_numbers(path) if camera is None and white is None else None
+        stated = picture and stated_mosaic(picture)
+        if stated or views is not None:
+            count, layout = stated or (views, "lenses" if name.endswith(_LENSES) else "views")
+            rule = f"{path} states {count} views along each axis; leave it out"
+            refuse_if(views not in (None, count), f"{argument('views')} = {views}: {rule}")
+            return read_mosaic(path, int(count or 0), layout=layout, linear=linear)
         reference = None if white is None else read_recording(white, linear)
         # Pictures have no camera, by which a white capture could be refused.
         reference = reference.image if isinstance(reference, Capture) else reference

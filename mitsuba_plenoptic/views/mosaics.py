@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from ..errors import refuse_if, require_choice, require_count
-from ..io.pictures import read_picture, write_picture
+from ..io.pictures import StoredPicture, read_picture, write_picture
 from .coordinates import light_field, require_light_field
 from .viewpoints import lens_mosaic, view_mosaic
 
@@ -23,7 +24,8 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     path : path
         File to write.
     lf : xarray.DataArray
-        A light field. Its coordinates and weights are lost; samples without weight are black.
+        A light field. Its coordinates and weights are lost; samples without weight are black. The file states the
+        number of views.
     layout : {"lenses", "views"}
         Whether the samples of a lens or of a view lie together.
 
@@ -35,7 +37,14 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     require_choice("layout", layout, LAYOUTS)
     lf = require_light_field(lf)
     peak = float(np.max(lf.values, initial=0)) or 1.0
-    write_picture(path, (lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)) / peak)
+    mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
+    write_picture(path, mosaic / peak, f"{lf.sizes['u']} {layout}" if lf.sizes["u"] == lf.sizes["v"] else "")
+
+
+def stated_mosaic(picture: StoredPicture) -> tuple[int, str] | None:
+    """Return the views along each axis and the layout that a file of `write_mosaic` states, None if it states none."""
+    found = re.fullmatch(rf'"([0-9]{{1,6}}) ({"|".join(LAYOUTS)})"', picture.text)
+    return found and (int(found[1]), found[2])
 
 
 def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:

@@ -94,6 +94,7 @@ def focal_stack(
     distances: Sequence[float],
     *,
     method: str = "shift",
+    by: str = "distance",
     progress: Progress | None = None,
 ) -> xr.DataArray:
     """Return a light field refocused to several distances.
@@ -103,19 +104,21 @@ def focal_stack(
     lf, method
         As for `refocus`.
     distances : sequence of floats
-        Object distances in millimetres.
+        Object distances in millimetres, or disparities.
+    by : {"distance", "disparity"}
+        What the values are; disparities are those of `shift_and_add`, for which no camera is needed.
     progress : callable, optional
         Called with the distances done and how many there are.
 
     Returns
     -------
     xarray.DataArray
-        Dimensions distance, t, s[, c].
+        Dimensions distance or disparity, t, s[, c].
 
     Raises
     ------
     InputError
-        If there is no distance, the light field has no camera or an argument is out of range.
+        If there is no distance, the light field has no camera but distances are given, or an argument is out of range.
 
     Examples
     --------
@@ -125,10 +128,11 @@ def focal_stack(
     ('t', 's')
     """
     lf = require_light_field(lf)
-    distances = [require_number("distance", value, finite=False) for value in distances]
+    require_choice("by", by, ("distance", "disparity"))
+    distances = [require_number(by, value, finite=by == "disparity") for value in distances]
     refuse_if(not distances, "distances = []: give at least one")
     require_choice("method", method, METHODS)
-    disparities = [disparity_at(lf, value) for value in distances]
+    disparities = distances if by == "disparity" else [disparity_at(lf, value) for value in distances]
     refocus_at: Callable[[float], xr.DataArray]
     if method == "fourier":
         refocus_at = FourierRefocuser(lf, max(abs(value) for value in disparities)).refocus
@@ -137,8 +141,8 @@ def focal_stack(
     images = 8.0 * lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     # Views are moved in copies.
     require_memory(6.0 * lf.size + 2 * images * len(disparities), f"focal stack of {len(disparities)} distances")
-    stack = xr.concat([refocus_at(value) for value in counted(disparities, progress)], dim="distance")
-    return stack.assign_coords(distance=("distance", distances, {"units": "mm"}))
+    stack = xr.concat([refocus_at(value) for value in counted(disparities, progress)], dim=by)
+    return stack.assign_coords({by: (by, distances, {"units": "mm" if by == "distance" else "lenses per view"})})
 
 
 # Variance of the places, in squared bins, from which `moved` takes a sample: that for which all of its rules hold.

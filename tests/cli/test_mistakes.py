@@ -259,7 +259,7 @@ def test_unknown_names_come_with_those_that_they_resemble(line, words, raw, tmp_
         ("views {picture} -o {out}.png", "give --white or --camera for a raw picture, or --view-count for a mosaic"),
         (
             "stack {mosaic} -o {out}.png --view-count 2 --distance 240",
-            "use a capture, or a light field that has its camera",
+            "'stack' takes --disparity, and 'depth' finds disparities; or use a capture",
         ),
     ],
 )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import configparser
 import io
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,8 @@ PARAMETERS, SECTION = "parameters.cfg", "mitsuba_plenoptic"
 
 _LARGEST, _MOST_VIEWS = 2**20, 1000
 
+_GEOMETRY = ("focal_length_mm", "sensor_size_mm", "baseline_mm", "focus_distance_m")
+
 # Bytes of a value of three channels while views are gathered and checked.
 _NUMBER_BYTES = 3 * (4 + 4)
 
@@ -44,7 +47,8 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     Returns
     -------
     xarray.DataArray
-        With the camera, in units of its capture, if this package wrote the folder; else without, from 0 to 1.
+        With the camera, in units of its capture, if this package wrote the folder; else from 0 to 1, with the
+        plenoptic camera of the same geometry where the parameters state it: its pupil is as wide as the camera array.
 
     Raises
     ------
@@ -63,6 +67,12 @@ def read_hci(folder: str | Path) -> xr.DataArray:
         ours = parser[SECTION] if parser.has_section(SECTION) else None
         camera = None if ours is None else PlenopticCamera.from_dict(json.loads(ours["camera"]))
         white = 1.0 if ours is None else require_number("white", float(ours["white"]), positive=True)
+        stated = {name: text for part in parser.sections() for name, text in parser[part].items()}
+        geometry = [
+            require_number(name, float(stated[name]), positive=True, finite=name != _GEOMETRY[-1])
+            for name in _GEOMETRY
+            if ours is None and stated.keys() >= set(_GEOMETRY)
+        ]
         grey = ours is not None and ours["channels"] == "1"
     views: list[np.ndarray] = []
     for number in range(rows * columns):
@@ -77,12 +87,37 @@ def read_hci(folder: str | Path) -> xr.DataArray:
         views.append(picture)
     values = np.stack(views).reshape(rows, columns, *views[0].shape) * np.float32(white)
     values = np.ascontiguousarray(values[..., 0]) if grey and values.ndim == 5 else values
+    if geometry:
+        with naming(folder / PARAMETERS):
+            camera = _camera_of_array(*geometry, values.shape)
     bins = None if camera is None else bin_grid(camera)
     if bins is not None and bins.shape != values.shape[2:4]:
         raise InputError(
             f"{folder}: its views of {values.shape[2:4]} pixels do not fit its camera of {bins.shape} lenses"
         )
     return light_field(values, None, camera, bins)
+
+
+def _camera_of_array(
+    focal_length: float, sensor: float, baseline: float, focus: float, shape: tuple[int, ...]
+) -> PlenopticCamera:
+    """Return the plenoptic camera that sees views (v, u, t, s) as a rectified array of pinhole cameras does."""
+    views, most = max(shape[:2]), max(shape[2:4])
+    # Only the ratio of the focal length and the sensor counts. Lenses this small have micro-images centred behind them.
+    pitch = min(sensor, views * baseline / 8) / most
+    b = focal_length * pitch * most / sensor
+    z = b * pitch / (views * baseline - pitch)
+    return PlenopticCamera(
+        focal_length=1 / (1 / b + 1 / (1000 * focus)),
+        focus_distance=1000 * focus,
+        # All of the square of cameras.
+        aperture_radius=views * baseline / math.sqrt(2),
+        mla_pitch=pitch,
+        mla_focal_length=z,
+        detector_distance=z,
+        detector_width=shape[3] * views * baseline * z / b,
+        resolution=(shape[3] * views, shape[2] * views),
+    )
 
 
 def write_hci(

@@ -6,13 +6,14 @@ import configparser
 
 import numpy as np
 import pytest
+import scipy
 from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, write_capture
 from mitsuba_plenoptic.exchange import open_light_field, read_hci
-from mitsuba_plenoptic.io.exr import read_exr
+from mitsuba_plenoptic.io.exr import read_exr, read_exr_parts
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
-from mitsuba_plenoptic.views import camera_of, refocus, white_image
+from mitsuba_plenoptic.views import camera_of, depth_map, focal_stack, refocus, view, white_image
 
 CAMERA = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
@@ -31,10 +32,18 @@ def lf(raw):
     return decode(read_capture(raw))
 
 
-def test_convert_there_and_back(raw, lf, tmp_path, run):
+def test_convert_there_and_back(raw, lf, tmp_path, run, complaint):
     run("convert", raw, "-o", tmp_path / "a.mat")
     run("convert", tmp_path / "a.mat", "-o", tmp_path / "a.eslf.png")
     run("convert", tmp_path / "a.eslf.png", "--view-count", lf.sizes["u"], "-o", tmp_path / "b.mat")
+    # Mosaics state their number of views and how these lie, whatever their name.
+    run("convert", tmp_path / "a.eslf.png", "-o", tmp_path / "c.png")
+    (tmp_path / "a.eslf.png").rename(tmp_path / "d.png")
+    for name in ("c.png", "d.png"):
+        found = open_light_field(tmp_path / name)
+        np.testing.assert_allclose(found.values, open_light_field(tmp_path / "b.mat").values, atol=1e-4)
+    said = complaint("views", tmp_path / "d.png", "--view-count", 3, "-o", tmp_path / "e.png")
+    assert said == f"--view-count = 3: {tmp_path / 'd.png'} states {lf.sizes['u']} views along each axis; leave it out"
     # A file of LFToolbox is as good a source as a capture, with its distances where it tells the camera.
     run("stack", tmp_path / "a.mat", "-o", tmp_path / "a.exr", "--distance", 210)
     image = read_exr(tmp_path / "a.exr")[0]
@@ -99,3 +108,64 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
     views = ["--view-count", lf.sizes["u"]]
     words = complaint("convert", tmp_path / "a.eslf.png", *views, "-o", folder, "--format", "hci")
     assert words.startswith(f"{tmp_path / 'a.eslf.png'}: ") and "camera" in words
+
+
+@pytest.fixture(scope="module")
+def array_of_cameras(tmp_path_factory):
+    """Write a folder of another program: a near square before a far wall, seen by 5 x 5 cameras."""
+    folder, random, size = tmp_path_factory.mktemp("array"), np.random.default_rng(1), (48, 64)
+    near, far = (scipy.ndimage.gaussian_filter(random.random((96, 112)), 1.0) for _ in range(2))
+    at = np.mgrid[: size[0], : size[1]].astype(float)
+    for number in range(25):
+        # HCI's disparities: 1 of the square, -1 of the wall; cameras farther to the right see it farther to the left.
+        step = np.array([number // 5 - 2, number % 5 - 2])[:, None, None]
+        square, wall = (
+            scipy.ndimage.map_coordinates(texture, at + sign * step + 24, order=3)
+            for texture, sign in ((near, 1), (far, -1))
+        )
+        inside = ((at + step >= [[[16]], [[20]]]) & (at + step < [[[32]], [[44]]])).all(axis=0)
+        picture = (np.where(inside, square, wall) - 0.25) * 2
+        Image.fromarray(to_bytes(picture.clip(0, 1))).save(folder / f"input_Cam{number:03d}.png")
+    (folder / "parameters.cfg").write_text(
+        "[intrinsics]\nfocal_length_mm = 100.0\nsensor_size_mm = 35.0\n"
+        "[extrinsics]\nnum_cams_x = 5\nnum_cams_y = 5\nbaseline_mm = 40.0\nfocus_distance_m = 4.25\n"
+    )
+    return folder
+
+
+def test_depth_of_an_array_of_cameras_is_metric(array_of_cameras, tmp_path, run, complaint):
+    run("depth", array_of_cameras, "-o", tmp_path / "depth.exr", "--planes", 65)
+    found = depth_map(open_light_field(array_of_cameras), planes=65)
+    for where, disparity in ((np.s_[20:28, 24:40], 1), (np.s_[4:12, 4:60], -1)):
+        # 1/Z = disparity / (f in pixels * baseline) + 1 / focus distance.
+        true = 1000 / (disparity / (100 / 35 * 64 * 0.04) + 1 / 4.25)
+        assert np.mean(found.confidence.values[where] > 0.5) > 0.9
+        assert np.nanmedian(found.depth.values[where]) == pytest.approx(true, rel=0.01)
+    back = tmp_path / "back"
+    assert run("convert", array_of_cameras, "-o", back, "--format", "hci").startswith(f"{back}: 5 x 5 views")
+    text = (array_of_cameras / "parameters.cfg").read_text()
+    (back / "parameters.cfg").write_text(text.replace("40.0", "-25"))
+    words = f"{back / 'parameters.cfg'}: baseline_mm = -25: it must be greater than 0"
+    assert complaint("depth", back, "-o", tmp_path / "b.exr") == words
+
+
+def test_without_a_camera_disparities_are_found_and_refocused(array_of_cameras, tmp_path, run, complaint):
+    mosaic = tmp_path / "field.eslf.png"
+    run("convert", array_of_cameras, "-o", mosaic)
+    said = run("depth", mosaic, "-o", tmp_path / "depth.exr", "--planes", 65)
+    assert "pixels per view" in said and "negative nearer" in said and "HCI's have the other sign" in said
+    disparity = read_exr_parts(tmp_path / "depth.exr")[0]["disparity"]["Y"]
+    assert np.median(disparity[20:28, 24:40]) == pytest.approx(-1, abs=0.02)
+    assert np.median(disparity[4:12, 4:60]) == pytest.approx(1, abs=0.02)
+    said = run("stack", mosaic, "-o", tmp_path / "stack.exr", "--disparity", -1, "--disparity", 1)
+    assert said.endswith("2 images of 64 x 48 bins\n")
+    # Focused, what is seen is as it is in the central view.
+    central = view(open_light_field(mosaic), u=0.0, v=0.0).values
+    near, far = focal_stack(open_light_field(mosaic), [-1, 1], by="disparity").values
+    np.testing.assert_allclose(near[20:28, 24:40], central[20:28, 24:40], atol=0.01)
+    np.testing.assert_allclose(far[4:10, 4:60], central[4:10, 4:60], atol=0.01)
+    assert "--disparity" in complaint("stack", mosaic, "-o", tmp_path / "no.exr", "--distance", 240)
+    said = complaint("depth", mosaic, "-o", tmp_path / "no.exr", "--far", 240)
+    assert said == "no camera, the search is by disparity in lenses per view: far = 240: it must be at most 32"
+    for name in ("figure.pdf", "sweep.gif"):
+        run("stack", mosaic, "-o", tmp_path / name, "--disparity", -1, "--disparity", 1)

@@ -299,9 +299,9 @@ class TestFiles:
         ("name", "options", "words"),
         [
             ("a.jpg", {}, "ends in"),
-            ("a.tif", {}, "give white or camera for a raw picture"),
+            ("a.tif", {}, "no such file"),
             ("a.nc", {"camera": CAMERA}, "camera = given"),
-            ("a.png", {}, "give white or camera for a raw picture"),
+            ("a.png", {}, "no such file"),
             ("a.png", {"white": "w.png", "views": 3}, "exclude"),
             ("a.exr", {"views": 3}, "views = 3"),
             ("a.mat", {"white": "w.png"}, "white = w.png"),
