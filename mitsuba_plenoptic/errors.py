@@ -13,6 +13,7 @@ import importlib
 import inspect
 import itertools
 import math
+import re
 import reprlib
 import sys
 import warnings
@@ -101,6 +102,35 @@ def short_repr(value: Any) -> str:
     except Exception as error:  # such as an int of more digits than Python prints
         text = f"{type(value).__name__} ({error})"
     return printable(" ".join(text.split()), _LONGEST_VALUE)
+
+
+_BEGINNINGS = {
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"\x89PNG": "a PNG picture",
+    b"II*\0": "a TIFF picture",
+    b"MM\0*": "a TIFF picture",
+    b"\x76\x2f\x31\x01": "an OpenEXR image",
+    b"\x93NUMPY": "an array of NumPy",
+    b"\x1f\x8b": "packed by gzip (unpack it)",
+    b"PK": "a ZIP archive (unpack it)",
+    b"%YAML:": "YAML of OpenCV",
+}
+
+
+def content_of(path: Path) -> str:
+    """Return what a file is by its first bytes, for a message; "text" or "XML" begin the answer for these."""
+    if not path.is_file():
+        return "a folder" if path.is_dir() else "no regular file"
+    with path.open("rb") as file:
+        first = file.read(4096)
+    text = first.decode("utf-8-sig", errors="replace").strip()
+    found = [kind for begins, kind in _BEGINNINGS.items() if first.startswith(begins)]
+    if found or not text or "\ufffd" in text[:64]:
+        return found[0] if found else "binary data" if text else "an empty file"
+    root = re.match(r"(?s)(?:<[?!].*?>\s*)*<([\w:.-]+)", re.sub(r"(?s)<!--.*?-->", "", text))
+    if text[0] == "{":
+        return "text in JSON"
+    return f"XML with the root <{root[1]}>" if root else f"text that begins with {short_repr(text.splitlines()[0])}"
 
 
 _options: Mapping[str, str] | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .errors import InputError, did_you_mean
+from .presets import PRESETS
 
 
 def scene_names() -> list[str]:
@@ -34,8 +35,9 @@ def scene_path(name: str) -> Path:
     path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():
         names = scene_names()
+        what = "is a camera: give it as --camera of a scene" if name in PRESETS else "is no file"
         raise InputError(
-            f"scene = {name!r}: there is no such file, nor a built-in scene of that name ({', '.join(names)})"
-            f"{did_you_mean(name, names)}"
+            f"scene = {name!r}: it {'is a folder' if Path(name).is_dir() else what}; built-in scenes are "
+            f"{', '.join(names)}{did_you_mean(name, names)}"
         )
     return path

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, naming, refuse_if, require_count, require_number, warn
+from ..errors import InputError, content_of, naming, refuse_if, require_count, require_number, warn
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
-from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, Judged, one_of, require_camera_name
+from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, SCENE_XML, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -228,11 +228,9 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
         from ..camera.camera_files import camera_and_record
 
         return camera_and_record(source)
-    refuse_if(
-        source.lower().endswith(".exr"),
-        f"{source}: it is an image; a camera is a preset, a JSON or YAML file or a scene",
-    )
     require_camera_name("camera", source)
+    found = content_of(Path(source)) if Path(source).is_file() else SCENE_XML
+    refuse_if(found != SCENE_XML, f"{source}: it is {found}; a camera is a preset, a JSON or YAML file or a scene")
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..errors import (
     InputError,
+    content_of,
     did_you_mean,
     refuse_if,
     refusing,
@@ -24,6 +25,9 @@ from ..extension import entries, missing
 from ..presets import PRESETS
 from ..refocus_options import METHODS
 from ..scene_files import scene_names, scene_path
+
+SCENE_XML = "XML with the root <scene>"
+"""What `content_of` says of a scene."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ def _require_file(name: str, path: Path) -> None:
 
 
 def _require_recording(name: str, path: Path) -> None:
-    scene = path.suffix == ".xml" if path.exists() else str(path) in scene_names()
+    scene = content_of(path) == SCENE_XML if path.exists() else str(path) in scene_names()
     refuse_if(scene, f"{path}: it is a scene: give what 'render' made of it")
     _require_file(name, path)
 

@@ -14,7 +14,7 @@ import numpy as np
 import OpenEXR
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, naming, refuse_if, refusing, short_repr
+from ..errors import InputError, advice, content_of, naming, refuse_if, refusing, short_repr
 from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
 from .versions import require_seal, sealed
@@ -226,11 +226,15 @@ def _attributes(path: Path, part: ExrPart) -> dict[str, Any]:
 def read_parts(path: Path) -> list[ExrPart]:
     """Read the headers of an OpenEXR file, without pixels; refuse a file too large to be read whole."""
     with path.open("rb") as raw:
+        refuse_if(
+            raw.read(len(_MAGIC)) != _MAGIC,
+            f"{path}: it is {content_of(path)}; give OpenEXR of this package or a raw picture, as .png or .tiff",
+        )
 
         def text() -> bytes:
             return b"".join(itertools.islice(iter(lambda: raw.read(1).strip(b"\0"), b""), _LONGEST_NAME))
 
-        several = bool(int.from_bytes(raw.read(8)[4:], "little") & _SEVERAL_PARTS)
+        several = bool(int.from_bytes(raw.read(4), "little") & _SEVERAL_PARTS)
         # A name, a type, a size and a value each; no name ends a part, and no attribute at all the last one of several.
         # OpenEXR finds whether they are correct.
         attributes = 0
@@ -269,12 +273,8 @@ def _undamaged(path: Path) -> Iterator[None]:
         except RuntimeError as error:
             if not str(error).startswith("Unable to open"):
                 raise
-            # What OpenEXR says of all files that are there but that it cannot make out.
-            with path.open("rb") as file:
-                whole = file.read(len(_MAGIC)) == _MAGIC
-            raise ValueError(
-                "its header or the table of its lines is cut off or wrong" if whole else "it does not begin as one does"
-            ) from None
+            # What OpenEXR says of all files that it cannot make out.
+            raise ValueError("its header or the table of its lines is cut off or wrong") from None
 
 
 @contextlib.contextmanager

@@ -16,7 +16,16 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera.parameters import PARAMETERS
-from ..errors import InputError, did_you_mean, refuse_if, refusing, require_choice, short_repr, suggest_keywords
+from ..errors import (
+    InputError,
+    content_of,
+    did_you_mean,
+    refuse_if,
+    refusing,
+    require_choice,
+    short_repr,
+    suggest_keywords,
+)
 from ..extension import missing
 from ..io.exr import read_parts
 from ..runtime.backend import one_at_a_time, set_variant
@@ -39,6 +48,8 @@ _TEXEL = 40
 
 _LONGEST_PLY_HEADER = 2**16
 
+_RULE = "a scene is XML in UTF-8 with the root <scene>"
+
 _ATTRIBUTES = ("name", "value", "type", "filename")
 
 
@@ -49,6 +60,7 @@ def check_scene_file(path: Path, parameters: Mapping[str, str]) -> list[Element]
     """
     roots: list[Element] = []
     _check(path, dict(parameters), [Path.cwd(), path.parent], roots, ())
+    refuse_if(roots[0].tag != "scene", f"{path}: it is {content_of(path)}; {_RULE}")
     return roots
 
 
@@ -110,10 +122,8 @@ def _parse(path: Path) -> Element:
     require_size(path, LARGEST_SCENE)
     try:
         text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: it is no scene, which is XML in UTF-8: {error.reason} at byte {error.start}"
-        ) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: it is {content_of(path)}; {_RULE}") from None
     # Mitsuba's parser and this one might read other encodings differently, and so see different scenes.
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
@@ -123,6 +133,7 @@ def _parse(path: Path) -> Element:
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
+        refuse_if(not text.lstrip().startswith("<"), f"{path}: it is {content_of(path)}; {_RULE}")
         cause = str(error).partition(":")[0]
         raise InputError(f"{path}, line {error.position[0]}: it is not well-formed XML: {cause}") from None
     # Mitsuba's parser overflows its stack.

@@ -393,6 +393,11 @@ def as_array(
         refuse_if(len(order) != len(named), f"{name} with dimensions {named}: they must be {known}")
         values = values.transpose(*order)
     rule = f"{name}: {rule or 'it must be an array'}"
+    refuse_if(
+        getattr(values, "requires_grad", False) is True, f"{name}: it requires gradients: give it without, by detach()"
+    )
+    narrow = str(getattr(values, "dtype", "")).endswith("bfloat16")
+    refuse_if(narrow, f"{name} of type bfloat16, which NumPy does not have: give float32")
     with refusing(rule, RuntimeError, *NO_ARRAY):
         array = np.array(values)
     refuse_if(array.dtype.kind not in "biufc", rule)

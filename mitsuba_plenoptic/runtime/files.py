@@ -23,7 +23,17 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
+from ..errors import (
+    NO_RECORD,
+    InputError,
+    content_of,
+    naming,
+    refuse_if,
+    refusing,
+    require_module,
+    require_suffix,
+    short_repr,
+)
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -101,7 +111,8 @@ def require_file(path: str | Path) -> Path:
         there, regular = path.exists(), path.is_file()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    refuse_if(not regular, f"{path}: {'it is not a regular file' if there else 'there is no such file'}")
+    what = "it is a folder; give a file" if path.is_dir() else "it is not a regular file"
+    refuse_if(not regular, f"{path}: {what if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
     _log.debug("%s: read", path)
     if _used is not None:
@@ -123,7 +134,9 @@ def read_text(path: str | Path, largest: int) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: it is not text in UTF-8: {error}") from None
+        raise InputError(
+            f"{path}: it is not text in UTF-8: it is {content_of(path)}, wrong at byte {error.start}"
+        ) from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
-from ..errors import InputError, argument, naming, refuse_if, refusing, require_module
+from ..errors import InputError, argument, content_of, naming, refuse_if, refusing, require_module
 from ..extension import format_of, place
 from ..io.captures import RAW_SUFFIXES, Capture, read_capture, states_detector
 from ..io.exr import read_attributes, read_pixels
@@ -49,7 +49,8 @@ def open_light_field(
         ``.exr``: a capture of this package; ``.nc``, ``.zarr``: a light field with its axes, weights and camera, as
         `save_light_field` writes it; ``.mat``: a light field of LFToolbox; a folder with ``parameters.cfg``: one of the
         4D Light Field Benchmark (HCI); ``.eslf.png`` with `views`: samples of each lens together; ``.png`` with
-        `views`: a mosaic of views, both without `views` if `save_light_field` wrote them; ``.png`` or ``.tiff`` with `white` or `camera`: a raw picture of a plenoptic camera.
+        `views`: a mosaic of views (both without `views` if `save_light_field` wrote them); ``.png`` or ``.tiff`` with
+        `white` or `camera`: a raw picture of a plenoptic camera.
     white : path, optional
         A picture of something white by the same camera, ``.exr``, ``.png`` or ``.tiff``. For a capture of this package
         it replaces the computed one; for a raw picture it shows where the micro-images are.
@@ -115,8 +116,8 @@ def open_light_field(
         f"{path}: a raw picture of such a camera is a mosaic of colours; demosaic it first",
     )
     raise InputError(
-        f"{path}: a capture or light field has a name that ends in .exr, {', '.join(SUFFIXES)} or .tiff, or is a "
-        f"folder with {HCI}"
+        f"{path}: it is {content_of(path)}; a capture or light field is a folder with {HCI}, or has a name that ends "
+        f"in .exr, {', '.join(SUFFIXES)} or .tiff"
     )
 
 

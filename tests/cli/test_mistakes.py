@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 
 import numpy as np
@@ -135,7 +136,7 @@ def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
         ("render letters -o {out}.png", "ends in .exr"),
         ("render letters -o {out}", "ends in .exr"),
         ("render letters -o {out}.exr --camera nokia", "no camera (paper, lytro"),
-        ("render letters -o {out}.exr --camera {raw}", "it is an image; a camera is a preset"),
+        ("render letters -o {out}.exr --camera {raw}", "it is an OpenEXR image; a camera is a preset"),
         ("info nokia", "or built-in scene (beads"),
         ("info paper_double_gauss --drawing {out}.jpg", "give a name that ends in .png"),
         ("render letters -o {out}.exr --white {out}.exr", "two results would be written to it"),
@@ -275,6 +276,52 @@ def test_advice_names_options_at_the_shell_and_arguments_in_python(line, words, 
         open_light_field(picture)
 
 
+METASHAPE = b'<?xml version="1.0" encoding="UTF-8"?>\n<!-- <scene> -->\n<document version="2.0.0"/>'
+WRONG_KINDS = {
+    "jpeg": (b"\xff\xd8\xff\xe0 a picture", ".jpg", "a JPEG picture"),
+    "numpy": (b"\x93NUMPY\1\0", ".npy", "an array of NumPy"),
+    "gzip": (gzip.compress(b"{}"), ".json", "packed by gzip (unpack it)"),
+    "empty": (b"", ".exr", "an empty file"),
+    "text": ("naïve".encode() * 1000, ".txt", "text that begins with 'naïvenaïve"),
+    "camera": (b' {"focal_length": 80}', ".js", "text in JSON"),
+    "lens": (b"VERS 190513\r\nMODE SEQ", ".zmx", "text that begins with 'VERS 190513'"),
+    "metashape": (METASHAPE, ".xml", "XML with the root <document>"),
+    "opencv": (b"<?xml version='1.0'?><opencv_storage></opencv_storage>", ".xml", "XML with the root <opencv_storage>"),
+    "yaml": (b"%YAML:1.0\n---\n", ".yml", "YAML of OpenCV"),
+    "folder": (None, "", "a folder"),
+}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "line", "rule"),
+    [
+        ("jpeg numpy lens camera metashape yaml", "views {given} -o {out}.png", "a capture or light field is a folder"),
+        ("folder gzip", "stack {given} -o {out}.png --distance 240", "or has a name that ends in .exr"),
+        ("jpeg empty lens", "reconstruct {given} -o {out}.exr --distance 240", "give OpenEXR of this package or a raw"),
+        ("jpeg", "reconstruct {raw} -o {out}.exr --distance 240 --white {given}", "give OpenEXR of this package"),
+        ("numpy yaml", "sheet {given} -o {out}.pdf", "give OpenEXR of this package"),
+        ("camera", "expose {given} -o {out}.exr --photons 9", "give OpenEXR of this package"),
+        (
+            "jpeg text camera metashape empty",
+            "render {given} -o {out}.exr",
+            "a scene is XML in UTF-8 with the root <scene>",
+        ),
+        ("opencv numpy", "compare {given} -o {out} --distance 240", "a scene is XML in UTF-8 with the root <scene>"),
+        ("jpeg lens metashape opencv", "render letters -o {out}.exr --camera {given}", "a camera is a preset, a JSON"),
+        ("yaml gzip", "info --camera {given}", "a camera's file has its parameters by name, in JSON or YAML"),
+        ("jpeg numpy folder metashape", "calibrate {given} -o {out}.json", "corners are a table (.csv), pictures and"),
+    ],
+)
+def test_files_of_a_wrong_kind_are_named(kinds, line, rule, raw, tmp_path, complaint):
+    for kind in kinds.split():
+        content, suffix, what = WRONG_KINDS[kind]
+        given = tmp_path / f"{kind}{suffix}"
+        given.mkdir() if content is None else given.write_bytes(content)
+        said = complaint(*line.format(given=given, out=tmp_path / "out", raw=raw).split())
+        assert said.startswith(f"{given}: it is {what}") and rule in said
+    assert not list(tmp_path.glob("out*"))
+
+
 @pytest.mark.parametrize(
     ("sensor", "words"),
     [
@@ -311,8 +358,8 @@ def test_folder_without_permission(raw, tmp_path, complaint):
 
 DAMAGES = {
     "missing": "there is no such file",
-    "empty": "it cannot be read as an OpenEXR image, or is damaged: it does not begin as one does",
-    "text": "it cannot be read as an OpenEXR image, or is damaged: it does not begin as one does",
+    "empty": "it is an empty file; give OpenEXR of this package",
+    "text": "it is text that begins with 'not an image'; give OpenEXR of this package",
     "truncated": "it cannot be read as an OpenEXR image, or is damaged: its ",
     "header": "it cannot be read as an OpenEXR image, or is damaged: its header or the table",
     "foreign": "it has no attribute 'mitsuba_plenoptic' in its header, so its camera is unknown",

@@ -12,7 +12,7 @@ import typer
 from ...cli.choices import MODELS
 from ...cli.inputs import CameraFile, Linear, White, load_camera, numeric, output_option
 from ...cli.judging import WAVELENGTH, one_of
-from ...errors import refuse_if
+from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
     import numpy as np
@@ -101,7 +101,14 @@ def calibrate(
     sources = sources or []
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
-    for path in sources:
+    for path in [*sources, *filter(None, [evaluate])]:
+        what = (
+            content_of(path) if path.exists() and (path == evaluate or path.suffix.lower() not in _PICTURES) else "text"
+        )
+        refuse_if(
+            not what.startswith("text") and path.suffix.lower() not in LYTRO_SUFFIXES,
+            f"{path}: it is {what}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
+        )
         refuse_if(
             path.suffix.lower() in LYTRO_SUFFIXES,
             f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
