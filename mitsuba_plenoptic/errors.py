@@ -104,6 +104,9 @@ def short_repr(value: Any) -> str:
     return printable(" ".join(text.split()), _LONGEST_VALUE)
 
 
+SCENE_XML = "XML with the root <scene>"
+"""What `content_of` says of a scene."""
+
 _BEGINNINGS = {
     b"\xff\xd8\xff": "a JPEG picture",
     b"\x89PNG": "a PNG picture",
@@ -122,12 +125,12 @@ def content_of(path: Path) -> str:
     if not path.is_file():
         return "a folder" if path.is_dir() else "no regular file"
     with path.open("rb") as file:
-        first = file.read(4096)
+        first = file.read(2**20)
     text = first.decode("utf-8-sig", errors="replace").strip()
     found = [kind for begins, kind in _BEGINNINGS.items() if first.startswith(begins)]
     if found or not text or "\ufffd" in text[:64]:
         return found[0] if found else "binary data" if text else "an empty file"
-    root = re.match(r"(?s)(?:<[?!].*?>\s*)*<([\w:.-]+)", re.sub(r"(?s)<!--.*?-->", "", text))
+    root = re.search(r"<([^\W\d][\w:.-]*)", re.sub(r"(?s)<!--.*?-->", "", text)) if text[0] == "<" else None
     if text[0] == "{":
         return "text in JSON"
     return f"XML with the root <{root[1]}>" if root else f"text that begins with {short_repr(text.splitlines()[0])}"

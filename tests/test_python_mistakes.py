@@ -32,6 +32,45 @@ def test_cameras_are_changed_by_replace_of_their_own():
         dataclasses.replace(CAMERA, aperture_radius=3)
 
 
+class Tensor:
+    """A tensor of another library as PyTorch's and JAX's behave: NumPy cannot have it."""
+
+    def __init__(self, values, dtype="torch.float32", requires_grad=False):
+        self.values, self.dtype, self.requires_grad = values, dtype, requires_grad
+
+    def __len__(self):
+        return len(self.values)
+
+    def __array__(self, dtype=None, copy=None):
+        if self.requires_grad:
+            raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+        if "bfloat16" in self.dtype:
+            raise TypeError("Got unsupported ScalarType BFloat16")
+        return np.array(self.values, dtype)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ({"requires_grad": True}, "it requires gradients: give it without, by detach"),
+        ({"dtype": "torch.bfloat16"}, "of type bfloat16, which NumPy does not have: give float32"),
+        ({"dtype": "bfloat16"}, "of type bfloat16, which NumPy does not have: give float32"),
+    ],
+)
+def test_tensors_that_numpy_does_not_have(kind, words):
+    image, point = Tensor(IMAGE, **kind), Tensor(np.array([0, 0, 240.0]), **kind)
+    operator = mp.CaptureOperator(CAMERA, [[0, 0, 240]], wavelength=550)
+    for name, call in {
+        "image": lambda: Capture(image, CAMERA),
+        "capture": lambda: mp.decode(image, camera=CAMERA),
+        "position": lambda: mp.point_spread_function(CAMERA, point, wavelength=550),
+        "weights": lambda: operator.forward([image]),
+    }.items():
+        with pytest.raises(InputError, match=f"^{name}.* ?{words}"):
+            call()
+    assert Capture(Tensor(IMAGE), CAMERA).image.sum() == IMAGE.size
+
+
 def test_small_numbers_may_become_zero_whatever_numpy_is_to_raise(scene):
     with np.errstate(all="raise"):
         waves, rays = (mp.render_capture(scene, spp=2, model=model) for model in ("wave", "ray"))

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, content_of, naming, refuse_if, require_count, require_number, warn
+from ..errors import SCENE_XML, InputError, content_of, naming, refuse_if, require_count, require_number, warn
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
 from .choices import MODELS, UNITS
-from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, SCENE_XML, Judged, one_of, require_camera_name
+from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, Judged, one_of, require_camera_name
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

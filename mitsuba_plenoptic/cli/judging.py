@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import (
+    SCENE_XML,
     InputError,
     content_of,
     did_you_mean,
@@ -25,9 +26,6 @@ from ..extension import entries, missing
 from ..presets import PRESETS
 from ..refocus_options import METHODS
 from ..scene_files import scene_names, scene_path
-
-SCENE_XML = "XML with the root <scene>"
-"""What `content_of` says of a scene."""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..camera.parameters import PARAMETERS
 from ..errors import (
+    SCENE_XML,
     InputError,
     content_of,
     did_you_mean,
@@ -48,8 +49,6 @@ _TEXEL = 40
 
 _LONGEST_PLY_HEADER = 2**16
 
-_RULE = "a scene is XML in UTF-8 with the root <scene>"
-
 _ATTRIBUTES = ("name", "value", "type", "filename")
 
 
@@ -58,9 +57,10 @@ def check_scene_file(path: Path, parameters: Mapping[str, str]) -> list[Element]
 
     Returns the root elements of the file and of all that it includes.
     """
+    what = content_of(require_file(path))
+    refuse_if(what != SCENE_XML, f"{path}: it is {what}; a scene is XML in UTF-8 with the root <scene>")
     roots: list[Element] = []
     _check(path, dict(parameters), [Path.cwd(), path.parent], roots, ())
-    refuse_if(roots[0].tag != "scene", f"{path}: it is {content_of(path)}; {_RULE}")
     return roots
 
 
@@ -122,8 +122,10 @@ def _parse(path: Path) -> Element:
     require_size(path, LARGEST_SCENE)
     try:
         text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: it is {content_of(path)}; {_RULE}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: it is no scene, which is XML in UTF-8: {error.reason} at byte {error.start}"
+        ) from None
     # Mitsuba's parser and this one might read other encodings differently, and so see different scenes.
     declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
     if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
@@ -133,7 +135,6 @@ def _parse(path: Path) -> Element:
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        refuse_if(not text.lstrip().startswith("<"), f"{path}: it is {content_of(path)}; {_RULE}")
         cause = str(error).partition(":")[0]
         raise InputError(f"{path}, line {error.position[0]}: it is not well-formed XML: {cause}") from None
     # Mitsuba's parser overflows its stack.

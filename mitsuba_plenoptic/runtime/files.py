@@ -23,17 +23,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from ..errors import (
-    NO_RECORD,
-    InputError,
-    content_of,
-    naming,
-    refuse_if,
-    refusing,
-    require_module,
-    require_suffix,
-    short_repr,
-)
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
 
 _NO_ROOM = 2**16
 """Bytes that are free on a disk that is taken for full."""
@@ -134,9 +124,7 @@ def read_text(path: str | Path, largest: int) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: it is not text in UTF-8: it is {content_of(path)}, wrong at byte {error.start}"
-        ) from None
+        raise InputError(f"{path}: it is not text in UTF-8: {error.reason} at byte {error.start}") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +13,7 @@ import xarray as xr
 
 from ..camera import are_alike
 from ..design import focus_types
-from ..errors import InputError, naming, require_count, require_number, suggest_keywords
+from ..errors import InputError, require_count, require_number, suggest_keywords
 from ..runtime.batches import Progress, counted
 from ..runtime.limits import require_memory
 from .agreement import finer_stripes, view_disagreement
@@ -112,9 +111,9 @@ def depth_map(
     known = bool(lf.attrs.get("camera"))
     # Views that are moved farther have nothing in common with the central one.
     most = None if known else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
-    with contextlib.nullcontext() if known else naming("no camera, the search is by disparity in lenses per view"):
-        near = require_number("near", nearest if near is None else near, minimum=most and -most)
-        far = require_number("far", farthest if far is None else far, finite=not known, maximum=most)
+    what = "" if known else ", a disparity without a camera,"
+    near = require_number(f"near{what}", nearest if near is None else near, minimum=most and -most)
+    far = require_number(f"far{what}", farthest if far is None else far, finite=not known, maximum=most)
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
     if planes is not None:

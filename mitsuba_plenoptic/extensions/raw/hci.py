@@ -136,8 +136,9 @@ def write_hci(
     """
     camera = camera_of(lf)
     refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
-    middle = lf.sizes["v"] // 2
-    half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), middle)
+    views, middle = f"{lf.sizes['u']} x {lf.sizes['v']}", lf.sizes["v"] // 2
+    refuse_if(lf.sizes["u"] != lf.sizes["v"], f"light field of {views} views: a folder has as many down as across")
+    half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
     white = Brightness().peak([lf.values]) if white is None else white
     folder.mkdir(parents=True, exist_ok=True)
@@ -151,23 +152,7 @@ def write_hci(
             _write_pfm(folder / f"{kind}.pfm", values)
         shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
     ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
-    size = lf.sizes["s"], lf.sizes["t"]
-    _write_parameters(folder / PARAMETERS, camera, size, name, version, shifts, 2 * half + 1, ours)
-    return 2 * half + 1
-
-
-def _write_parameters(
-    path: Path,
-    camera: PlenopticCamera,
-    size: tuple[int, int],
-    name: str,
-    version: str,
-    shifts: tuple[float, float],
-    views: int,
-    ours: dict[str, str],
-) -> None:
-    """Write the geometry of a row of `views` cameras with pictures of one size, and this package's entries."""
-    columns, rows = size
+    columns, rows = lf.sizes["s"], lf.sizes["t"]
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)
     parser["intrinsics"] = {
@@ -178,8 +163,8 @@ def _write_parameters(
         "fstop": "100",
     }
     parser["extrinsics"] = {
-        "num_cams_x": str(views),
-        "num_cams_y": str(views),
+        "num_cams_x": str(2 * half + 1),
+        "num_cams_y": str(2 * half + 1),
         "baseline_mm": f"{camera.pupil_step:.9g}",
         "focus_distance_m": f"{camera.focus_distance / 1000:.9g}",
         **{f"center_cam_{axis}": "0" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")},
@@ -200,7 +185,8 @@ def _write_parameters(
     parser[SECTION] = ours
     text = io.StringIO()
     parser.write(text)
-    write_text(path, text.getvalue())
+    write_text(folder / PARAMETERS, text.getvalue())
+    return 2 * half + 1
 
 
 def _write_pfm(path: Path, values: np.ndarray) -> None:

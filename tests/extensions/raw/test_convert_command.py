@@ -11,7 +11,7 @@ from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, write_capture
 from mitsuba_plenoptic.exchange import open_light_field, read_hci
-from mitsuba_plenoptic.io.exr import read_exr, read_exr_parts
+from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.views import camera_of, depth_map, focal_stack, refocus, view, white_image
 
@@ -154,7 +154,7 @@ def test_without_a_camera_disparities_are_found_and_refocused(array_of_cameras, 
     run("convert", array_of_cameras, "-o", mosaic)
     said = run("depth", mosaic, "-o", tmp_path / "depth.exr", "--planes", 65)
     assert "pixels per view" in said and "negative nearer" in said and "HCI's have the other sign" in said
-    disparity = read_exr_parts(tmp_path / "depth.exr")[0]["disparity"]["Y"]
+    disparity = depth_map(open_light_field(mosaic), planes=65).disparity.values
     assert np.median(disparity[20:28, 24:40]) == pytest.approx(-1, abs=0.02)
     assert np.median(disparity[4:12, 4:60]) == pytest.approx(1, abs=0.02)
     said = run("stack", mosaic, "-o", tmp_path / "stack.exr", "--disparity", -1, "--disparity", 1)
@@ -166,6 +166,6 @@ def test_without_a_camera_disparities_are_found_and_refocused(array_of_cameras, 
     np.testing.assert_allclose(far[4:10, 4:60], central[4:10, 4:60], atol=0.01)
     assert "--disparity" in complaint("stack", mosaic, "-o", tmp_path / "no.exr", "--distance", 240)
     said = complaint("depth", mosaic, "-o", tmp_path / "no.exr", "--far", 240)
-    assert said == "no camera, the search is by disparity in lenses per view: far = 240: it must be at most 32"
+    assert said == "far, a disparity without a camera, = 240: it must be at most 32"
     for name in ("figure.pdf", "sweep.gif"):
         run("stack", mosaic, "-o", tmp_path / name, "--disparity", -1, "--disparity", 1)
