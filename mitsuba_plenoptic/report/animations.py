@@ -37,8 +37,9 @@ def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[fl
         len(distances) != 2,
         f"{argument(by)}: a focal sweep goes from one {by} to another, and {len(distances)} are given",
     )
+    first, last = distances
     if by == "disparity":
-        return np.linspace(*distances, _SWEEP).tolist()
+        return [float(step) for step in np.linspace(first, last, _SWEEP)]
     first, last = (1 / require_number("distance", value, positive=True, finite=False) for value in distances)
     return [float(1 / step) if step else math.inf for step in np.linspace(first, last, _SWEEP)]
 

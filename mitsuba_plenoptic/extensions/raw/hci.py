@@ -89,7 +89,7 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     values = np.ascontiguousarray(values[..., 0]) if grey and values.ndim == 5 else values
     if geometry:
         with naming(folder / PARAMETERS):
-            camera = _camera_of_array(*geometry, values.shape)
+            camera = _camera_of_array(geometry, values.shape)
     bins = None if camera is None else bin_grid(camera)
     if bins is not None and bins.shape != values.shape[2:4]:
         raise InputError(
@@ -98,10 +98,9 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     return light_field(values, None, camera, bins)
 
 
-def _camera_of_array(
-    focal_length: float, sensor: float, baseline: float, focus: float, shape: tuple[int, ...]
-) -> PlenopticCamera:
+def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> PlenopticCamera:
     """Return the plenoptic camera that sees views (v, u, t, s) as a rectified array of pinhole cameras does."""
+    focal_length, sensor, baseline, focus = geometry
     views, most = max(shape[:2]), max(shape[2:4])
     # Only the ratio of the focal length and the sensor counts. Lenses this small have micro-images centred behind them.
     pitch = min(sensor, views * baseline / 8) / most
