@@ -57,7 +57,7 @@ def check_scene_file(path: Path, parameters: Mapping[str, str]) -> list[Element]
 
     Returns the root elements of the file and of all that it includes.
     """
-    what = content_of(require_file(path))
+    what = content_of(require_size(path, LARGEST_SCENE))
     refuse_if(what != SCENE_XML, f"{path}: it is {what}; a scene is XML in UTF-8 with the root <scene>")
     roots: list[Element] = []
     _check(path, dict(parameters), [Path.cwd(), path.parent], roots, ())
