@@ -203,7 +203,7 @@ class TestCaptures:
     def test_a_pipe_or_a_device_is_no_file(self, tmp_path):
         os.mkfifo(tmp_path / "raw.exr")
         for path in (tmp_path / "raw.exr", Path("/dev/zero"), tmp_path):
-            with pytest.raises(InputError, match="not a regular file|it is a folder"):
+            with pytest.raises(InputError, match=r"not a regular file|it is a folder"):
                 read_capture(path)
         with pytest.raises(InputError, match="device or a pipe"):
             write_capture("/dev/null", Capture(np.ones((64, 64)), CAMERA))
