@@ -40,6 +40,9 @@ Sum = TypeVar("Sum", bound=SignedRaySum)
 _SAMPLES = 4
 """Samples per pixel of each capture from whose spread the noise is estimated: fewer correct each other less well."""
 
+_TRACING = 0.9
+"""Approximate fraction of a capture's time in which rays are traced; then their images are convolved."""
+
 
 @dataclass(frozen=True)
 class SignedCapture:
@@ -101,12 +104,27 @@ class SignedCapture:
         items = int(first.items.sum())
         if runs == 1:
             sums = [lambda: first]
-        tasks = [SumTask(items, plan, lambda image: image * np.float32(1 / runs)) for plan in sums]
+
+        def planned(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
+            made = plan()
+            made.traced = lambda more: report("traced", reached["traced"] + more)
+            return made
+
+        tasks = [SumTask(items, partial(planned, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
         if noise:
             tasks = [keep_spread(task, self.camera) for task in tasks]
         channels = self.colours.spectrum.channels
         shape = (*self.camera.shape, channels * (3 if noise else 1))
         every = sum(task.items for task in tasks)
+        reached = {"traced": 0.0, "convolved": 0.0}
+
+        def report(what: str, count: float) -> None:
+            reached[what] = count
+            reached["traced"] = max(reached.values())
+            if progress:
+                progress(round(_TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]), every)
+
+        progress, job = job.progress, replace(job, progress=lambda done, _: report("convolved", done))
         image = job.run(tasks, shape, every, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():
             warn(

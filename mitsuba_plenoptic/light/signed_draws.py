@@ -190,7 +190,10 @@ class Draws(DetectorGrid):
         parts: int = 1,
     ) -> None:
         super().__init__(camera, parts)
-        self.walk = Walk.of(camera, plans[0].system.lens)
+        self._lens = plans[0].system.lens
+        # Of opaque lengths, so that a camera of other ones does not compile the kernels again.
+        walk, number = Walk.of(camera, self._lens), functools.partial(dr.opaque, mi.Float)
+        self.walk = replace(walk, lens=self._lens.opaque(number), detector_distance=number(walk.detector_distance))
         self.kinds = LensKinds(camera)
         # With these plans the pupil point of a ray follows from its own point of the lens, not from the lens's centre.
         self.by_points = plans[0].by_points
@@ -217,10 +220,10 @@ class Draws(DetectorGrid):
         wide = camera.pixel_size * (self._parts + ORDER - 1) / self._parts
         half = wide / 2 * camera.pupil_distance / camera.reduced_distance
         # Snell's law spreads them most at the corner, along the radius.
-        corner = self.walk.lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
+        corner = self._lens.slope_to(0.0, math.hypot(camera.detector_width, camera.detector_height) / 2)
         half *= (1 + (1 - camera.mla_medium**-2) * corner**2) ** 1.5
         lens = float(camera.lattice.aperture_reach) * float(dr.max(dr.abs(self._turns))[0]) if self.by_points else 0.0
-        return self.walk.lens.reach + lens, half
+        return self._lens.reach + lens, half
 
     @cached_property
     def candidates(self) -> NDArray[np.int64]:
@@ -229,7 +232,7 @@ class Draws(DetectorGrid):
         # The distance on the array of rays from one detector point to the pupil's middle and its widest point.
         radius, half = self._seen_by_pixels
         widest = radius + half * math.sqrt(2)
-        apart = widest * camera.reduced_distance / self.walk.lens.pupil_distance_from(camera.reduced_distance)
+        apart = widest * camera.reduced_distance / self._lens.pupil_distance_from(camera.reduced_distance)
         reach = apart * max(self.enlargements)
         found = camera.lattice.neighbours(reach + camera.nearer(reach))
         many = f"aperture_radius = {camera.aperture_radius:g}: {len(found)} lenses may light a pixel"
@@ -297,7 +300,7 @@ class Draws(DetectorGrid):
         camera, aims = self._camera, self.aims(pixels)
         u, v = camera.lattice.to_frame(*self._chief(aims.middle, aims))
         # In the medium behind the lenses the sine is smaller by its index.
-        scale = camera.mla_medium * dr.rsqrt(dr.square(camera.detector_distance + aims.height) + u * u + v * v)
+        scale = camera.mla_medium * dr.rsqrt(dr.square(self.walk.detector_distance + aims.height) + u * u + v * v)
         return u * scale, v * scale
 
     def turns(self, kind: int) -> NDArray[np.float64]:

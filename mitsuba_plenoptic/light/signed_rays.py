@@ -83,6 +83,8 @@ class Lot(NamedTuple):
     # Wavelengths that are drawn for them, for each group of nodes.
     lanes: list[Lanes | None]
     seed: int
+    # The fraction of its block's rays.
+    share: float
 
     @property
     def key(self) -> Any:
@@ -115,6 +117,9 @@ class SignedRaySum:
 
     _sets = 1
     """Values of a ray for each coefficient: 1, except for derivatives."""
+
+    traced: Callable[[float], None] | None = None
+    """Called with the count of items whose rays have been traced since the last call."""
 
     def __init__(
         self,
@@ -166,7 +171,7 @@ class SignedRaySum:
         """Yield the images of the blocks from index `first`, which are to be convolved, after tracing their rays."""
         for number, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, number])
-            sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds)
+            sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, self.traced)
             images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
             if (far := self._far(bins)).any():
                 all_light = self.arrays.asarray(np.where(far, np.float32(_THINNED**2), np.float32(1)))
@@ -221,7 +226,13 @@ class SignedRaySum:
         made = [make(self._camera, tuple(itertools.chain(*kinds)), size, on_cuda()) for kinds in self._kernels]
         return [each for node, each in zip(self._nodes, made, strict=True) for _ in node.channels]
 
-    def _trace(self, box: Box, pixels: Any, seeds: np.random.SeedSequence) -> list[Array]:
+    def _trace(
+        self,
+        box: Box,
+        pixels: Any,
+        seeds: np.random.SeedSequence,
+        traced: Callable[[float], None] | None = None,
+    ) -> list[Array]:
         """Return the images (kernels, pixels) of each channel of each node, from traced rays of the pixels of a box."""
         every = dr.width(pixels)
         counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
@@ -237,6 +248,8 @@ class SignedRaySum:
                 if before:
                     self._add(*before, sums)
                 before = lot, brought
+                if traced:
+                    traced(lot.share * every)
             dr.sync_thread()
         if before:
             self._add(*before, sums)
@@ -306,6 +319,7 @@ class SignedRaySum:
                     some = dr.compress(mask)
                     if dr.width(some):
                         lit.append((some, lens + dr.zeros(mi.UInt32, dr.width(some))))
+        rays = self._passes * sum(dr.width(some) for lit in found for some, _ in lit)
         for kind, lit in enumerate(found):
             if not lit:
                 continue
@@ -317,7 +331,7 @@ class SignedRaySum:
                 chosen = Pixels(box, dr.gather(mi.UInt32, pixels, some), dr.gather(mi.UInt32, lenses, lane))
                 own = seeds.spawn(1)[0].generate_state(1 + self._passes).tolist()
                 for turn, seed in enumerate(own[1:]):
-                    yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed)
+                    yield Lot(some, kind, chosen, self._lanes(chosen, turn, own[0]), seed, dr.width(some) / rays)
 
     def _far(self, box: Box) -> NDArray[np.bool_]:
         """Return a mask (rows, columns) of the pixels of a box that are far from the recorded ones; see `_NEAR`."""

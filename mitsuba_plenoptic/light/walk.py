@@ -225,8 +225,8 @@ def walks_of(systems: Iterable[OpticalSystem]) -> list[tuple[PupilWalk, list[int
     """Return one walk for each group of systems whose rays from the pupil follow the same paths, and their indices."""
     found: dict[float, tuple[PupilWalk, list[int]]] = {}
     for number, system in enumerate(systems):
-        walk = PupilWalk(system.camera, system.lens)
-        found.setdefault(walk.lens.refraction, (walk, []))[1].append(number)
+        walk = PupilWalk(system.camera, system.lens.opaque(functools.partial(dr.opaque, mi.Float)))
+        found.setdefault(system.lens.refraction, (walk, []))[1].append(number)
     return list(found.values())
 
 

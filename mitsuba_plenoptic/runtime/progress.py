@@ -20,8 +20,9 @@ FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 5.0, 10.0, 60.0
 INTERRUPTED = threading.Event()
 """Set by commands on Ctrl-C: where C++ libraries try to convert an object of Python they drop the KeyboardInterrupt."""
 
-SETTLED, MINUTE = 5.0, 60.0
-"""Seconds of work after which its speed is known, and seconds in a minute."""
+SETTLED, FORESEEN, MINUTE = 5.0, 0.05, 60.0
+"""Seconds of work after which its speed is known, the fraction of it from which lines tell how long the rest takes, and
+seconds in a minute."""
 
 
 def in_words(seconds: float) -> str:
@@ -37,6 +38,7 @@ class ProgressBar:
 
     def __init__(self, label: str, show: Callable[[int, int], None] | None = None) -> None:
         self.fraction, self.label = 0.0, label
+        self.begun: float | None = None  # the first fraction: what was done by an earlier run
         self._show = show
 
     def __call__(self, done: int, total: int) -> None:
@@ -44,6 +46,7 @@ class ProgressBar:
         if INTERRUPTED.is_set():
             raise KeyboardInterrupt
         self.fraction = done / max(total, 1)
+        self.begun = self.fraction if self.begun is None else self.begun
         if self._show:
             self._show(done, total)
 
@@ -156,9 +159,12 @@ def _print_lines(ended: threading.Event, output: TextIO) -> None:
     while not ended.wait(wait) and _under_way:
         line, elapsed = _under_way[-1], time.monotonic() - start
         done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
+        part = line.fraction - (line.begun or 0.0)
+        left = elapsed * (1 - line.fraction) / max(part, FORESEEN)
+        rest = f", about {in_words(left)} left" if part >= FORESEEN and left >= 1 else ""
         try:
             if not is_quiet():
-                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s\n"
+                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s{rest}\n"
                 print(text, end="", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.

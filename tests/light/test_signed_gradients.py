@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.light.noise import Mended
 from mitsuba_plenoptic.light.phase_space import PhaseSpace
@@ -328,6 +328,30 @@ def test_in_blocks_and_lots(monkeypatch):
     monkeypatch.setattr(signed_rays, "_BLOCK_BYTES", 2**22)
     monkeypatch.setattr(signed_rays, "_LANES", 2**17)
     assert disagreement(scene, "wall.bsdf.reflectance.data", pushed(scene, "wall.bsdf.reflectance.data")) < 1e-6
+
+
+def test_progress_comes_lot_by_lot(monkeypatch):
+    monkeypatch.setattr(signed_rays, "_LANES", 2**12)
+    calls, scene = [], wall_of({"type": "diffuse"})
+    render_capture(scene, model="wave", spp=64, progress=lambda *call: calls.append(call))
+    done = [count / total for count, total in calls]
+    assert done == sorted(done) and done[0] == 0 and 0 < done[1] <= 0.05 and done[-1] == 1
+
+
+def test_a_changed_camera_compiles_no_kernels_again():
+    scene = wall_of({"type": "diffuse"})
+    params = mi.traverse(scene)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for _ in range(2):
+            for name in ("focal_length", "mla_distance", "detector_distance"):
+                key = next(key for key in params.keys() if key.endswith(name) and "mla_" + name not in key)  # noqa: SIM118
+                params[key] = params[key] * 1.0001
+                dr.enable_grad(params[key])
+            params.update()
+            dr.kernel_history_clear()
+            dr.backward(dr.sum(mi.render(scene, params, spp=4).array))
+            kernels = dr.kernel_history([dr.KernelType.JIT])
+    assert kernels and all(kernel["cache_hit"] for kernel in kernels)
 
 
 def test_what_is_black_has_a_derivative_too():
