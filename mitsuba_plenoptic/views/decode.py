@@ -168,6 +168,10 @@ def checked_images(
     return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, known
 
 
+_ROUNDING = 1e-6
+"""Fraction of a pixel by which lengths may be off that are computed from detectors of different sizes."""
+
+
 def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, np.ndarray]:
     """Return the number of views on either side of the central one, and a mask of views through one lens only.
 
@@ -179,9 +183,9 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
         radius = camera.aperture_radius / camera.pupil_step
         # Where micro-images do not touch, there is room beyond half the distance to the next lens.
         reach = max(reach, lenses.nearest_distance - radius)
-        views = math.ceil(radius - 0.5)
+        views = math.ceil(radius - 0.5 - _ROUNDING)
     # A sample mixes the pixels whose centres lie within one pixel of it.
-    reach = max(reach - 1, 0)
+    reach = max(reach - 1, 0) + _ROUNDING
     half = int(min(views, math.floor(reach)))
     offset = np.arange(-half, half + 1)
     return half, np.hypot(offset[:, None], offset) <= reach

@@ -56,7 +56,7 @@ class LensViews:
         # Width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle.
         room = float(lattice.pitches[0]), float(lattice.row_distance)
         upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
-        half = tuple(math.floor(width / (2 * p) - 0.5) for width in (room if upright else room[::-1]))
+        half = tuple(math.floor(width / (2 * p) - 0.5 + _SAME) for width in (room if upright else room[::-1]))
         refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
         reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
         lenses = lattice.lenses_within((-reach, -reach), (reach, reach))

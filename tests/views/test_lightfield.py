@@ -44,6 +44,17 @@ def rays_of_pixels(camera, grid):
     return result
 
 
+@pytest.mark.parametrize(
+    ("pixels", "f_number", "size", "half"), [(16, 22, 0.0065, 7), (32, 1.8, 0.0065, 15), (20, 2, 0.0014, 9)]
+)
+def test_detectors_of_every_size_have_as_many_views(pixels, f_number, size, half):
+    # A lens's image is a whole number of pixels wide, or half a pixel more, where quotients round up and down.
+    given = {"pixels_per_lens": pixels, "f_number": f_number, "pixel_size": size, "focal_length": 50}
+    cameras = [PlenopticCamera.matched(**given, lenses=count, focus_distance=500) for count in (10, 11, 14, 23)]
+    found = {decode(np.ones(camera.shape), camera=camera).shape[:2] for camera in cameras}
+    assert len(found) == 1, found
+
+
 class TestLensGrid:
     def test_rows_turn_about_the_first_centre_and_shift(self):
         grid = LensGrid((10, 8), (3, 4), (3, 2), math.pi / 2, 1)

@@ -23,10 +23,11 @@ from ...views.coordinates import DIMS, light_field, require_light_field, view_st
 from ...views.lens_grid import bin_grid
 
 # Bytes before compression of all raw pictures, and of the views of all light fields.
-_RAW_BYTES, _VIEW_BYTES = 2**24, 2**23
+_RAW_BYTES, _VIEW_BYTES = 2**24, 2**26
 
-# Views along each axis that are shown at least, however large they are.
-_FEWEST_VIEWS = 3
+# Views along each axis that are shown at least, however large they are, and at most, however small. Odd numbers of
+# views have a central one.
+_FEWEST_VIEWS, _MOST_VIEWS = 3, 11
 
 # Steps of the focus slider. It reaches to where points move by a lens from view to view, and by so many at least from
 # the first view to the last.
@@ -257,12 +258,13 @@ def _recording(
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
     """Return a light field reduced to as many views as a limit of samples allows."""
-    count = most = min(lf.sizes["v"], lf.sizes["u"])
+    count = min(lf.sizes["v"], lf.sizes["u"])
     each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
-    if lf.size <= samples:
+    if count <= _MOST_VIEWS and lf.size <= samples:
         return lf
-    while count > min(_FEWEST_VIEWS, most) and count**2 * each > samples:
-        count -= 1
+    count = min(count - 1 + count % 2, _MOST_VIEWS)
+    while count > _FEWEST_VIEWS and count**2 * each > samples:
+        count -= 2
     return pick_views(lf, count)
 
 

@@ -91,13 +91,20 @@ def test_the_page_holds_the_views():
     assert raw["lenses"]["spacing"][0] == pytest.approx(CAMERA.micro_image_pitch / CAMERA.pixel_size)
 
 
+@pytest.mark.parametrize("lenses", [4, 64])
+def test_the_views_of_large_and_small_detectors_are_as_many(lenses):
+    camera = PlenopticCamera(resolution=(20 * lenses,) * 2, detector_width=lenses * 0.064)
+    one = content(view(Capture(np.ones(camera.shape), camera)))["recordings"][0]
+    assert len(one["v"]) == len(one["u"]) == 11 and one["v"][5] == one["u"][5] == 0
+
+
 def test_what_is_left_out_is_stated(monkeypatch):
     monkeypatch.setattr(viewer, "_VIEW_BYTES", 10_000)
     monkeypatch.setattr(viewer, "_RAW_BYTES", 20_000)
     page = view(capture(colour=True))
     one = content(page)["recordings"][0]
     lf = decode(capture(colour=True))
-    assert len(one["v"]) == len(one["u"]) == 3
+    assert len(one["v"]) == len(one["u"]) == 3 and one["v"][1] == one["u"][1] == 0
     assert f"3 x 3 of {lf.sizes['u']} x {lf.sizes['v']}, the others left out" in page.page
     assert one["raw"]["factor"] == 4 and "averaged over 4 x 4 pixels" in page.page
     # Bins are stated in pixels of the capture, whatever the page holds of it.
