@@ -61,7 +61,9 @@ _FARTHEST = 1e12
 """Distance up to which the truth is seen, in units of the scene."""
 
 
-def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, int], **lens: Any) -> Any:
+def photographic_sensor(
+    scene: Any, camera: PlenopticCamera, size: tuple[int, int], pixel_format: str = "luminance", **lens: Any
+) -> Any:
     """Return a Mitsuba sensor with the camera's field, at the position of the scene's first sensor."""
     width = camera.bin_count[0] * camera.mla_pitch
     return mi.load_dict(
@@ -76,7 +78,7 @@ def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, in
                 "width": size[0],
                 "height": size[1],
                 "rfilter": {"type": "box"},
-                "pixel_format": "luminance",
+                "pixel_format": pixel_format,
                 "component_format": "float32",
             },
         }
@@ -84,17 +86,17 @@ def photographic_sensor(scene: Any, camera: PlenopticCamera, size: tuple[int, in
 
 
 def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
-    """Return a picture by rays, rendered in passes of bounded size."""
+    """Return a picture by rays (rows, columns[, 3]), rendered in passes of bounded size."""
     columns, rows = sensor.film().crop_size()
     integrator = scene.integrator()
     # A wave integrator's child sees the scene by rays.
     integrator = getattr(integrator, "child", integrator)
-    total = np.zeros((rows, columns))
+    total = np.zeros((rows, columns, sensor.film().base_channels_count()))
     counts = pass_counts(sensor, spp, max(1, _RAYS_PER_PASS // (columns * rows)))
     for index, count in enumerate(counts):
         part = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
-        total += count / sum(counts) * np.array(part, dtype=np.float64)[..., 0]
-    return total
+        total += count / sum(counts) * np.array(part, dtype=np.float64)
+    return total[..., 0] if total.shape[2] == 1 else total
 
 
 OBJECT_COLUMNS = 1024

@@ -224,13 +224,14 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
     height = 0.045 / (axes.get_position().height * axes.figure.get_size_inches()[1])  # type: ignore[union-attr]
     x, y, colour = (0.0, -3 * height, INK) if below else (0.04, 2.5 * height, "white")
     frame: dict[str, Any] = {"transform": axes.transAxes, "clip_on": False}
-    # Bright pictures need an outline.
-    outline = [] if below else [withStroke(linewidth=2, foreground="black")]
+    # Bright pictures need something dark behind.
+    outline = [] if below else [withStroke(linewidth=3, foreground="black")]
+    backing = {"facecolor": "black", "edgecolor": "none", "pad": 1.5}
     axes.add_patch(Rectangle((x, y), fraction, height, color=colour, linewidth=0, path_effects=outline, **frame))
     if below:
         axes.text(x + fraction + 0.02, y + height / 2, label, color=colour, size=size, va="center", **frame)
     else:
-        axes.text(x, y + 1.8 * height, label, color=colour, size=size, va="bottom", path_effects=outline, **frame)
+        axes.text(x, y + 2 * height, label, color=colour, size=size, va="bottom", bbox=backing, **frame)
 
 
 def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,9 +149,11 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
 
     The true depth is a part, too, if it is known.
 
-    The PNG shows, from left to right, the all-in-focus image, the disparity from near (white) to far (black), and the
-    confidence.
+    A PNG is a labelled figure; with a scale it shows, from left to right and without labels, the all-in-focus image,
+    the disparity from near (white) to far (black), and the confidence.
     """
+    if drawing.scale is None and Path(path).suffix.lower() == ".png":
+        drawing = replace(drawing, figure=True)
     parts = {str(name): np.asarray(values) for name, values in found.items()}
     # Even steps of disparity are what the eye would see.
     low, high = float(parts["disparity"].min()), float(parts["disparity"].max())

@@ -97,8 +97,11 @@ def test_depth(raw, lf, tmp_path, run):
     for name in ("depth", "disparity", "confidence", "image"):
         np.testing.assert_allclose(images[name], found[name].values, rtol=1e-5, atol=1e-6)
     assert (header["near"], header["far"], header["planes"]) == (200, 300, 8)
-    assert "confidence above half" in run("depth", raw, "-o", tmp_path / "a.png", *options)
+    assert "confidence above half" in run("depth", raw, "-o", tmp_path / "a.png", *options, "--scale", 40)
     assert Image.open(tmp_path / "a.png").size == (3 * 40 * 8, 40 * 8)
+    # A figure, with labels, as wide as a page.
+    run("depth", raw, "-o", tmp_path / "b.png", *options)
+    assert Image.open(tmp_path / "b.png").size[0] == 7 * 300
 
 
 def test_depth_warns_when_it_knows_little(tmp_path, capfd):

@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.ticker import MaxNLocator
 
 from ...camera import PlenopticCamera
@@ -35,7 +36,8 @@ _FILL = 0.8
 # Object distances over the focal length that images can be made of without an extreme magnification.
 _NEAREST = 1.25
 
-_SHARP, _FOCUS = "#3fb4ff", "#ffb000"
+_SHARP, _FOCUS, _TINT = "#3fb4ff", "#ffb000", 0.35
+"""Colours of what refocusing makes sharp and of what is in focus, and how opaque the tint of the latter is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +46,8 @@ class Preview:
 
     Attributes
     ----------
-    picture : (rows, columns) array
-        Radiance, focused on the plane in focus.
+    picture : (rows, columns[, 3]) array
+        Radiance, in colour by a variant of colours, focused on the plane in focus.
     points : (rows, columns, 3) array
         Points seen from the middle of the lens, in the camera's frame: x to the left, y up, z the distance; NaN where
         there is nothing.
@@ -203,11 +205,11 @@ _LONGEST_TITLE = 30
 
 @styled
 def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
-    """Draw previews with outlines of the regions in focus and within reach of refocusing, and views from above."""
+    """Draw previews with the region in focus tinted, that within reach of refocusing outlined, and from above."""
     canvas = Canvas(9.8, 4.9 * len(previews) + 0.1)
     for index, (title, seen) in enumerate(previews):
         top = 0.45 + 4.9 * index
-        rows, columns = seen.picture.shape
+        rows, columns = seen.picture.shape[:2]
         width, height = (4.2, 4.2 * rows / columns) if rows <= columns else (4.2 * columns / rows, 4.2)
         axes = canvas.axes(0.2, top, width, height)
         # One line of the picture's width.
@@ -223,13 +225,14 @@ def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
 
 
 def _outline(axes: Axes, seen: Preview) -> None:
-    """Draw outlines around regions in focus, and around regions that refocusing makes sharp."""
+    """Tint the region in focus, and draw outlines around it and around regions that refocusing makes sharp."""
     distance = seen.distance
     near, far = seen.view.sharp_range()
     in_focus = seen.view.is_focused(distance)
     for part, colour in (((distance >= near) & (distance <= far), _SHARP), (in_focus, _FOCUS)):
         if part.any() and not part.all():
             axes.contour(part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
+    axes.imshow(np.where(in_focus[..., None], to_rgba(_FOCUS, _TINT), 0.0), interpolation="nearest", aspect="auto")
 
 
 def _draw_from_above(axes: Axes, seen: Preview) -> None:

@@ -50,7 +50,10 @@ class PreviewView(ABC):
 
     @abstractmethod
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Return a picture of the scene, with lengths scaled by `scale`, optionally from another pose."""
+        """Return a picture of the scene, with lengths scaled by `scale`, optionally from another pose.
+
+        It has colours where the variant has them.
+        """
 
     @abstractmethod
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
@@ -126,8 +129,9 @@ class LensView(PreviewView):
     def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
         """Return the picture taken by Mitsuba's thin lens."""
         lens = {"aperture_radius": self.camera.aperture_radius / scale, "focus_distance": self.focus / scale}
+        colours = "luminance" if mi.is_monochromatic else "rgb"
         return photograph(
-            scene, photographic_sensor(scene, self.camera, size, type="thinlens", **lens, **_posed(pose)), spp
+            scene, photographic_sensor(scene, self.camera, size, colours, type="thinlens", **lens, **_posed(pose)), spp
         )
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
@@ -188,9 +192,10 @@ class MicroscopeView(PreviewView):
         if not isinstance(integrator, mi.SamplingIntegrator):
             integrator = mi.load_dict({"type": "path"})
         sampler = mi.load_dict({"type": "independent"})
-        total = np.zeros(size[::-1])
+        channels = 3 if mi.is_rgb else 1
+        total = np.zeros((channels, *size[::-1]))
         # Samples of a pixel side by side, in passes of bounded size.
-        together = max(1, min(spp, _RAYS_PER_PASS // total.size))
+        together = max(1, min(spp, _RAYS_PER_PASS // total[0].size))
         passes = -(-spp // together)
         x, y = (dr.repeat(middle, together) for middle in _pixel_centres(size))
         for index in range(passes):
@@ -200,9 +205,9 @@ class MicroscopeView(PreviewView):
             radius = self.camera.aperture_radius
             rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y), scale, pose)
             light, found = integrator.sample(scene, sampler, rays)[:2]
-            value = dr.select(found, mi.luminance(light) if mi.is_rgb else light[0], 0.0)
+            value = [dr.select(found, light[channel], 0.0).numpy() for channel in range(channels)]
             total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
-        return total
+        return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
 
     def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
         """Return rays parallel to the axis."""

@@ -24,7 +24,7 @@ def few_samples(monkeypatch):
     monkeypatch.setattr(preview, "_COLUMNS", 64)
 
 
-def scene_of(size, distance, across=0.0, unit=1.0, lookat=None):
+def scene_of(size, distance, across=0.0, unit=1.0, lookat=None, light=None):
     """A disc, or a square pyramid's base, of a diameter, before the camera; all lengths times a unit."""
     transform = mi.ScalarTransform4f()
     pose = transform.look_at(*lookat) if lookat else transform.look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])
@@ -33,7 +33,7 @@ def scene_of(size, distance, across=0.0, unit=1.0, lookat=None):
         {
             "type": "scene",
             "integrator": {"type": "direct"},
-            "light": {"type": "constant"},
+            "light": light or {"type": "constant"},
             "disk": {"type": "disk", "to_world": disk},
             "sensor": {"type": "perspective", "to_world": pose},
         }
@@ -162,3 +162,15 @@ def test_no_text_runs_into_another_or_out_of_the_picture(tmp_path, monkeypatch):
     (beside,) = (text for text in shown if text.startswith("From above"))
     assert shown[title].x1 < shown[beside].x0
     assert max(extent.x1 for extent in shown.values()) <= made[0].bbox.x1
+
+
+def test_colours_are_seen_and_what_is_in_focus_is_tinted(tmp_path, monkeypatch):
+    mi.set_variant("llvm_ad_rgb")
+    scene = scene_of(WIDTH / 2, 240.0, light={"type": "constant", "radiance": {"type": "rgb", "value": [1, 0.5, 0.25]}})
+    seen, made = preview_of(scene, CAMERA), []
+    red, green, blue = seen.picture[32, 32]
+    assert (green / red, blue / red) == pytest.approx((0.5, 0.25))
+    monkeypatch.setattr(preview.Canvas, "save", lambda canvas, path: made.append(canvas.figure))
+    draw_preview(tmp_path / "seen.png", [("disc", seen)])
+    tinted = made[0].axes[0].images[1].get_array()[..., 3] > 0
+    assert (tinted == np.isfinite(seen.distance)).all()
