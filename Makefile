@@ -101,7 +101,7 @@ clean:
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	rm -rf demo/data
-	rm -f demo/report.html demo/results.json $(foreach name,fig1 fig2 fig3 fig4 methods interference captures,\
+	rm -f demo/report.html demo/results.json $(foreach name,first fig1 fig2 fig3 fig4 methods interference captures,\
 		demo/$(name).png demo/$(name).pdf)
 	rm -f fuzz/report.md fuzz/report.json
 	if [ -d fuzz ]; then rmdir --ignore-fail-on-non-empty fuzz; fi

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,7 +46,9 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
         Bins per lens along each axis.
     """
     columns, rows = camera.bin_count
-    lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
+    # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
+    spread = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
+    lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance, **spread}
     sensor = photographic_sensor(scene, camera, (columns * oversample, rows * oversample), **lens)
     return photograph(scene, sensor, spp)
 
@@ -200,6 +202,10 @@ class Ordinary:
     edges: dict[str, np.ndarray]
 
 
+Images = dict[tuple[str, float], np.ndarray]
+"""Reconstructions by method and distance."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """Captures and reconstructions of an experiment."""
@@ -215,8 +221,7 @@ class Experiment:
     wave_key: str
     # Thin-lens image by distance.
     truths: dict[float, np.ndarray]
-    # Reconstruction by method and distance.
-    images: dict[tuple[str, float], np.ndarray]
+    images: Images
     # The scene from the centre of the main lens.
     pinhole: np.ndarray
     # Bounding boxes of the scene's shapes in the camera's frame by id.
@@ -231,8 +236,17 @@ class Experiment:
         return self.truths[distance] if method == "truth" else self.images[method, distance]
 
 
-def run_experiment(settings: Settings, store: Stages, against: str | None = None) -> Experiment:
-    """Return captures and reconstructions of an experiment; finished stages come from the store."""
+def run_experiment(
+    settings: Settings,
+    store: Stages,
+    against: str | None = None,
+    first: Callable[[PlenopticCamera, Images], None] = lambda camera, images: None,
+) -> Experiment:
+    """Return captures and reconstructions of an experiment; finished stages come from the store.
+
+    `first` is called with the camera and with what was refocused so far: by rays, before all that takes longer, then by
+    waves.
+    """
     if against is not None:
         require_choice("against", against, AGAINST)
     refuse_if(
@@ -265,8 +279,26 @@ def run_experiment(settings: Settings, store: Stages, against: str | None = None
         ),
     )
     refuse_if(not ray.image.any(), f"{settings.scene}: the capture is black: its camera sees no light")
+    images: Images = {}
+    sources = {"ray": (ray, ray_key)}
+
+    def refocus(methods: Iterable[RefocusMethod]) -> None:
+        for method in methods:
+            wanted = distances if method.name in SLIDER_METHODS else settings.distances
+            for distance in wanted:
+                name = f"{method.name}_{distance:g}"
+                images[method.name, distance] = refocused(
+                    store, name, *sources[method.source], distance, method.options
+                )
+
+    refocus(method for method in METHODS if method.source == "ray")
+    first(camera, images)
     options = {"wavelength": settings.wavelength, "spp": settings.spp, "method": "signed_rays"}
     wave, wave_key = by_waves(store, "capture_wave", scene, base, **options, noise=settings.noise)
+    sources["wave"] = wave, wave_key
+    refocus(method for method in METHODS if method.name in SLIDER_METHODS)
+    first(camera, images)
+    refocus(method for method in METHODS if method.source == "wave" and method.name not in SLIDER_METHODS)
     points = None
     if settings.points is not None:
         points, _ = by_waves(
@@ -293,13 +325,6 @@ def run_experiment(settings: Settings, store: Stages, against: str | None = None
         )[0]
         for distance in distances
     }
-    images = {}
-    sources = {"ray": (ray, ray_key), "wave": (wave, wave_key)}
-    for method in METHODS:
-        wanted = distances if method.name in SLIDER_METHODS else settings.distances
-        for distance in wanted:
-            name = f"{method.name}_{distance:g}"
-            images[method.name, distance] = refocused(store, name, *sources[method.source], distance, method.options)
     return Experiment(
         settings=settings,
         camera=camera,

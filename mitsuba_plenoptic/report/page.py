@@ -110,6 +110,17 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
     return results
 
 
+def write_growing(folder: Path, plates: Mapping[str, str]) -> None:
+    """Write ``report.html`` with the figures that are there so far, by their captions; browsers load it again.
+
+    A finished report stays until it is replaced by another.
+    """
+    if (folder / "results.json").exists():
+        return
+    figures = [plate(folder / name, caption) for name, caption in plates.items()]
+    write_text(folder / "report.html", template("growing.html").render(plates=figures))
+
+
 def template(name: str, folder: Path = Path(__file__).parent / "templates") -> Template:
     """Return a page's template from a folder, by default the folder of the reports."""
     environment = Environment(

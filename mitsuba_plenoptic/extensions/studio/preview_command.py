@@ -46,9 +46,9 @@ def preview(
     """See in seconds what a camera will see of a scene, before it is captured.
 
     The picture is made by Mitsuba's thin lens with the camera's aperture, field and plane in focus, or by a microscope
-    without its microlenses, in colour if the film records colours. What refocusing makes sharp is outlined in blue, what
-    is in focus is tinted yellow. The command prints the field, the micro-images, faults of the framing, and the time of a ray capture, with --waves of a
-    wave capture.
+    without its microlenses, in colour if the film records colours. What refocusing makes sharp is outlined in blue,
+    what is in focus is tinted yellow. The command prints the field, the micro-images, faults of the framing, and the
+    time of a ray capture, with --waves of a wave capture.
 
     [bold]Examples:[/bold]
 

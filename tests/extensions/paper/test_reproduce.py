@@ -42,13 +42,33 @@ def test_the_papers_lenses_are_parabolic_phases_by_rays_and_by_waves():
         assert camera.lens_model == "parabolic"
 
 
-def test_reproduce_writes_everything_and_then_keeps_it(quick_waves, coarse_figures, tiny, tmp_path, capsys):
+def test_reproduce_writes_everything_and_then_keeps_it(
+    quick_waves, coarse_figures, tiny, tmp_path, capsys, monkeypatch
+):
+    early, readings = [], reproductions.measure_readings
+
+    def read_early(*given):
+        early.append((tmp_path / "report.html").read_text())
+        return readings(*given)
+
+    monkeypatch.setattr(reproductions, "measure_readings", read_early)
     assert main(["reproduce", "-o", str(tmp_path)]) == 0
     told = capsys.readouterr()
+    # Before the study there are the letters, refocused, and the paper's figures.
+    assert early[0].count("<figure") == 5 and early[0].index("The letters refocused") < early[0].index("figure 1")
     assert "capture wave " in told.err and "partial 280 " in told.err and "reused" not in told.err
     assert "by construction Reconstructions by rays and by waves have the same number of pixels." in told.out
     assert told.out.rstrip().endswith("report.html: open it in a browser")
-    figures = {"fig1.png", "fig2.png", "fig3.png", "fig4.png", "methods.png", "interference.png", "captures.png"}
+    figures = {
+        "first.png",
+        "fig1.png",
+        "fig2.png",
+        "fig3.png",
+        "fig4.png",
+        "methods.png",
+        "interference.png",
+        "captures.png",
+    }
     figures |= {name.replace(".png", ".pdf") for name in figures}
     assert {path.name for path in tmp_path.iterdir()} == figures | {"data", "results.json", "report.html"}
     ray = read_capture(tmp_path / "data" / "capture_ray.exr")
