@@ -64,11 +64,12 @@ pictures: $(VENV)/.ready llvm
 package: $(VENV)/.ready llvm
 	$(BIN)/python tools/check_release.py
 
-# EXECUTE=off leaves the notebooks' cells unexecuted, as .ci/run has it.
+# EXECUTE=off leaves the notebooks' cells and the pages' blocks unexecuted, as .ci/run has it.
 docs: $(VENV)/.docs-ready
 	@$(BIN)/python tools/ensure_llvm.py
 	$(BIN)/python -m sphinx -W --keep-going -j 2 -b html docs build/docs
 	$(BIN)/python tools/check_site.py build/docs
+	$(if $(filter off,$(EXECUTE)),,$(BIN)/python tools/paste_pages.py)
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
