@@ -26,7 +26,8 @@ ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(?:\{code-(?:block|cell)\} )?(python|console)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 NEEDS = re.compile(r".*pip install '[\w-]+\[([\w,]+)\]'")
 WRONG = re.compile(
-    r"ModuleNotFoundError|ImportError|AttributeError: module|[Nn]o such (?:option|command)|command not found|pip install "
+    r"ModuleNotFoundError|ImportError|AttributeError: module|[Nn]o such (?:option|command)|command not found"
+    r"|pip install "
 )
 EXTRAS = {
     "matlab": "h5py", "calibration": "cv2", "video": "imageio_ffmpeg", "sweep": "h5netcdf", "dataset": "h5py",
