@@ -202,8 +202,8 @@ class Ordinary:
     edges: dict[str, np.ndarray]
 
 
+# Reconstructions by method and distance.
 Images = dict[tuple[str, float], np.ndarray]
-"""Reconstructions by method and distance."""
 
 
 @dataclass(frozen=True)
@@ -244,8 +244,7 @@ def run_experiment(
 ) -> Experiment:
     """Return captures and reconstructions of an experiment; finished stages come from the store.
 
-    `first` is called with the camera and with what was refocused so far: by rays, before all that takes longer, then by
-    waves.
+    `first` is called with what was refocused so far: by rays, before all that takes longer, then by waves.
     """
     if against is not None:
         require_choice("against", against, AGAINST)
@@ -286,10 +285,8 @@ def run_experiment(
         for method in methods:
             wanted = distances if method.name in SLIDER_METHODS else settings.distances
             for distance in wanted:
-                name = f"{method.name}_{distance:g}"
-                images[method.name, distance] = refocused(
-                    store, name, *sources[method.source], distance, method.options
-                )
+                name, source = f"{method.name}_{distance:g}", sources[method.source]
+                images[method.name, distance] = refocused(store, name, *source, distance, method.options)
 
     refocus(method for method in METHODS if method.source == "ray")
     first(camera, images)

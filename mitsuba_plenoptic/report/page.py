@@ -111,14 +111,10 @@ def write_report(folder: Path, report: Report) -> dict[str, Any]:
 
 
 def write_growing(folder: Path, plates: Mapping[str, str]) -> None:
-    """Write ``report.html`` with the figures that are there so far, by their captions; browsers load it again.
-
-    A finished report stays until it is replaced by another.
-    """
-    if (folder / "results.json").exists():
-        return
-    figures = [plate(folder / name, caption) for name, caption in plates.items()]
-    write_text(folder / "report.html", template("growing.html").render(plates=figures))
+    """Write ``report.html`` with the figures that are there so far, by their captions, unless a finished one is."""
+    if not (folder / "results.json").exists():
+        figures = [plate(folder / name, caption) for name, caption in plates.items()]
+        write_text(folder / "report.html", template("growing.html").render(plates=figures))
 
 
 def template(name: str, folder: Path = Path(__file__).parent / "templates") -> Template:

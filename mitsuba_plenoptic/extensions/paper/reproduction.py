@@ -18,22 +18,11 @@ from ... import design
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_choice
 from ...io.captures import read_capture
-from ...refocus import reconstruct
+from ...refocus import Reconstruction, reconstruct
 from ...report.comparison import draw_comparison, measure
 from ...report.experiment import METHODS, TITLES, Experiment, Images, Settings, open_store, run_experiment
-from ...report.framing import (
-    ON_DETECTOR,
-    Canvas,
-    Zoom,
-    annotate,
-    lit_window,
-    mark,
-    object_bar,
-    scale_bar,
-    show,
-    styled,
-    zoom_at,
-)
+from ...report.figures import contact_sheet
+from ...report.framing import ON_DETECTOR, Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, styled, zoom_at
 from ...report.images import Brightness, shrink
 from ...report.page import Report, write_growing, write_report
 from ...report.stage_store import StageOptions
@@ -92,7 +81,13 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
 
     def first(camera: PlenopticCamera, images: Images) -> None:
-        figure_first(output / "first.png", camera, images, settings.distances)
+        shown = [
+            Reconstruction(images[name, distance], distance, camera.bin_size(distance), model, camera)
+            for name, model in (("ray_of_ray", "rays"), ("partial", "waves"))
+            for distance in settings.distances
+            if (name, distance) in images
+        ]
+        contact_sheet(shown).save_both(output / "first.png")
         figure_1(output / "fig1.png", camera, objects)
         write_growing(output, {name: _PLATES[name] for name in ("first.png", "fig1.png")})
 
@@ -133,25 +128,6 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
         timing=timing_table(experiment, seconds),
     )
     return write_report(output, report)
-
-
-@styled
-def figure_first(path: Path, camera: PlenopticCamera, images: Images, distances: Sequence[float]) -> None:
-    """Draw the letters refocused by rays and, once they are there, by waves: a row for each, a column a distance."""
-    methods = [name for name in ("ray_of_ray", "partial") if (name, distances[0]) in images]
-    window = lit_window([images[methods[0], distance] for distance in distances])
-    peak = Brightness().peak([window.of(images[methods[0], distance]) for distance in distances])
-    wide, gap, left, title = 3.0, 0.1, 0.4, 0.34
-    tall = wide * window.aspect
-    figure = Canvas(left + len(distances) * (wide + gap), len(methods) * (tall + title))
-    for row, name in enumerate(methods):
-        for column, distance in enumerate(distances):
-            axes = figure.axes(left + column * (wide + gap), title + row * (tall + title), wide, tall)
-            show(axes, window.of(images[name, distance]), "", peak=peak)
-            object_bar(axes, camera, distance, window)
-            side = "" if column else "By rays" if name == "ray_of_ray" else "By waves"
-            annotate(axes, title=f"Refocused to {distance:g} mm", side=side)
-    figure.save_both(path)
 
 
 # The methods of the paper's comparison.
