@@ -47,9 +47,10 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
     """
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
-    spread = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
-    lens = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance, **spread}
-    sensor = photographic_sensor(scene, camera, (columns * oversample, rows * oversample), **lens)
+    spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
+    lens: dict[str, Any] = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
+    size = (columns * oversample, rows * oversample)
+    sensor = photographic_sensor(scene, camera, size, "luminance", **lens, **spread)
     return photograph(scene, sensor, spp)
 
 
