@@ -15,7 +15,7 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 
 # Each may import what stands before it.
 FLOORS = (
-    "served", "shipped", "errors", "extension", "scene_files", "presets", "refocus_options", "runtime", "lattice",
+    "served", "shipped", "errors", "extension", "presets", "scene_files", "refocus_options", "runtime", "lattice",
     "prescription", "microlens", "camera", "io", "optics", "lenses", "design", "light", "points", "plugins",
     "views", "refocus", "report", "cli", "extensions", "__main__",
 )  # fmt: skip

@@ -392,7 +392,8 @@ def as_array(
         known = ", ".join(each.split()[0] for each in dims)
         refuse_if(len(order) != len(named), f"{name} with dimensions {named}: they must be {known}")
         values = values.transpose(*order)
-    rule = f"{name}: {rule or 'it must be an array'}"
+    given = f"{name} = {short_repr(values)}" if isinstance(values, (str, bytes)) else name
+    rule = f"{given}: {rule or 'it must be an array'}"
     refuse_if(
         getattr(values, "requires_grad", False) is True, f"{name}: it requires gradients: give it without, by detach()"
     )

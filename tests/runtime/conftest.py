@@ -5,7 +5,7 @@ import device_stand_in
 import drjit as dr
 import pytest
 
-from mitsuba_plenoptic.refocus import radiance
+from mitsuba_plenoptic.refocus import methods
 from mitsuba_plenoptic.runtime import backend as _backend
 
 
@@ -36,10 +36,10 @@ def device(monkeypatch):
     monkeypatch.setattr(_backend, "array_module", lambda: dr.cuda)
     monkeypatch.setattr(dr, "backend_v", lambda array: dr.JitBackend.CUDA)
     monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
-    radiance._results.clear()
+    methods._results.clear()
     device_stand_in.forget()
     measured_as("device")
     yield stand_in
     measured_as("processor")
-    radiance._results.clear()
+    methods._results.clear()
     device_stand_in.forget()

@@ -38,8 +38,8 @@ _DEAD, _HOT = 0.25, 10.0
 _LEAST, _MOST_CUT = 32, 0.01
 """Fewest rows and columns of a picture, and the largest part of a dark one that may be cut off at 0."""
 
-_BRIGHTEST, _HIGHEST, _HEADROOM, _LEAST_NOISE = (0.25, 0.1, 0.03), 0.999, 2.3, 1.5
-"""Wells are full where the brightest parts of a picture are nearer to their highest numbers than 2.3 standard
+_BRIGHTEST, _HIGHEST, _HEADROOM, _LEAST_NOISE = (0.25, 0.1, 0.03), 0.999, 2.2, 1.5
+"""Wells are full where the brightest parts of a picture are nearer to their highest numbers than 2.2 standard
 deviations, where noise alone would spread further, or where they vary by less than 1.5 times the dark variance."""
 
 _CLEAR, _FEWEST_LEFT = 6.0, 0.05
@@ -47,6 +47,16 @@ _CLEAR, _FEWEST_LEFT = 6.0, 0.05
 
 _ROUNDING = 1 / 12
 """Variance of rounding."""
+
+
+_TOGETHER = 0.9
+"""Fraction of saturated pixels around one that is saturated because its light is, and not by noise."""
+
+_ENOUGH = 2500
+"""Numbers of which the highest ones tell a full well."""
+
+_MOST_ALONE = 5e-4
+"""Pixels that noise makes saturated, over all, in a single white picture."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +76,8 @@ class PhotonTransfer:
     dark_offset, dark_offset_deviation : float
         Mean of the dark pictures in digital numbers: the detector's black level, not rounded, with the dark current.
     saturated_pixels, dead_pixels, hot_pixels : int
-        Pixels with the largest number or a full well in a white picture; single
-        pixels with less than a quarter of the light of all
-        their neighbours; pixels that are ten standard deviations off in the dark. All are left out.
+        Pixels with the largest number or a full well in a white picture; single pixels with less than a quarter of the
+        light of all their neighbours; pixels that are ten standard deviations off in the dark. All are left out.
     signal, variance : array (n,)
         Points of the line: mean above the dark offset and variance, in digital numbers, from dim to bright.
     """
@@ -158,6 +167,14 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
         bad.mean() > 0.5, f"white: {saturated.sum()} pixels are saturated and {dead.sum()} dead: too few are left"
     )
 
+    # Where single pixels are saturated, the largest number cuts off the noise of those around.
+    alone = saturated & (ndimage.uniform_filter(saturated.astype(np.float32), 3) < _TOGETHER)
+    refuse_if(
+        len(bright) == 1 and alone.mean() > _MOST_ALONE,
+        f"white: {alone.sum()} single pixels have the largest number, {top}: their noise is cut off; expose it less, "
+        "or give several",
+    )
+
     darkness = _Spread.of(black, bad)
     # Unequal pixels are noise in both pictures, or in none if there are several of each.
     alike = _Spread.of(black[:1], bad) if len(bright) == 1 else darkness
@@ -178,6 +195,8 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     smooth = ndimage.uniform_filter(mean_light, 5)
     for part in _BRIGHTEST:
         brightest = light.used & (smooth >= np.quantile(smooth[light.used], 1 - part))
+        if brightest.sum() * len(bright) < _ENOUGH:
+            break
         top_mean, top_variance = float(smooth[brightest].mean()), float(light.variances[brightest].mean())
         highest = float(np.quantile(bright[:, brightest], _HIGHEST)) - level + 0.5
         near = highest - top_mean < _HEADROOM * math.sqrt(top_variance)

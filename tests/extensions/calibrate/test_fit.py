@@ -346,7 +346,7 @@ def test_corners_alone_tell_where_micro_images_are(table, found):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no column k"),
+        ("", "it is an empty file"),
         ("k,l,u,v,cluster\n1,1,1,1,1\n", "no column frame"),
         ("k,l,u,v,cluster,frame\n", "no rows"),
         ("k,l,u,v,cluster,frame\n1,1,nan,1,1,1\n", "row 2: u = nan"),
