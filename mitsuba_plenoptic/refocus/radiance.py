@@ -30,7 +30,7 @@ from ..optics.waves import soft_edge
 from ..runtime.backend import backend
 from ..runtime.fft import blur, convolve
 from ..runtime.limits import check_memory, single_threaded_blas
-from ..views.white_image import PupilFraction, recorded_white, white_image
+from ..views.white_image import PupilFraction, mean_response, recorded_white, white_image
 from .conjugates import RealConjugates, ThinConjugates
 from .displacement import brought_back, displacements, is_known, rising, tilt
 from .lens_by_lens import (
@@ -48,6 +48,9 @@ from .splatting import thin_places
 from .straight import passed_light, straightened_image
 
 _LEAST_REACHED = 0.01
+
+_INNER = 0.99
+"""Light of a pixel of a white scene, over the most, below which the pixel is at the rim of its micro-image."""
 
 _LEAST_WHITE = 0.25
 """Fraction of the light that as many rays usually bring, as which no bin's computed white counts less."""
@@ -220,14 +223,23 @@ white_pixels = once_a_camera(white_image)
 def light_of_bins(
     task: Task, distance: float, radius: float, footprint: str, wavelength: float | None = None, relay: bool = True
 ) -> np.ndarray:
-    """Return the `white_sums` of a task's camera, less the light that pixels have lost."""
+    """Return the `white_sums` of a task's camera, less the light that its pixels have lost.
+
+    Pixels lose light by vignetting, absorption and their response to oblique light.
+    """
     given = task.camera, distance, radius, footprint, task.oversample
     white = white_sums(*given) if wavelength is None else white_sums(*given, wavelength, relay)
+    white = white * mean_response(task.camera)
     if task.passed is None:
         return white
-    even = white_sums(*given)
-    left = ray_sums((white_pixels(task.camera) * task.passed)[..., None], *given)[..., 0]
-    return white * (left / np.where(even > 0, even, 1))
+    pixels, even = white_pixels(task.camera), white_sums(*given)
+    left = ray_sums((pixels * task.passed)[..., None], *given)[..., 0]
+    # Of waves the pupil takes light at the rims of micro-images. An outline within them, which keeps out the rims,
+    # loses about half as much: images of white read 0.99 to 1.02 with this factor, 0.96 to 1.07 with 0 and 1.
+    rim = (pixels > 0) & (pixels < _INNER * pixels.max())
+    kept = float(task.passed[rim].mean()) if rim.any() else 1.0
+    lost = np.where(even > 0, even - white, 0) * (1 + kept) / 2
+    return (even - lost) * (left / np.where(even > 0, even, 1))
 
 
 @once_a_camera

@@ -291,7 +291,7 @@ def recorded_white(
     if lenses is None:
         camera = cameras[0]
         x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-        lenses, computed = (lens_numbers(camera), np.hypot(x, y[:, None])), computed * _mean_response(camera)
+        lenses, computed = (lens_numbers(camera), np.hypot(x, y[:, None])), computed * mean_response(camera)
     numbers, away, model = (values.ravel() for values in (*lenses, computed))
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
     light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
@@ -342,7 +342,7 @@ def divide_by_weight(light: np.ndarray, weight: np.ndarray, alone: np.ndarray | 
     return np.minimum(weight, 1)
 
 
-def _mean_response(camera: PlenopticCamera) -> float:
+def mean_response(camera: PlenopticCamera) -> float:
     """Return the mean response of pixels to light of an on-axis lens, which computed white images leave out."""
     if not camera.pixel_response and not camera.mla_absorption:
         return 1.0

@@ -73,7 +73,7 @@ def test_light_that_an_outline_keeps_out_is_not_missing_from_refocused_images(ou
     """Ray captures of white; coherent images of the even camera's white are 0.98 to 1.02 as well."""
     camera = PlenopticCamera(resolution=(256, 256), detector_width=0.512, vignetting=outline, **turned)
     white = Capture(white_image(camera), camera, wavelength=633.0)
-    for method, distance, most in (("ray", 240, 0.01), ("ray", 225, 0.02), ("coherent", 240, 0.03)):
+    for method, distance, most in (("ray", 240, 0.01), ("ray", 225, 0.02), ("coherent", 240, 0.04)):
         image = reconstruct(white, distance, method=method).image
         assert np.abs(image - 1).max() < most
         divided = reconstruct(white, distance, method=method, white=white).image

@@ -40,6 +40,9 @@ from ...errors import refuse_if, refusing
 Values = list[NDArray[np.float32]]
 """Radiance of the bins of each plane."""
 
+_LEAST_LIT = 0.005
+"""Light of a white scene in a pixel, over that of the brightest one, below which the pixel is left out."""
+
 _FLOOR = 1e-4
 """Least addition to every pixel and its model, over the mean of those that are lit, so that all are above 0."""
 
@@ -167,6 +170,9 @@ class RichardsonLucyStep:
             np.where(mask, 1 / np.maximum(part * best, 1e-30), 0).astype(np.float32)
             for part, mask in zip(self.seen, self.inside, strict=True)
         ]
+        # Pixels that hardly any light of bins reaches explain nothing: interpolation may leave less than none there.
+        white = response.forward([np.asarray(mask, np.float32) for mask in self.inside])
+        self.lit = white > _LEAST_LIT * white.max()
         # The light that all bins send to the detector at radiance 1.
         self.sent = sum(
             float((part * mask).sum(dtype=np.float64)) for part, mask in zip(light, self.inside, strict=True)
@@ -179,7 +185,7 @@ class RichardsonLucyStep:
 
     def ratio(self, model: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the recorded image divided by the model's image, both shifted by the dark variance."""
-        return np.asarray(self.given / (np.maximum(model, 0) + self.shift))
+        return np.where(self.lit, self.given / (np.maximum(model, 0) + self.shift), np.float32(1))
 
     def scaled(self, point: Values, back: Values) -> Values:
         """Return bins multiplied by the adjoint of a ratio, divided by the bins' light."""

@@ -539,4 +539,5 @@ class _DeconvolvedChannel:
 
     def _of(self, made: _Made) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the denominator of the ratio of images, and the ratio."""
-        return np.maximum(made.model, 0) + self._step.shift, self._step.ratio(made.model)
+        divisor = np.where(self._step.lit, np.maximum(made.model, 0) + self._step.shift, np.float32(np.inf))
+        return divisor, self._step.ratio(made.model)

@@ -88,7 +88,7 @@ def test_shapes_stand_where_the_camera_resolves_them():
         ({"camera": {"preset": "canon"}}, "camera: preset = 'canon': it must be one of paper"),
         ({"scenes": [{"generator": "shape"}]}, "scenes: entry 1: generator = 'shape': it must be one of shapes"),
         ({"scenes": [{"generator": "shapes", "objects": 2.5}]}, "generator shapes: objects = 2.5: it must be a whole"),
-        ({"scenes": [{"scene": "nowhere"}]}, "scenes: entry 1: scene = 'nowhere': there is no such file"),
+        ({"scenes": [{"scene": "nowhere"}]}, "scenes: entry 1: scene = 'nowhere': it is no file"),
         ({"scenes": [{}]}, "scenes: entry 1 = {}: it must have either 'generator' or 'scene'"),
         ({"noise": {"read_noise": 3}}, "noise: photons is missing"),
         ({"noise": {"photons": 5, "bits": 40}}, "sample 0: noise: bits = 40: it must be at most 16"),

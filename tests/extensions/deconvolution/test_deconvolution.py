@@ -153,6 +153,15 @@ LATTICES = {
 }  # fmt: skip
 
 
+def test_an_even_light_makes_no_bin_darker():
+    """As stray light, or a black level that was not subtracted, does; pixels between micro-images explain nothing."""
+    camera = PlenopticCamera(detector_width=0.384, resolution=(72, 72))
+    white = white_image(camera)
+    for even in (0.01, 0.1, 1.0):
+        image = reconstruct(Capture(white + np.float32(even), camera), 223.2, method="deconvolved", iterations=10).image
+        assert 1 < np.nanmedian(image) < 1 + 2 * even
+
+
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "low, turned")) for n in LATTICES])
 def test_filled_bins_come_back_on_every_lattice(name):
     """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""

@@ -52,7 +52,7 @@ def test_the_reverse_pass_repeats_no_sum(capture, monkeypatch):
         function = getattr(refocus.response, name)
         monkeypatch.setattr(refocus.response, name, lambda x, f=function, n=name: calls.append(n) or f(x))
     at = refocus.at(capture)
-    assert [calls.count(name) for name in ("forward", "adjoint")] == [4, 5]  # and the light of the bins
+    assert [calls.count(name) for name in ("forward", "adjoint")] == [5, 5]  # and the light of pixels and bins
     calls.clear()
     at.vjp(np.ones(refocus.shape))
     assert [calls.count(name) for name in ("forward", "adjoint")] == [4, 4]
