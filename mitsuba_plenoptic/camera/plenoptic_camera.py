@@ -300,8 +300,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         lenses : int or (int, int)
             Lenses in a row across the detector, and rows down the detector; one number stands for both. The detector
             has the pixels that the lenses cover, rounded; rows of a hexagonal lattice are closer than the lenses in a
-            row. As the corner of four lenses of a square lattice is on the axis, odd counts leave half a lens at each
-            edge. A detector of given `resolution` or `sensor_size` may end anywhere in a lens.
+            row. The corner of four lenses of a square lattice is on the axis: odd counts leave half a lens at each edge.
         pixels_per_lens : float
             Pixels, 1 at least, from one micro-image to the next of its row.
         pixel_size : float
@@ -327,10 +326,10 @@ class PlenopticCamera(CameraGeometry, Displayed):
         >>> camera.resolution, round(camera.micro_image_pitch, 12), round(camera.micro_image_diameter, 12)
         ((1000, 1000), 0.05, 0.05)
         """
-        given = f_number, lenses, pixels_per_lens, pixel_size, sensor_size
-        sheet: dict[str, Any] = dict(zip(MATCHED, given, strict=True))
-        require_enough(sheet | others)
+        sheet: dict[str, Any] = {"f_number": f_number, "lenses": lenses, "pixels_per_lens": pixels_per_lens}
+        sheet |= {"pixel_size": pixel_size, "sensor_size": sensor_size}
         sheet |= {name: others.get(name) for name in ("resolution", "mla_pitch")}
+        require_enough(sheet | others)
         of_lens = ("main_lens", "focal_length", "focus_distance", "mla_distance")
         behind = cls(**{name: others[name] for name in of_lens if name in others})
         refuse_if(
@@ -503,7 +502,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         tree = element("sensor", self.to_sensor(pixel_format=pixel_format), id="camera")
         if to_world is not None:
             place = ElementTree.Element("transform", name="to_world")
-            matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).reshape(4, 4)
+            matrix = np.array(getattr(to_world, "matrix", to_world), np.float64).squeeze()
+            refuse_if(matrix.shape != (4, 4), f"to_world of shape {matrix.shape}: it must be a transform, 4 x 4")
             ElementTree.SubElement(place, "matrix", value=" ".join(map(repr, matrix.ravel().tolist())))
             tree.insert(0, place)
         ElementTree.indent(tree, "    ")
@@ -522,7 +522,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         Parameters
         ----------
         **changes
-            Parameters by name. A new `main_lens` opens as far as it does if the old one did.
+            Parameters by name. A new `main_lens` is scaled to the focal length, and opens fully if the old one did.
 
         Raises
         ------
