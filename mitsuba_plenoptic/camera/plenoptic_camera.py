@@ -300,7 +300,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         lenses : int or (int, int)
             Lenses in a row across the detector, and rows down the detector; one number stands for both. The detector
             has the pixels that the lenses cover, rounded; rows of a hexagonal lattice are closer than the lenses in a
-            row. The corner of four lenses of a square lattice is on the axis: odd counts leave half a lens at each edge.
+            row. Four lenses of a square lattice meet on the axis: odd counts leave half a lens at each edge.
         pixels_per_lens : float
             Pixels, 1 at least, from one micro-image to the next of its row.
         pixel_size : float
