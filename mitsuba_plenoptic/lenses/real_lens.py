@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +142,10 @@ class RealLens(LensSystem):
     def start_bounds(self, field: float) -> tuple[float, tuple[float, ...]]:
         """Return semi-aperture and range of z, in mm, of the first surface, on which all rays start."""
         return self.front_bounds
+
+    def opaque(self, number: Callable[[Any], Any]) -> RealLens:
+        """Return this lens, whose surfaces are compiled into kernels."""
+        return self
 
     def open_fraction(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the unvignetted fraction of the circle of radius `reach`, as seen from positions on the MLA."""
