@@ -93,10 +93,11 @@ def test_a_scene_file_is_captured_as_by_the_command(made):
     np.testing.assert_array_equal(capture.image, sample.arrays["ray"])
 
 
-def test_slices_are_samples_and_a_renamed_recipe_is_the_same(made):
+def test_slices_are_samples_and_a_renamed_recipe_is_the_same(made, tmp_path):
     samples = DataSet(made)
     assert [one.facts for one in samples[0:2]] == [samples[0].facts, samples[1].facts]
-    make_dataset(parse_recipe(small(name="renamed")), made)
+    copy = shutil.copytree(made, tmp_path / "copy")
+    make_dataset(parse_recipe(small(name="renamed")), copy)
 
 
 def test_another_recipe_is_refused_with_the_difference(made, tmp_path):
