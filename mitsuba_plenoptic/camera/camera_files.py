@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing
 from ..extension import entry_of
 from ..presets import PRESETS
-from ..runtime.files import parse_yaml, read_text, read_yaml, require_file
+from ..runtime.files import parse_yaml, read_text, read_yaml, require_size
 from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24
@@ -32,7 +32,7 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     path = Path(source)
     if states_camera(source):
         text = json.dumps(_stated(str(source)))
-    elif not (what := content_of(require_file(path))).startswith("text"):
+    elif not (what := content_of(require_size(path, _LARGEST_FILE))).startswith("text"):
         raise InputError(f"{path}: it is {what}; a camera's file has its parameters by name, in JSON or YAML")
     elif path.suffix.lower() in (".yaml", ".yml"):
         with refusing(f"{path}: it must be camera parameters by name:", *NO_RECORD):

@@ -229,7 +229,8 @@ def light_of_bins(
     """
     given = task.camera, distance, radius, footprint, task.oversample
     white = white_sums(*given) if wavelength is None else white_sums(*given, wavelength, relay)
-    white = white * mean_response(task.camera)
+    if task.camera.pixel_response or task.camera.mla_absorption:
+        white = white * mean_response(task.camera)
     if task.passed is None:
         return white
     pixels, even = white_pixels(task.camera), white_sums(*given)
