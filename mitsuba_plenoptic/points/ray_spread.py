@@ -40,7 +40,7 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
     require_known_to(camera, Captures.POINTS, "rays of points are followed", "use captures of scenes, or ", _FOLLOWED)
     camera.require_bounded()
     lens = OpticalSystem.by_design(camera).lens.waves_of(point[None])
-    light = lens.bind(point[None])
+    light, walk = lens.bind(point[None]), Walk.of(camera, lens) if camera.has_array else None
     places = 2 * sample_pairs(_RAYS)[:, :2] - 1
     rows, columns = camera.shape
     image, emitted = np.zeros(rows * columns), 0.0
@@ -55,11 +55,10 @@ def ray_spread(camera: PlenopticCamera, point: NDArray[np.float64]) -> NDArray[n
         if camera.vignetting is not None:
             power *= camera.vignetting.power(*seen, *place)
         landed: Any = place
-        if camera.has_array:
-            walk, lattice = Walk.of(camera, lens), camera.lattice
-            i, j = lattice.cell(*place)
+        if walk is not None:
+            i, j = walk.lattice.cell(*place)
             centre, focal_length = walk.lens_at(i, j)
-            power *= walk.transmission(i, j) * lattice.in_aperture(place[0] - centre[0], place[1] - centre[1])
+            power *= walk.transmission(i, j) * walk.lattice.in_aperture(place[0] - centre[0], place[1] - centre[1])
             landed, _ = walk.onto_detector(pupil, Passage((place[0], place[1]), centre, focal_length))
         column, row = (
             np.floor(p / camera.pixel_size + size / 2 - offset).astype(np.int64)
