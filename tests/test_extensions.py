@@ -268,6 +268,8 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: dust\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[mitsuba_plenoptic.extensions]\ndust = dust\n")
     code = """
+    import os
+    import sys
     import mitsuba as mi
     import numpy as np
     import mitsuba_plenoptic as mp
@@ -281,11 +283,12 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
         for integrator in ({"type": "path"}, {"type": "plenoptic_dusty", "child": {"type": "path"}})
     )
     np.testing.assert_allclose(dusty, 0.75 * clear, rtol=1e-5)
+    os.chdir(sys.argv[1])
     assert main(["dust", "0.25"]) == 0
     assert main(["example", "letters-ray", "-o", "raw.exr"]) == 0
     assert main(["reconstruct", "raw.exr", "--method", "raw", "--distance", "240", "-o", "out.exr"]) == 0
     """
-    made = python(code, PYTHONPATH=os.pathsep.join([str(tmp_path / "site"), str(PACKAGE.parent)]))
+    made = python(code, tmp_path, PYTHONPATH=os.pathsep.join([str(tmp_path / "site"), str(PACKAGE.parent)]))
     assert made.returncode == 0, made.stderr
     assert "75 %" in made.stdout
 
