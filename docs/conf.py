@@ -29,6 +29,7 @@ extensions = [
     "myst_nb",
     "sphinx_design",
     "sphinx_copybutton",
+    "sphinx_reredirects",
     "generated_reference",
     "python_reference",
 ]
@@ -38,6 +39,26 @@ autodoc_mock_imports = ["hcipy", "jax", "torch"]
 _MockObject.__setitem__ = lambda *_: None  # type: ignore[attr-defined]
 exclude_patterns = ["_extensions", "**/.ipynb_checkpoints"]
 default_role = "py:obj"
+
+# Pages of earlier sites lead to the pages in their place.
+MOVED = {
+    "howto": "guides",
+    "gallery": "guides/gallery",
+    "develop": "reference/develop",
+    "": "guides",
+}
+redirects = {
+    f"{old}/{page.stem}".lstrip("/"): f"{'../' * bool(old)}{new}/{page.stem}.html"
+    for old, new in MOVED.items()
+    for page in sorted((HERE / new).glob("*.md"))
+    if page.stem != "index" or old in ("gallery", "develop", "howto")
+} | {
+    "howto/compare": "../start/compare.html",
+    "howto/own_scene": "../start/own_scene.html",
+    "start": "start/index.html",
+    "upgrading": "reference/changelog.html",
+    **{name: f"reference/{name}.html" for name in ("changelog", "models", "numbers")},
+}
 
 # The site works without a network: its fonts are the reader's, MathJax is among its files.
 html_theme = "furo"

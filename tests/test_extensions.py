@@ -248,7 +248,7 @@ def test_the_suite_of_the_core_passes_without_extensions(core, tmp_path, capsys)
 
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     """The page on extensions shows a whole one; here the package is installed by its entry point alone."""
-    page = (PACKAGE.parent / "docs" / "develop" / "extension.md").read_text()
+    page = (PACKAGE.parent / "docs" / "reference" / "develop" / "extension.md").read_text()
     files = dict(zip(("dust/__init__.py", "dust/parameter.py", "dust/dusty.py", "dust/dust_command.py"),
                      [part.partition("```")[0] for part in page.split("```python\n")[1:]], strict=False))  # fmt: skip
     for name, text in files.items():

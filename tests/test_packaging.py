@@ -107,7 +107,7 @@ def test_pages_state_the_addresses_of_the_package_and_no_others():
 
 def test_the_start_page_can_be_run_from_the_page():
     tool = runpy.run_path(str(ROOT / "tools" / "check_release.py"))
-    text = (ROOT / "docs" / "start.md").read_text()
+    text = (ROOT / "docs" / "start" / "index.md").read_text()
     commands, files = tool["page_commands"](text), tool["page_files"](text)
     asked = " ".join(commands)
     assert f"pip install {tool['CLONE']}" in asked

@@ -24,7 +24,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "start.md"
+PAGE = ROOT / "docs" / "start" / "index.md"
 README = ROOT / "README.md"
 CLONE = "."
 """The argument of the start page's ``pip install``."""

@@ -16,8 +16,8 @@ from urllib.parse import unquote, urlsplit
 ASKED = {
     "wavelength": "reference/conventions",
     "accuraci": "theory/accuracy",
-    "mirror": "models",
-    "lattic": "develop/lattice",
+    "mirror": "reference/models",
+    "lattic": "reference/develop/lattice",
     "cite": "theory/sources",
     "airi": "theory/accuracy",
 }

@@ -4,7 +4,7 @@
 
 Without an option the command prints each gauge at the beginning (commit 32fb4b1f) and now, its limit and its goal.
 `--check` prints the gauges beyond their limits, with exit status 1 if there are any; `--json` prints numbers by name;
-`--docs` writes the table into docs/develop/house.md; `--list WORD` prints what the gauges with this word in their names
+`--docs` writes the table into docs/reference/develop/house.md; `--list WORD` prints what the gauges with this word in their names
 count. ROOT is another checkout. The core is the package without the folder `extensions`.
 """
 
@@ -227,7 +227,7 @@ def names_twice(root: Path) -> list[str]:
 
 
 TABLE = re.compile(r"(<!-- gauges -->\n).*(?=<!-- end of gauges -->)", flags=re.DOTALL)
-"""The table that this tool writes into docs/develop/house.md, which counts no words."""
+"""The table that this tool writes into docs/reference/develop/house.md, which counts no words."""
 
 
 def docs_words(root: Path) -> int:
@@ -306,7 +306,7 @@ def main() -> int:
     options = parser.add_mutually_exclusive_group()
     options.add_argument("--check", action="store_true", help="print the gauges beyond their limits; status 1 if any")
     options.add_argument("--json", action="store_true", help="print numbers by name")
-    options.add_argument("--docs", action="store_true", help="write the table into docs/develop/house.md")
+    options.add_argument("--docs", action="store_true", help="write the table into docs/reference/develop/house.md")
     options.add_argument("--list", metavar="WORD", help="print what the gauges with this word in their names count")
     given = parser.parse_args()
     values = measure(given.root) | visits(given.root)
@@ -316,7 +316,7 @@ def main() -> int:
     if given.json:
         print(json.dumps({name: value(gauge) for name, gauge in values.items()}, indent=1))
     elif given.docs:
-        page = given.root / "docs" / "develop" / "house.md"
+        page = given.root / "docs" / "reference" / "develop" / "house.md"
         page.write_text(TABLE.sub(lambda found: found[1] + table(values, with_limits=False), page.read_text()))
     elif given.list:
         for name, gauge in values.items():

@@ -47,7 +47,7 @@ from mitsuba_plenoptic.report.images import Brightness, to_bytes
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "pictures"
 STORED = ROOT / "build" / "pictures"
-NOTEBOOKS = ROOT / "build" / "jupyter_execute" / "gallery"
+NOTEBOOKS = ROOT / "build" / "jupyter_execute" / "guides" / "gallery"
 
 PICTURES: dict[str, Callable[[], Image.Image]] = {}
 
@@ -160,7 +160,7 @@ PICTURES |= {name: partial(of_report, name) for name in ("fig2", "fig4")}
 @picture
 def table() -> Image.Image:
     """Refocus the scene of the page for new users."""
-    files = page_files((ROOT / "docs" / "start.md").read_text())
+    files = page_files((ROOT / "docs" / "start" / "index.md").read_text())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.xml"
         path.write_text(files["table.xml"])
@@ -409,7 +409,7 @@ def sweeps() -> Image.Image:
 def inverse_problems() -> Image.Image:
     """Recover the weights of points as the page does."""
     names: dict[str, Any] = {}
-    code = (ROOT / "docs" / "howto" / "inverse_problems.md").read_text()
+    code = (ROOT / "docs" / "guides" / "inverse_problems.md").read_text()
     blocks = [block for block in page_code(code).split("\n\n") if "pylops" not in block]
     exec("\n\n".join(blocks).partition("import torch")[0], names)
     shape = names["x"].shape
@@ -427,7 +427,7 @@ def inverse_problems() -> Image.Image:
 def gaussians() -> Image.Image:
     """Run the code of the page, and show what its fits leave."""
     names: dict[str, Any] = {}
-    exec(page_code((ROOT / "docs" / "howto" / "gaussians.md").read_text()), names)
+    exec(page_code((ROOT / "docs" / "guides" / "gaussians.md").read_text()), names)
     target = np.array(names["target"])
     row = [("Wave capture", (target / target.max()).clip(0, 1))]
     for model, found in names["found"].items():
@@ -453,7 +453,7 @@ def long_runs() -> Image.Image:
 def figures() -> Image.Image:
     """Run the code of the page."""
     names: dict[str, Any] = {}
-    code = page_code((ROOT / "docs" / "howto" / "figures.md").read_text())
+    code = page_code((ROOT / "docs" / "guides" / "figures.md").read_text())
     exec(code.partition("contact_sheet(results).save")[0], names)
     return drawn(contact_sheet(names["results"]))
 
@@ -590,7 +590,7 @@ def fitting() -> Image.Image:
 def designing() -> Image.Image:
     """Vary one aberration, and show what points at two depths look like without it and with the best of it."""
     names: dict[str, Any] = {}
-    exec(page_code((ROOT / "docs" / "designing.md").read_text()), names)
+    exec(page_code((ROOT / "docs" / "guides" / "designing.md").read_text()), names)
     camera, figure = names["camera"], names["figure"]
     best = maximise(figure, camera, {"wavefront.11": (-1, 1)}).camera
     waves = np.linspace(-0.7, 0.7, 29)
@@ -664,7 +664,7 @@ CHOSEN = {
 }
 """Pictures of notebooks that are not their last, from 0."""
 
-for _page in sorted((ROOT / "docs" / "gallery").glob("*.md")):
+for _page in sorted((ROOT / "docs" / "guides" / "gallery").glob("*.md")):
     if _page.stem != "index":
         PICTURES[f"thumbnails/{_page.stem}"] = partial(thumbnail, _page.stem)
 

@@ -89,7 +89,9 @@ def main() -> int:
     if arguments.inside:
         paste(arguments.pages[0], arguments.limit)
         return 0
-    pages = arguments.pages or sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md")])
+    pages = arguments.pages or [
+        page for shelf in ("start", "guides") for page in sorted((ROOT / "docs" / shelf).glob("*.md"))
+    ]
     wrong = 0
     with tempfile.TemporaryDirectory() as temporary:
         python = arguments.python and arguments.python.absolute()

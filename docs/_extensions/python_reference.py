@@ -31,8 +31,8 @@ FEW = 3
 def pages() -> dict[str, str]:
     """Return the texts of the pages that show how things are used, by their names as documents."""
     texts = {}
-    for path in [*sorted((DOCS / "howto").glob("*.md")), *sorted((DOCS / "gallery").glob("*.md")), *DOCS.glob("*.md")]:
-        if path.stem not in ("index", "changelog", "coming_from"):
+    for path in [*sorted((DOCS / "start").glob("*.md")), *sorted((DOCS / "guides").rglob("*.md")), DOCS / "index.md"]:
+        if path.stem not in ("index", "coming_from"):
             texts[path.relative_to(DOCS).with_suffix("").as_posix()] = path.read_text()
     return texts
 

@@ -43,7 +43,7 @@ def test_commands_and_names_exist(page):
         ROOT / "docs" / "index.md",
         *(
             pytest.param(page, marks=[pytest.mark.slow] * (page.stem in ("main_lens", "method", "microlens")))
-            for page in sorted((ROOT / "docs" / "develop").glob("*.md"))
+            for page in sorted((ROOT / "docs" / "reference" / "develop").glob("*.md"))
         ),
     ],
     ids=lambda page: page.stem,

@@ -35,14 +35,14 @@ def test_broken_links_are_found(check, tmp_path):
 
 
 def test_words_that_search_does_not_find(check, tmp_path):
-    index = '{"docnames":["reference/conventions","models"],"terms":{"wavelength":0,"mirror":[0,1]},"titleterms":{}}'
+    index = '{"docnames":["reference/conventions","reference/models"],"terms":{"wavelength":0,"mirror":[0,1]},"titleterms":{}}'
     (tmp_path / "searchindex.js").write_text(f"Search.setIndex({index})")
     found = {text.split(": ")[1] for text in check["missing_words"](tmp_path)}
     assert found == set(check["ASKED"]) - {"wavelength", "mirror"}
 
 
 def test_every_notebook_has_a_card_with_a_picture_and_a_download():
-    gallery = ROOT / "docs" / "gallery"
+    gallery = ROOT / "docs" / "guides" / "gallery"
     index = (gallery / "index.md").read_text()
     for page in sorted(set(gallery.glob("*.md")) - {gallery / "index.md"}):
         assert f":link: {page.stem}\n" in index and f"thumbnails/{page.stem}.png" in index
@@ -59,7 +59,7 @@ def links(page):
 
 
 def test_questions_of_readers_are_answered_within_two_clicks():
-    start, page = ROOT / "docs" / "index.md", ROOT / "docs" / "develop" / "questions.md"
+    start, page = ROOT / "docs" / "index.md", ROOT / "docs" / "reference" / "develop" / "questions.md"
     rows = re.findall(
         r"^\| (.*\?) \| \[.*\]\((\S+?)(#\S+)?\) \| (?:\[.*\]\((\S+)\) )?\|$", page.read_text(), re.MULTILINE
     )

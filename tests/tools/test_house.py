@@ -239,7 +239,7 @@ def test_limits_are_held_from_both_sides():
 def test_every_gauge_has_a_row_and_every_page_a_place_for_the_table(gauged):
     visited = {name for name in (row.name for row in house.LIMITS) if name.startswith(("files visited", "most lenses"))}
     assert set(gauged({})) | visited == {row.name for row in house.LIMITS}
-    assert len(house.TABLE.findall((ROOT / "docs/develop/house.md").read_text())) == 1
+    assert len(house.TABLE.findall((ROOT / "docs/reference/develop/house.md").read_text())) == 1
 
 
 def test_visits_are_of_the_checkout_that_is_given(tmp_path):

@@ -434,7 +434,7 @@ def test_corners_of_a_real_camera_alone_predict_poses_that_are_left_out():
 @pytest.mark.slow
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, capsys):
-    text = (Path(__file__).parents[3] / "docs" / "calibration.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
     camera, output = tmp_path / "start.json", tmp_path / "camera.json"
     camera.write_text(text.split("```json\n")[1].split("```")[0])
     given = ["--centres", str(cases.REAL / "centres.csv"), "--board", "9x5", "--square", "10", "--camera", str(camera)]

@@ -129,7 +129,7 @@ def test_recipes_are_yaml_or_json_and_nothing_else(tmp_path):
 
 
 def test_the_recipe_in_the_documentation_is_one():
-    text = (Path(__file__).parents[3] / "docs" / "datasets.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "guides" / "datasets.md").read_text()
     recipe = parse_recipe(yaml.safe_load(re.search(r"```yaml\n(.*?)```", text, re.DOTALL)[1]))
     assert recipe.count == 100
     assert {recipe.plan(index).source for index in range(20)} == {0, 1}

@@ -397,7 +397,7 @@ def _of_cells(camera: PlenopticCamera, coefficient: float) -> Callable[..., Any]
     "a paraboloid against those of a parabolic phase",
     {"microlenses": "{name}", "full_field": "{full_field:.2%}", "patch": "{patch:.2%}", "orders": "{orders:.1e}"},
     (at_most("full_field", "most"), at_most("patch", "most"), at_most("orders", 1e-4)),
-    page="docs/howto/microlens_shapes.md",
+    page="docs/guides/microlens_shapes.md",
     quick={"names": ("sphere",)},
 )
 def microlens_shapes(*, names: tuple[str, ...] = ()) -> Iterator[Row]:

@@ -105,7 +105,7 @@ def calibrated() -> tuple[Table, Table, Calibration, float]:
     return corners, centres, found, processor
 
 
-@case("calibration.real", "The calibration of a real Raytrix R12 against COMPOTE's", page="docs/calibration.md")
+@case("calibration.real", "The calibration of a real Raytrix R12 against COMPOTE's", page="docs/guides/calibration.md")
 def real_camera() -> Iterator[Row]:
     """Compare errors over all corners, by poses that are left out, and the cameras' figures in deviations."""
     values = json.loads((data_folder() / "compote_intrinsics.json").read_text())
@@ -154,7 +154,7 @@ def real_camera() -> Iterator[Row]:
 @case(
     "calibration.corners",
     "The calibration of a real Raytrix R12 from corners alone, against that with centres",
-    page="docs/calibration.md",
+    page="docs/guides/calibration.md",
 )
 def corners_alone() -> Iterator[Row]:
     """Compare the focal length, the centres of micro-images and the errors of poses that are left out."""
@@ -177,7 +177,7 @@ def corners_alone() -> Iterator[Row]:
 @case(
     "calibration.rendered",
     "Boards rendered in fitted poses through the calibrated real camera, detected, against the corners observed",
-    page="docs/calibration.md",
+    page="docs/guides/calibration.md",
 )
 def rendered_boards(*, frames: tuple[int, ...] = (0, 11, 14), spp: int = 128, renderings: int = 5) -> Iterator[Row]:
     """Compare with the lenses' whole aperture, whose blur the main lens's rim cuts, and with small ones.
@@ -280,7 +280,7 @@ def grid_errors(unit: np.ndarray, pixel: np.ndarray) -> tuple[float, float]:
 @case(
     "calibration.white",
     "Centres, pitch and rotation found in white images with the noise of 2000 photons, drawn and captured",
-    page="docs/calibration.md",
+    page="docs/guides/calibration.md",
     quick={"lattices": ("square",), "models": ()},
 )
 def white_images(
@@ -365,7 +365,7 @@ ROUND_TRIP_MOVED = np.array([0.005, 0.005, 0.005, 0.5, 0.5, 1.0])
     "calibration.round-trip",
     "Boards rendered by a tilted camera that distorts, with photon noise, detected and calibrated: squared errors of "
     "combinations of parameters over their variances",
-    page="docs/calibration.md",
+    page="docs/guides/calibration.md",
     quick={"seeds": 2, "spp": 16},
 )
 def round_trip(*, seeds: int = 40, spp: int = 128) -> Iterator[Row]:
@@ -423,7 +423,7 @@ def combinations(errors: np.ndarray) -> Iterator[Row]:
 @case(
     "calibration.waves",
     "Corners of a board in a wave capture, by the round trip's camera without tilt and distortion, against the model",
-    page="docs/calibration.md",
+    page="docs/guides/calibration.md",
 )
 def board_by_waves(*, spp: int = 128) -> Iterator[Row]:
     """Render and detect."""

@@ -53,7 +53,7 @@ COMPARED = 6
     "data-set",
     "A data set made by worker processes, killed when a third and two thirds of it are there, resumed, compared bit by "
     "bit and read by PyTorch",
-    page="docs/datasets.md",
+    page="docs/guides/datasets.md",
     quick={"count": 4, "size": 64},
 )
 def data_set(output: Path, *, count: int = 100, size: int = 512, workers: int = 2) -> Iterator[Row]:
@@ -214,7 +214,7 @@ FIGURES = {
         "microlenses": "f/{f_number:g}", "spot (pixels)": "{spot:.1f}",
         **{heading: f"{{{key.replace(' ', '_')}}}" for key, (heading, _) in FIGURES.items()}, "gain": "{gain}",
     },
-    page="docs/wave_training.md",
+    page="docs/guides/wave_training.md",
     quick={"captures": 4, "seeds": 2, "f_number": (8.0,)},
 )  # fmt: skip
 def wave_training(

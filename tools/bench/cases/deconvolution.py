@@ -75,7 +75,7 @@ ARRIVES = 0.01
         at_most("clean", "most"),
         at_most("noisy", "most_noisy"),
     ),
-    page="docs/deconvolution.md",
+    page="docs/guides/deconvolution.md",
     quick={"planes": (13.0,), "relative": (JUDGED,), "accuracy": 0.05, "iterations": 50},
 )  # fmt: skip
 def contrasts(
@@ -108,7 +108,7 @@ def contrasts(
         "d (mm)": "{d:+g}", "response": "{response}", "contrast": "{contrast:.2f}", "error": "{error:.2f}",
         "left of the capture": "{residual:.2%}", "brightest bin": "{most:.2f}",
     },
-    page="docs/deconvolution.md",
+    page="docs/guides/deconvolution.md",
     quick={"accuracy": 0.05, "iterations": 50},
 )  # fmt: skip
 def wrong_responses(
@@ -207,7 +207,7 @@ def arriving(images: np.ndarray) -> float:
     {"distance (mm)": "{distance:g}", "period (lenses)": "{period:.2f}", "method": "{method}",
      "contrast": "{contrast:.2f}", "error": "{error:.2f}"},
     (at_most("error", "most"), at_least("error", "least")),
-    page="docs/deconvolution.md",
+    page="docs/guides/deconvolution.md",
     quick={"periods": (1.3,), "iterations": 10, "distances": (253.0,)},
 )  # fmt: skip
 def fine_lines(
@@ -326,7 +326,7 @@ def window(distance: float, where: tuple[float, float]) -> PlenopticCamera:
         "power": "{power:.4f}", "left of the capture": "{residual:.2%}",
     },
     (at_most("place", 0.1), at_most("power_off", 0.03)),
-    page="docs/deconvolution.md",
+    page="docs/guides/deconvolution.md",
     quick={"planes": (13.0,), "windows": ("middle",), "iterations": 30},
 )  # fmt: skip
 def points(
@@ -388,7 +388,7 @@ OVERSAMPLE = 4
         "steps": "{iterations}", "left of the capture": "{residual:.0%}", "s": "{seconds:.0f}",
     },
     (at_least("psnr", "least"), at_most("edge", "widest")),
-    page="docs/deconvolution.md",
+    page="docs/guides/deconvolution.md",
     quick={"letters": ("#",), "iterations": 5, "reference_spp": 16, "size": 1024},
 )  # fmt: skip
 def letters(
@@ -469,7 +469,7 @@ def edge_width(image: np.ndarray, reference: np.ndarray) -> float:
 @case(
     "deconvolution.time",
     "Deconvolution of the paper's camera: planning, the response and its adjoint, and memory, in a process of its own",
-    page="docs/deconvolution.md",
+    page="docs/guides/deconvolution.md",
     quick={"resolution": 512, "runs": 1},
 )
 def times(*, distance: float = 253.0, oversample: int = 4, resolution: int = 4096, runs: int = 3) -> Iterator[Row]:

@@ -135,7 +135,7 @@ def _grown(grids: FieldGrids, factor: float) -> FieldGrids:
     "Derivatives of captures against central differences of the full field, relative L2 over the detector",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     pivot=Pivot("{case}", "{parameter}", "{error:.2%}"),
     quick={"parameters": ("mla_pitch",), "cases": ("square, off axis, near",)},
 )
@@ -167,7 +167,7 @@ def against_full_field(*, parameters: tuple[str, ...] = (), cases: tuple[str, ..
     "nearly cancel, against central differences of the full fields",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"across": 2, "parameters": ("mla_pitch",)},
 )
 def walls(*, across: int = 12, parameters: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -192,7 +192,7 @@ def walls(*, across: int = 12, parameters: tuple[str, ...] = ()) -> Iterator[Row
     "Derivatives of a white capture inside its micro-images, where it stays white: RMS over the largest at their edges",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"per_lens": 2},
 )
 def whites(*, per_lens: int = WHITE_PER_LENS) -> Iterator[Row]:
@@ -221,7 +221,7 @@ def whites(*, per_lens: int = WHITE_PER_LENS) -> Iterator[Row]:
     "Reverse against forward mode of captures and their derivatives: <A x, y> and <x, A' y>, over |A x| |y|",
     TABLE,
     JUDGED,
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"cases": ("square, off axis, near",)},
 )
 def adjoints(*, cases: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -253,7 +253,7 @@ def adjoints(*, cases: tuple[str, ...] = ()) -> Iterator[Row]:
         "full field off the sums": "{full_field[0]:.2%}, {full_field[1]:.2%}, {full_field[2]:.2%}",
     },
     (at_most("image", 0.002), at_most("least", "limit")),
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
 )  # fmt: skip
 def wavelength(*, points: int = 1) -> Iterator[Row]:
     """Measure up to three points before square arrays, by central differences of 0.02 nanometres."""
@@ -297,7 +297,7 @@ MODES: dict[str, Callable[[CaptureOperator, Any, Any], object]] = {
         "time (s)": "{seconds:.2f}", "memory (GiB)": "{memory:.2f}", "over that of the image": "{memory_ratio:.2f}",
     },
     (at_most("reverse_ratio", 4.0), at_most("reverse_memory", 3.0)),
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"pixels": 128, "points_per_lens": 16},
 )  # fmt: skip
 def letters(*, pixels: int = 256, points_per_lens: int = 64, accuracy: float = 0.01, runs: int = 2) -> Iterator[Row]:
@@ -335,7 +335,7 @@ def _measured(mode: str, file: Path, camera: PlenopticCamera, accuracy: float, r
     "derivative-cost.unshared",
     "Forward and reverse mode over the image, on one thread, nothing shared: processor time, and NumPy's memory",
     {"accuracy": "{accuracy:g}", "mode": "{mode}", "time": "{time:.1f}", "memory": "{memory:.1f}"},
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"points": 16, "runs": 1},
 )
 def unshared(*, points: int = 128, runs: int = 3) -> Iterator[Row]:
@@ -367,7 +367,7 @@ def unshared(*, points: int = 128, runs: int = 3) -> Iterator[Row]:
     "derivative-cost.torchoptics",
     "One point's light through one lens to a plane, and the gradient of the power there by the focal length, on one "
     "thread: ours on a patch, against the autograd of torchoptics in its own double precision",
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     needs=("torchoptics",),
     quick={"runs": 1},
 )

@@ -91,7 +91,7 @@ class Setting:
     "designs.focal-length",
     "The microlens focal length of most contrast of points refocused between 220 and 260 mm, sought from random "
     "starts, against a scan",
-    page="docs/designing.md",
+    page="docs/guides/designing.md",
     quick={"starts": 1, "half": True, "scan": 7},
 )
 def focal_length(output: Path, *, starts: int = 10, half: bool = False, scan: int = 25) -> Iterator[Row]:
@@ -121,7 +121,7 @@ def focal_length(output: Path, *, starts: int = 10, half: bool = False, scan: in
     "designs.wavefront",
     "Aberrations of the main lens, tilt and defocus left out, by which captures resolve most of the depth of points "
     "between 232 and 248 mm, judged by full fields with another noise",
-    page="docs/designing.md",
+    page="docs/guides/designing.md",
     quick={"starts": 1, "half": True, "steps": 1, "draws": 300},
 )
 def wavefront(output: Path, *, starts: int = 3, half: bool = False, steps: int = 12, draws: int = 300) -> Iterator[Row]:
@@ -205,7 +205,7 @@ RATE, NETWORK_RATE, BATCH, NOISES = 0.05, 2e-3, 16, 4
         "camera": "{what}", "radius of the opening (mm)": "{radius}", "RMS error (mm)": "{error}",
         "by full fields": "{full}", "single seeds": "{each}",
     },
-    page="docs/howto/inverse_problems.md",
+    page="docs/guides/inverse_problems.md",
     quick={"seeds": 1, "steps": 2, "captures": 32, "judged": 16, "full": 2, "epochs": 2},
     needs=("torch",),
 )  # fmt: skip

@@ -110,7 +110,7 @@ def traced(camera: PlenopticCamera, middle: tuple[float, float], distance: float
         "expected left": "{expected_left:.3f}",
     },
     (at_most("off", 0.005), at_most("off_light", 0.003)),
-    page="docs/howto/dual_pixel.md",
+    page="docs/guides/dual_pixel.md",
     quick={"names": ("thin",)},
 )  # fmt: skip
 def centroids(*, names: tuple[str, ...] = (), distance: float = 2000.0) -> Iterator[Row]:
@@ -139,7 +139,7 @@ def centroids(*, names: tuple[str, ...] = (), distance: float = 2000.0) -> Itera
         "full_field": "{full_field:.3f}", "patch": "{patch:.3f}",
     },
     (at_most("full_field_off", 0.004), at_most("patch_off", 0.01)),
-    page="docs/howto/dual_pixel.md",
+    page="docs/guides/dual_pixel.md",
     quick={"sizes": (9,), "lenses": ((2.44, 4.0),)},
 )  # fmt: skip
 def light(
@@ -175,7 +175,7 @@ def light(
     "dual-pixels.pictures",
     "Point spreads of left (red) and right halves (blue) on and off the axis, before the plane in focus and behind it",
     {"lens": "{lens}", "lenses across": "{across}"},
-    page="docs/howto/dual_pixel.md",
+    page="docs/guides/dual_pixel.md",
     quick={"names": ("thin",)},
 )
 def pictures(output: Path, *, names: tuple[str, ...] = (), across: int = 61) -> Iterator[Row]:
@@ -298,7 +298,7 @@ def disparities(
         "residual": "{residual:.1%}",
     },
     (at_most("off", 0.03),),
-    page="docs/howto/dual_pixel.md",
+    page="docs/guides/dual_pixel.md",
     quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 1},
 )  # fmt: skip
 def depth(
@@ -339,7 +339,7 @@ def depth(
         "bias of waves (lenses)": "{bias:.2f} +- {deviation:.2f}", "of the defocus": "{defocus:.0%}",
         "of the depth": "{depth:.1%} +- {depth_deviation:.1%}",
     },
-    page="docs/howto/dual_pixel.md",
+    page="docs/guides/dual_pixel.md",
     quick={"f_numbers": (1.8,), "rays": 20, "lenses": (120, 80), "textures": 2},
 )  # fmt: skip
 def matching(
@@ -378,7 +378,7 @@ def matching(
         "waves over rays": "{ratio:.2f}", "light": "{light:.3f}",
     },
     (at_most("off", 0.04),),
-    page="docs/howto/dual_pixel.md",
+    page="docs/guides/dual_pixel.md",
     quick={"f_numbers": (1.8,)},
 )  # fmt: skip
 def spreads(*, f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0), blur: float = 5.0, size: int = 25) -> Iterator[Row]:

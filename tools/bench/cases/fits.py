@@ -65,7 +65,7 @@ WAVELENGTH = 633.0
         "chi-square per pixel": "{chi_square:.3f}",
     },
     (at_most("square_off", 0.25), at_most("bound_off", 0.2)),
-    page="docs/fitting.md",
+    page="docs/guides/fitting.md",
     quick={"seeds": 1, "points": 2, "accuracy": 0.1},
 )  # fmt: skip
 def spread(
@@ -160,7 +160,7 @@ Array = NDArray[np.float64]
         at_most("last", 0.05),
         at_most("far", 0.05),
     ),
-    page="docs/fitting.md",
+    page="docs/guides/fitting.md",
     quick={"lenses": 4, "seeds": 2, "far": 0, "derivatives": 0.05},
 )  # fmt: skip
 def noise(
@@ -385,7 +385,7 @@ PHOTONS = 2000.0
     "radiance-fits",
     "PSNR (dB) of 8 unseen views of textured planes fitted to raw captures, over seeds",
     {"planes fitted with": "{what}", "PSNR (dB)": "{psnr}", "single seeds": "{each}", "one scale for all": "{scaled}"},
-    page="docs/howto/inverse_problems.md",
+    page="docs/guides/inverse_problems.md",
     quick={"seeds": 1, "lenses": 6, "rounds": 2, "positions": 2},
 )
 def radiance_fits(

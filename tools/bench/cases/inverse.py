@@ -38,7 +38,7 @@ TIMED = {"letters": "f.emitter.radiance.value", "still_life": "window.emitter.ra
     "gradients.accuracy",
     "Derivatives of captures by signed rays: forward against differences of captures with the same rays, reverse "
     "against forward, the coefficients of fog against closed forms",
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"lenses": 4, "only": ("letters",)},
 )
 def gradients(*, lenses: int = 8, only: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -158,7 +158,7 @@ def against_form(what: str, scene: Any, name: str, form: Callable[[float], float
     "gradients.time",
     "Reverse passes of captures by signed rays, by a radiance and by all parameters of the camera, over the capture, "
     "elapsed time, 16 samples a pixel",
-    page="docs/derivatives.md",
+    page="docs/guides/derivatives.md",
     quick={"resolution": 256, "runs": 1, "only": ("letters",)},
 )
 def times(*, resolution: int = 1024, runs: int = 3, only: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -206,7 +206,7 @@ def _camera(pixels: int) -> PlenopticCamera:
     "inverse.lsqr",
     "Least squares with SciPy's lsqr: steps with stored point spreads, their computation included, against steps that "
     "compute them",
-    page="docs/howto/inverse_problems.md",
+    page="docs/guides/inverse_problems.md",
     quick={"pixels": 64},
 )
 def least_squares(*, points: int = 25, pixels: int = 256, steps: int = 60, computed: int = 3) -> Iterator[Row]:
@@ -238,7 +238,7 @@ def least_squares(*, points: int = 25, pixels: int = 256, steps: int = 60, compu
 @case(
     "inverse.training",
     "A training step of a small network on captures by stored spreads in PyTorch: its time, and the part of captures",
-    page="docs/howto/inverse_problems.md",
+    page="docs/guides/inverse_problems.md",
     quick={"pixels": 64, "batch": 4, "across": 4},
     needs=("torch",),
 )

@@ -67,7 +67,7 @@ def intercepts_and_paths(lens: Prescription, peer: Any, array: Any = np.asarray)
     "Rays through lenses against Optiland (20 rays, 5 fields), largest deviation of intercepts and paths",
     {"lens": "{lens}", "nm": "{wavelength:.1f}", "intercept (mm)": "{millimetres:.1e}", "path (waves)": "{waves:.1e}"},
     (at_most("millimetres", 1e-6), at_most("waves", 0.002)),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     needs=("optiland",),
 )
 def rays() -> Iterator[Row]:
@@ -98,7 +98,7 @@ def paraxial_numbers(lens: Prescription, peer: Any) -> list[Row]:
     "Paraxial figures of lenses against Optiland's",
     {"lens": "{lens}", "": "{number}", "ours": "{ours:.8g}", "Optiland": "{optiland:.8g}", "relative": "{off:.1e}"},
     (at_most("off", 1e-7),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     needs=("optiland",),
 )
 def paraxial_figures() -> Iterator[Row]:
@@ -113,7 +113,7 @@ def paraxial_figures() -> Iterator[Row]:
     "How far the sensor's rays, in single precision, miss those in double precision in the object plane in focus",
     {"lens": "{lens}", "mm": "{millimetres:.1e}"},
     (at_most("millimetres", 1e-4),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"rays": 1000},
 )
 def single_precision(*, rays: int = 100_000) -> Iterator[Row]:
@@ -137,7 +137,7 @@ def single_precision(*, rays: int = 100_000) -> Iterator[Row]:
     "Samples per second of ray captures through lenses over those of the thin lens",
     {"scene": "{scene}", "lens": "{lens}", "ratio": "{ratio:.2f}", "thin": "{thin:.3g}/s"},
     (at_least("ratio", "limit"),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"resolution": 256, "runs": 1},
 )
 def speed(*, resolution: int = 1024, spp: int = 16, runs: int = 5) -> Iterator[Row]:
@@ -221,7 +221,7 @@ def spread(name: str, angle: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         "Optiland with half as many rays": "{convergence:.2%}", "peak over the window's light": "{peak:+.2%}",
     },
     (at_most("difference", 0.01),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     needs=("optiland",),
 )  # fmt: skip
 def spreads(*, rays: int = 256, angles: tuple[float, ...] = (0.0, 2.0)) -> Iterator[Row]:
@@ -258,7 +258,7 @@ def behind(name: str | None, radius: float = 5.0, **numbers: Any) -> PlenopticCa
     "The path of points all over the paper's detector, at 200 to 300 mm, against its fit",
     {"lens": "{lens}", "RMS (waves)": "{waves:.1e}", "seconds": "{seconds:.1f}"},
     (at_most("waves", 0.01),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"names": ("singlet",)},
 )
 def wave_fit(*, names: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -274,7 +274,7 @@ def wave_fit(*, names: tuple[str, ...] = ()) -> Iterator[Row]:
     "By how many pixels chief rays of the fit miss where rays traced from the array come from",
     {"lens": "{lens}", "pixels": "{pixels:.1e}"},
     (at_most("pixels", 0.1),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"names": ("singlet",)},
 )
 def chief_rays(*, names: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -298,7 +298,7 @@ def chief_rays(*, names: tuple[str, ...] = ()) -> Iterator[Row]:
     "Patches against full fields behind the double Gauss, relative L2",
     {"point": "{point}", "difference": "{difference:.2%}"},
     (at_most("difference", 0.005),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"count": 1},
 )
 def patch(*, count: int = len(POINTS), size: int = 512) -> Iterator[Row]:
@@ -319,7 +319,7 @@ def patch(*, count: int = len(POINTS), size: int = 512) -> Iterator[Row]:
     "Energy of wave captures over ray captures, of six lenses across of a white scene",
     {"lens": "{lens}", "lenses from the axis": "{place}", "waves over rays": "{energy:+.2%}"},
     (at_most("off", 0.015),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"count": 1},
 )
 def energy(*, count: int = 6) -> Iterator[Row]:
@@ -347,7 +347,7 @@ def energy(*, count: int = 6) -> Iterator[Row]:
         "times the thin lens's": "{ratio:.2f}",
     },
     (at_most("ratio", 3.0),),
-    page="docs/main_lenses.md",
+    page="docs/guides/main_lenses.md",
     quick={"resolution": 128, "runs": 1},
 )  # fmt: skip
 def letters(*, resolution: int = 1024, runs: int = 3) -> Iterator[Row]:

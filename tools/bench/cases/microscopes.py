@@ -69,7 +69,7 @@ def debye(objective: Objective, radius: np.ndarray, depth: float) -> np.ndarray:
         "relative L2": "{error:.4%}",
     },
     (at_most("error", 1e-3),),
-    page="docs/microscope.md",
+    page="docs/guides/microscope.md",
     quick={"count": 2},
 )  # fmt: skip
 def objectives(*, count: int = 18) -> Iterator[Row]:
@@ -178,7 +178,7 @@ class Peer:
         "ours": "{ours:.2%}", "ours without its obliquity": "{plain:.2%}", "ours from each": "{each}",
     },
     (at_most("judged", 0.02),),
-    page="docs/microscope.md",
+    page="docs/guides/microscope.md",
     needs=("pyolaf",),
     quick={"finest": 5},
 )  # fmt: skip
@@ -264,7 +264,7 @@ def width(profile: np.ndarray, bin_size: float) -> float:
         "s a step": "{step:.3g}", "s planning": "{planning:.3g}", "GiB": "{memory:.2f}",
     },
     (at_most("width", "widest"), at_most("error", 0.25), at_most("memory", 8.0)),
-    page="docs/microscope.md",
+    page="docs/guides/microscope.md",
     quick={"planes": 1, "lenses": 9, "iterations": 10},
 )  # fmt: skip
 def deconvolved_beads(*, planes: int = 4, lenses: int = 21, iterations: int = 30) -> Iterator[Row]:
@@ -306,7 +306,7 @@ def deconvolved_beads(*, planes: int = 4, lenses: int = 21, iterations: int = 30
 @case(
     "microscope.steps",
     "A step of Richardson and Lucy, a projection forward and one back, against pyolaf's with as many samples",
-    page="docs/microscope.md",
+    page="docs/guides/microscope.md",
     needs=("pyolaf",),
     quick={"planes": 1, "lenses": 9},
 )
@@ -416,7 +416,7 @@ def seen(plane: Reconstruction, bead: np.ndarray, power: float, light_of_bin: fl
     "microscope.fourier",
     "The Fourier microscope's deconvolution: its response against exact spreads, and a known volume of beads, also "
     "with 2000 photons in the brightest pixel, stopped by the method itself",
-    page="docs/microscope.md",
+    page="docs/guides/microscope.md",
     quick={"planes": 2, "beads": 1, "iterations": 10},
 )
 def fourier(

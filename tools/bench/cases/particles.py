@@ -162,7 +162,7 @@ THREE = "{%s[0]:%s} / {%s[1]:%s} / {%s[2]:%s}"
         "across (um)": THREE % (("across", ".1f") * 3), "along (um)": THREE % (("along", ".0f") * 3),
         "along over across": "{ratio:.0f}", "elongation": "{elongation:.0f}", "rays alone": "{rays_alone}",
     },
-    page="docs/howto/particles.md",
+    page="docs/guides/particles.md",
     quick={"f_numbers": (4.0,), "pixels": (7,), "seeds": 2, "iterations": 3},
 )  # fmt: skip
 def study(
@@ -201,7 +201,7 @@ def study(
         "particles": "{particles}", "per lens": "{per_lens:g}", "Q": "{q:.2f}", "ghosts": "{ghosts:.1%}",
         "error of vectors across the axis (um)": "{across:.1f}", "along it (um)": "{along:.0f}",
     },
-    page="docs/howto/particles.md",
+    page="docs/guides/particles.md",
     quick={"densities": (0.3,), "iterations": 3},
 )  # fmt: skip
 def density(
@@ -227,7 +227,7 @@ def density(
         "vectors": "{vectors}", "across (um)": "{across:.1f}", "along (um)": "{along:.0f}",
         "along over across": "{ratio:.0f}", "elongation": "{elongation:.1f}",
     },
-    page="docs/howto/particles.md",
+    page="docs/guides/particles.md",
     quick={"f_numbers": (4.0,), "seeds": 1, "iterations": 3},
 )  # fmt: skip
 def depth(

@@ -247,7 +247,7 @@ def accuracies() -> Iterator[Figure]:
         "error": "{error:.2%}",
     },
     (at_most("seconds", 60), at_most("memory", 2), at_most("error", 0.01)),
-    page="docs/howto/particles.md",
+    page="docs/guides/particles.md",
     quick={"count": 200},
 )  # fmt: skip
 def particles(*, count: int = 10000) -> Iterator[Row]:

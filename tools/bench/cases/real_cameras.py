@@ -68,7 +68,7 @@ def scatter_of_lenses(found: WhiteFit) -> float:
 @case(
     "real.white",
     "White picture of a real light-field microscope against the camera that is fitted to two thirds of its lenses",
-    page="docs/howto/real_camera.md",
+    page="docs/guides/real_camera.md",
 )
 def white(*, samples: int = 128) -> Iterator[Row]:
     """Compare the third of the lenses that fits do not see, by waves of 510 nm and by rays."""
@@ -102,7 +102,7 @@ def white(*, samples: int = 128) -> Iterator[Row]:
 @case(
     "real.light_field",
     "Light field of a real microscope: withheld pixels and lenses, predicted by waves and by rays",
-    page="docs/howto/real_camera.md",
+    page="docs/guides/real_camera.md",
 )
 def light_field(
     *,

@@ -295,7 +295,7 @@ def _text(contrasts: np.ndarray) -> str:
     {"virtual depth": "{depth:g}", "pixels across": "{pixels:.0f}", "contrast in focus": "{focus:.2f}",
      "range (mm)": "{near:.0f} to {far:.0f}", "by `design` (mm)": "{expected}", "dioptres": "{dioptres:.3f}"},
     (at_least("focus", 0.4), at_least("wider", 1.0)),
-    page="docs/numbers.md",
+    page="docs/reference/numbers.md",
     quick={"steps": 1, "lenses": 8},
 )  # fmt: skip
 def pixels_and_range(*, steps: int = 6, lenses: int = 12, spp: int = 8) -> Iterator[Row]:
@@ -414,7 +414,7 @@ BINNING = (1, 2, 4, 8)
         "energy, rays over waves": "{energy:.4f}",
     },
     (at_most("by_pixels", 1.0), at_most("by_lenses", 1.0)),
-    page="docs/howto/waves.md",
+    page="docs/guides/waves.md",
     pivot=Pivot(
         "f/{f_number:g}, {um:g} um, Fresnel number {fresnel:.2f}", "{focus}: rays, with sinc²",
         "{rays:.1%}, {convolved:.1%}", lambda row: row["binning"] == 2,

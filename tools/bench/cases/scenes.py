@@ -174,7 +174,7 @@ GROUPS: dict[str, Callable[[], Iterator[Row]]] = {
     "Wave captures of skies, transparent cards, mirrors, glass, fog and hidden pupils against ray captures",
     {"what": "{name}", "measured": "{measured:.3f}", "limit": "{stated}"},
     (at_most("off", "limit"),),
-    page="docs/models.md",
+    page="docs/reference/models.md",
     quick={"only": ("cards",)},
 )
 def light_paths(*, only: tuple[str, ...] = ()) -> Iterator[Row]:

@@ -58,7 +58,7 @@ POINTS = ((0.0, 0.0, 240.0), (0.3, 0.2, 210.0), (0.3, -0.4, 280.0))
 @case(
     "spectrum.focal-lengths",
     "Focal lengths of the bundled singlet against the closed form of a thick lens, chromatic shifts against f / V",
-    page="docs/howto/colour.md",
+    page="docs/guides/colour.md",
 )
 def focal_lengths() -> Iterator[Row]:
     """Compare 31 wavelengths."""
@@ -84,7 +84,7 @@ def focal_lengths() -> Iterator[Row]:
 @case(
     "spectrum.bands",
     "Spreads of bands, with as many wavelengths as are found necessary, against 64",
-    page="docs/howto/colour.md",
+    page="docs/guides/colour.md",
     quick={"widths": (20.0,), "glass": False},
 )
 def bands(*, widths: tuple[float, ...] = (20.0, 100.0), glass: bool = True) -> Iterator[Row]:
@@ -111,7 +111,7 @@ def bands(*, widths: tuple[float, ...] = (20.0, 100.0), glass: bool = True) -> I
 @case(
     "spectrum.letters",
     "31 wavelengths of points of the letters at once, against 31 sums, in error and in time",
-    page="docs/howto/colour.md",
+    page="docs/guides/colour.md",
     quick={"resolution": 128, "accuracy": 0.1, "one_spectrum": True},
 )
 def letters(
@@ -303,7 +303,7 @@ def cameras(names: tuple[str, ...], aperture: float, resolution: int) -> dict[st
         "traced": "{traced[0]:+.3f}, {traced[1]:+.3f}", "off": "{off:.3f}", "s": "{seconds:.1f}",
     },
     (at_most("off", 0.1),),
-    page="docs/howto/colour.md",
+    page="docs/guides/colour.md",
     variant="llvm_ad_rgb",
     quick={"names": ("singlet",), "resolution": 512, "spp": 1024, "models": ("ray",)},
 )  # fmt: skip
@@ -331,7 +331,7 @@ def lateral(
     "lens-colour.pictures",
     "Pictures of one scene in white light through three lenses, by both models, side by side",
     {"lens": "{lens}", "capture": "{model}", "s": "{seconds:.1f}"},
-    page="docs/howto/colour.md",
+    page="docs/guides/colour.md",
     variant="llvm_ad_spectral",
     quick={"resolution": 512, "spp": 4, "names": ("thin lens",)},
 )

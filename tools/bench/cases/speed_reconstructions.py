@@ -87,7 +87,7 @@ def reconstructions(*, runs: int = 5, resolution: int = 4096) -> Iterator[Row]:
         "difference of sums": "{difference:.0e}",
     },
     (at_most("difference", 1e-4),),
-    page="docs/numbers.md",
+    page="docs/reference/numbers.md",
     quick={"resolution": 512, "runs": 1},
     needs=("numba",),
 )
