@@ -4,7 +4,7 @@
 
 Without an option the command prints each gauge at the beginning (commit 32fb4b1f) and now, its limit and its goal.
 `--check` prints the gauges beyond their limits, with exit status 1 if there are any; `--json` prints numbers by name;
-`--docs` writes the table into docs/reference/develop/house.md; `--list WORD` prints what the gauges with this word in their names
+`--docs` writes the table into the page house.md; `--list WORD` prints what the gauges with this word in their names
 count. ROOT is another checkout. The core is the package without the folder `extensions`.
 """
 
