@@ -3,12 +3,11 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test house test-tensors coverage slow fuzz examples pictures package docs lint clean llvm
+.PHONY: help demo test test-tensors coverage slow fuzz examples pictures package docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
-	@echo "make house  check the package's structure against the limits in tools/house.py"
 	@echo "make test-tensors   run the tests of PyTorch and JAX in an environment of their own, .venv-tensors (GBs)"
 	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
 	@echo "make slow   run the tests that take minutes"
@@ -17,7 +16,7 @@ help:
 	@echo "make pictures   make the pictures of the site (some minutes; needs Chromium, and the notebooks of 'make docs')"
 	@echo "make package   build wheel and sdist from a fresh clone, and try the wheel in an empty environment"
 	@echo "make docs   build the site with its notebooks executed: build/docs/index.html (some minutes)"
-	@echo "make lint   check format, style and types"
+	@echo "make lint   check format, style, types and directions of imports"
 	@echo "make clean  remove what make made"
 
 demo: $(VENV)/.ready llvm
@@ -26,9 +25,6 @@ demo: $(VENV)/.ready llvm
 # The tests of a file stay in one process, which they share captures and compiled kernels in.
 test: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(if $(COVERAGE),--cov --cov-report=term)
-
-house: $(VENV)/.ready llvm
-	$(BIN)/python tools/house.py --check
 
 # PyTorch's default wheel brings CUDA, several GB: an environment apart, and no part of 'make test'.
 TENSORS := .venv-tensors
@@ -75,6 +71,7 @@ lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
 
 # The stamp comes last, so that an interrupted installation is taken up again. An environment of the user's own is
 # used as it is, but one whose Python is broken or was never finished is made anew.

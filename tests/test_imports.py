@@ -1,6 +1,5 @@
-"""Imports run one way through the package, and importing it is quick."""
+"""Importing the package is quick, and its public names are found."""
 
-import ast
 import json
 import subprocess
 import sys
@@ -12,41 +11,6 @@ import mitsuba_plenoptic
 from mitsuba_plenoptic.extension import entries
 
 PACKAGE = Path(mitsuba_plenoptic.__file__).parent
-
-# Each may import what stands before it.
-FLOORS = (
-    "served", "shipped", "errors", "extension", "presets", "scene_files", "refocus_options", "runtime", "lattice",
-    "prescription", "microlens", "camera", "io", "optics", "lenses", "design", "light", "points", "plugins",
-    "views", "refocus", "report", "cli", "extensions", "__main__",
-)  # fmt: skip
-
-
-def floor(names: list[str]) -> str:
-    """The floor of a module below the package, which most share with all of their folder."""
-    return ".".join(names[:2]) if ".".join(names[:2]) in FLOORS else names[0]
-
-
-def imported(path: Path) -> set[str]:
-    """Floors, below the package, of what a file imports from it."""
-    parts = path.relative_to(PACKAGE).parts[:-1]
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.level:
-            names = [*parts[: len(parts) - node.level + 1], *(node.module or "").split(".")]
-            names = [name for name in names if name]
-            found |= {floor(names)} if names else {alias.name for alias in node.names}
-    return found
-
-
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_run_one_way(path):
-    first = floor(list(path.relative_to(PACKAGE).with_suffix("").parts))
-    if first in ("__init__", "served", "shipped"):
-        # What these name is imported when it is asked for, or by type checkers alone.
-        return
-    allowed = {*FLOORS[: FLOORS.index(first) + 1]}
-    # A sentence that names the version is no arrow upwards.
-    assert imported(path) - {"__version__"} <= allowed
 
 
 def loaded(code):

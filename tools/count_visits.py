@@ -4,7 +4,7 @@
 
 For a ray capture, a wave capture, a coherent reconstruction and a gradient of a small camera a call profiler notes each
 function of the package that is entered, in all threads. The last line is JSON: the files visited by each call, and how
-often one call makes a main lens, checks a camera or makes a lattice. tools/house.py holds the limits.
+often one call makes a main lens, checks a camera or makes a lattice.
 """
 
 from __future__ import annotations
