@@ -40,25 +40,24 @@ _MockObject.__setitem__ = lambda *_: None  # type: ignore[attr-defined]
 exclude_patterns = ["_extensions", "**/.ipynb_checkpoints"]
 default_role = "py:obj"
 
-# Pages of earlier sites lead to the pages in their place.
-MOVED = {
-    "howto": "guides",
-    "gallery": "guides/gallery",
-    "develop": "reference/develop",
-    "": "guides",
+# Pages of earlier sites lead to the pages in their place: those of a folder to its shelf, merged ones by name.
+SHELVES = {"howto": "guides", "gallery": "guides/gallery", "develop": "reference/develop", "": "guides"}
+MERGED = {
+    "start/index": ["start"],
+    "start/compare": ["howto/compare"],
+    "start/own_scene": ["howto/own_scene"],
+    "guides/other_programs": ["peers", "which_tool", "coming_from"],
+    "reference/models": ["models"],
+    "reference/numbers": ["numbers"],
+    "reference/changelog": ["changelog", "upgrading"],
 }
 redirects = {
-    f"{old}/{page.stem}".lstrip("/"): f"{'../' * bool(old)}{new}/{page.stem}.html"
-    for old, new in MOVED.items()
-    for page in sorted((HERE / new).glob("*.md"))
-    if page.stem != "index" or old in ("gallery", "develop", "howto")
-} | {
-    "howto/compare": "../start/compare.html",
-    "howto/own_scene": "../start/own_scene.html",
-    "start": "start/index.html",
-    "upgrading": "reference/changelog.html",
-    **{name: f"reference/{name}.html" for name in ("changelog", "models", "numbers")},
-}
+    f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"
+    for old, shelf in SHELVES.items()
+    for page in sorted((HERE / shelf).glob("*.md"))
+    if old or page.stem != "index"
+} | {old: f"/{new}" for new, merged in MERGED.items() for old in merged}
+redirects = {old: f"{'../' * old.count('/')}{new[1:]}.html" for old, new in redirects.items()}
 
 # The site works without a network: its fonts are the reader's, MathJax is among its files.
 html_theme = "furo"

@@ -32,7 +32,7 @@ def pages() -> dict[str, str]:
     """Return the texts of the pages that show how things are used, by their names as documents."""
     texts = {}
     for path in [*sorted((DOCS / "start").glob("*.md")), *sorted((DOCS / "guides").rglob("*.md")), DOCS / "index.md"]:
-        if path.stem not in ("index", "coming_from"):
+        if path.stem not in ("index", "other_programs"):
             texts[path.relative_to(DOCS).with_suffix("").as_posix()] = path.read_text()
     return texts
 

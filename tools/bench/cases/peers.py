@@ -39,7 +39,7 @@ from ..speed import beam
 from ..timing import in_process, paired
 from .lenses import F_NUMBER, FAR, PIXEL, spread, theirs, traced
 
-PAGE = "docs/guides/peers.md"
+PAGE = "docs/guides/other_programs.md"
 RUNS = 3
 PITCH, DISTANCE, WAVELENGTH = 4e-3, 5.0, 633.0
 WAVE = WAVELENGTH * 1e-6
