@@ -179,7 +179,13 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
     return None
 
 
+GONE = {"benchmark": "a recipe of a data set serves instead (docs/datasets.md)"}
+"""Commands and modules of version 1.0 that are gone, and what serves instead."""
+
+
 def missing(kind: str, name: str) -> str:
-    """Return the line on a shipped extension that has `name` and is not installed; empty for other names."""
+    """Return the line on what is gone, or on a shipped extension that has it and is not installed; else no text."""
+    if kind in ("commands", "modules") and name in GONE:
+        return f"{name}: it is gone since version 2.0; {GONE[name]}"
     owner = SHIPPED[kind].get(name)
     return f"{name}: extension {owner} is not installed" if owner and f"{GROUP}.{owner}" not in installed() else ""

@@ -101,7 +101,6 @@ def test_ipython_completes_public_names_and_modules_alone():
         ("operator.full_field", "points.full_field"),
         ("system.optical_system", "light.optical_system"),
         ("capture.render", "light.render_capture"),
-        pytest.param("benchmark.contents", "extensions.data.contents", marks=pytest.mark.needs_extension("data")),
         pytest.param("report.sweep", "extensions.studio.sweep", marks=pytest.mark.needs_extension("studio")),
     ],
 )

@@ -45,7 +45,7 @@ COMMANDS = {
     }.items()
 } | {name: f"{package}.{module}" for package, name, module in entries("commands")}
 
-STEPS = tuple(name for name in COMMANDS if name not in ("run", "benchmark", "mtf", "info", "doctor"))
+STEPS = tuple(name for name in COMMANDS if name not in ("run", "mtf", "info", "doctor"))
 """Commands that write files, and can be steps of a run file."""
 
 # Options that are not called as the arguments of the library that they are for.

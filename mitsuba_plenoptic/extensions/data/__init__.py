@@ -1,11 +1,8 @@
-"""Extension `data`: data sets of random scenes, and the benchmark.
+"""Extension `data`: data sets of random scenes.
 
-The extension needs `onchip` for data sets of dual pixels, and `raw` to export the benchmark.
+Data sets of dual pixels need the extension `onchip`.
 """
 
 from ...extension import Extension
 
-EXTENSION = Extension(
-    modules={"dataset": "dataset", "benchmark": "benchmark"},
-    commands={"dataset": "dataset_command", "benchmark": "benchmark_command"},
-)
+EXTENSION = Extension(modules={"dataset": "dataset"}, commands={"dataset": "dataset_command"})

@@ -41,8 +41,6 @@ from .shards import (
 
 _log = logging.getLogger(__name__)
 
-Maker = Callable[[Recipe, int], Sample]
-
 
 @dataclass(frozen=True)
 class SampleTask:
@@ -52,7 +50,6 @@ class SampleTask:
     index: int
     # The file, which a worker elsewhere must see under the same name.
     path: Path
-    make: Maker
 
     @property
     def samples(self) -> int:
@@ -61,13 +58,7 @@ class SampleTask:
 
     def prepare(self) -> Callable[[], int]:
         """Return the function that renders and writes the sample and returns its index."""
-        return partial(_make, self.recipe, self.index, self.path, self.make)
-
-
-def describe_dataset(folder: Path, recipe: Recipe, made: DataSet) -> None:
-    """Write the data card and the preview of a data set."""
-    write_preview(folder / PREVIEW, made)
-    write_card(folder / CARD, recipe, made)
+        return partial(_make, self.recipe, self.index, self.path)
 
 
 def make_dataset(
@@ -76,8 +67,6 @@ def make_dataset(
     *,
     batch_map: BatchMap | None = None,
     progress: Progress | None = None,
-    make: Maker = make_sample,
-    describe: Callable[[Path, Recipe, DataSet], None] = describe_dataset,
 ) -> DataSet:
     """Make a data set, or resume an interrupted run with the same bits.
 
@@ -97,10 +86,6 @@ def make_dataset(
         process.
     progress : callable, optional
         Called with the samples that are done and their number.
-    make : callable, optional
-        Renders a sample from the recipe and its index. Default: `make_sample`.
-    describe : callable, optional
-        Writes the data card and the preview of the complete set; called with the folder, the recipe and the set.
 
     Returns
     -------
@@ -116,15 +101,15 @@ def make_dataset(
     _try_scenes(recipe)
     with locked(folder / LOCK, f"{folder}: another process is making this data set"):
         layout = claim(folder, recipe)
-        _produce(recipe, layout, batch_map, progress, make)
-        describe(folder, recipe, DataSet(folder))
+        _produce(recipe, layout, batch_map, progress)
+        made = DataSet(folder)
+        write_preview(folder / PREVIEW, made)
+        write_card(folder / CARD, recipe, made)
         write_checksums(folder / CHECKSUMS, layout)
     return DataSet(folder)
 
 
-def _produce(
-    recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, progress: Progress | None, make: Maker
-) -> None:
+def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, progress: Progress | None) -> None:
     # Whatever is there is compared with its digests before anything of it is dropped.
     finished = {
         number: whole_samples(layout.shard(number)).intersection(layout.members(number))
@@ -140,7 +125,7 @@ def _produce(
                 missing.append(index)
     _clear(layout, finished)
     done = recipe.count - len(missing)
-    tasks = [SampleTask(recipe, index, layout.sample(index), make) for index in missing]
+    tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
     results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
     waiting = set(missing)
 
@@ -172,9 +157,9 @@ def _as_recorded(layout: DataFolder, number: int, recorded: Mapping[str, str]) -
     return False
 
 
-def _make(recipe: Recipe, index: int, path: Path, make: Maker) -> int:
+def _make(recipe: Recipe, index: int, path: Path) -> int:
     with naming(f"sample {index}"):
-        write_samples(path, [make(recipe, index)])
+        write_samples(path, [make_sample(recipe, index)])
     return index
 
 

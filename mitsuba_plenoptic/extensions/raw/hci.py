@@ -119,19 +119,10 @@ def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> Plenoptic
     )
 
 
-def write_hci(
-    folder: Path,
-    lf: xr.DataArray,
-    depth: np.ndarray | None,
-    *,
-    name: str,
-    version: str = "",
-    white: float | None = None,
-) -> int:
+def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name: str) -> int:
     """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
-    The depth of the central view in millimetres is written, too, if known. The value `white` becomes white in the
-    pictures; the default is that of other pictures.
+    The depth of the central view in millimetres is written, too, if known.
     """
     camera = camera_of(lf)
     refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
@@ -139,7 +130,7 @@ def write_hci(
     refuse_if(lf.sizes["u"] != lf.sizes["v"], f"light field of {views} views: a folder has as many down as across")
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-    white = Brightness().peak([lf.values]) if white is None else white
+    white = Brightness().peak([lf.values])
     folder.mkdir(parents=True, exist_ok=True)
     for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
         colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
@@ -172,7 +163,7 @@ def write_hci(
         "scene": name,
         "category": "plenoptic",
         "date": "",
-        "version": version,
+        "version": "",
         "authors": "mitsuba_plenoptic",
         "contact": "",
         "disp_min": f"{low:.6g}",

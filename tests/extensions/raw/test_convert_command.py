@@ -83,8 +83,18 @@ def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run
         square = lf.values[middle - 7 : middle + 8, middle - 7 : middle + 8]
         known = to_bytes(lf.values[v, u], Brightness().peak([square]))
         assert (np.asarray(Image.open(pictures[number]))[..., 0] == known).all()
-    truth = np.frombuffer((folder / "gt_depth_lowres.pfm").read_bytes().split(b"\n", 3)[3], "<f4").reshape(8, 8)[::-1]
-    assert np.nanmin(truth) == pytest.approx(0.24, rel=1e-5)
+    maps = {}
+    for name in ("gt_depth_lowres", "gt_disp_lowres"):
+        head, size, scale, values = (folder / f"{name}.pfm").read_bytes().split(b"\n", 3)
+        assert (head, size, scale) == (b"Pf", b"8 8", b"-1")
+        maps[name] = np.frombuffer(values, "<f4").reshape(8, 8)[::-1]
+    depth, shift = maps.values()
+    np.testing.assert_allclose(1000 * depth, lf.depth.values[middle, middle], rtol=1e-5)
+    # The formula by which that benchmark turns depths, in metres, into disparities.
+    inside, outside = read["intrinsics"], read["extrinsics"]
+    factor = float(outside["baseline_mm"]) / 1000 * float(inside["focal_length_mm"]) * 8
+    factor /= float(inside["sensor_size_mm"])
+    np.testing.assert_allclose(shift, factor * (1 / depth - 1 / float(outside["focus_distance_m"])), atol=1e-4)
     back = tmp_path / "back.nc"
     assert run("convert", folder, "-o", back) == f"{back}: 15 x 15 views of 8 x 8 pixels\n"
     found, square = open_light_field(back), lf[middle - 7 : middle + 8, middle - 7 : middle + 8]

@@ -44,7 +44,7 @@ MORE = 1000
 """Samples for which time and memory are extrapolated."""
 
 PIXEL = 0.002
-"""Of the paper's camera, in millimetres, of which the benchmark's is a part."""
+"""Of the paper's camera, in millimetres, of which the data set's is a part."""
 
 COMPARED = 6
 
@@ -95,7 +95,7 @@ def data_set(output: Path, *, count: int = 100, size: int = 512, workers: int = 
 
 
 def recipe(count: int, size: int) -> dict[str, Any]:
-    """Return the recipe of the benchmark."""
+    """Return the recipe of the measured data set."""
     camera = {"detector_width": PIXEL * size, "resolution": [size, size], "focus_distance": {"from": 230, "to": 250}}
     return {
         "name": "dataset_benchmark",
