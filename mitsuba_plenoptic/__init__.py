@@ -19,7 +19,10 @@ noise of their light differs.
 
 # ruff: noqa: E402
 import importlib
-from typing import TYPE_CHECKING, Any
+import pkgutil
+from typing import Any
+
+import lazy_loader
 
 from .runtime import llvm
 
@@ -27,102 +30,40 @@ from .runtime import llvm
 llvm.choose()
 
 from . import plugins as plugins
-from . import served
+from . import public_modules as public_modules
 
-served.install()
-
-if TYPE_CHECKING:
-    from . import design as design
-    from . import shipped
-    from .camera import PlenopticCamera
-    from .camera.aperture import Aperture
-    from .camera.lens_transmissions import LensTransmissions
-    from .camera.phase_screen import PhaseScreen, frozen_flow
-    from .camera.vignetting import Vignetting
-    from .errors import InputError
-    from .io.captures import Capture, read_capture, read_raw, write_capture, write_raw
-    from .io.checkpoints import Checkpoint
-    from .io.examples import example, example_truth
-    from .io.truth_files import GroundTruth, read_ground_truth, write_ground_truth
-    from .lenses.lens_system import LensSystem
-    from .light.detector import Detector, expose
-    from .light.render_capture import estimate_capture, render_capture
-    from .light.scene import load_scene
-    from .optics.guards import PhysicsError, PhysicsWarning
-    from .optics.spectrum import Spectrum
-    from .plugins.other_camera import with_camera
-    from .points.operator import CaptureOperator
-    from .points.point_spread import point_spread_function
-    from .prescription import Prescription
-    from .prescription.lens_file import read_prescription
-    from .prescription.objective import Objective
-    from .refocus import Reconstruction, estimate_reconstruction, reconstruct
-    from .runtime.batches import Cluster, Job
-    from .runtime.progress import progress_bar
-    from .scene_files import scene_path
-    from .shipped import *  # noqa: F403
-    from .views import decode, ground_truth
-
-    __all__ = [
-        "Aperture",
-        "Capture",
-        "CaptureOperator",
-        "Checkpoint",
-        "Cluster",
-        "Detector",
-        "GroundTruth",
-        "InputError",
-        "Job",
-        "LensSystem",
-        "LensTransmissions",
-        "Objective",
-        "PhaseScreen",
-        "PhysicsError",
-        "PhysicsWarning",
-        "PlenopticCamera",
-        "Prescription",
-        "Reconstruction",
-        "Spectrum",
-        "Vignetting",
-        "decode",
-        "estimate_capture",
-        "estimate_reconstruction",
-        "example",
-        "example_truth",
-        "expose",
-        "frozen_flow",
-        "ground_truth",
-        "load_scene",
-        "point_spread_function",
-        "progress_bar",
-        "read_capture",
-        "read_ground_truth",
-        "read_prescription",
-        "read_raw",
-        "reconstruct",
-        "render_capture",
-        "scene_path",
-        "with_camera",
-        "write_capture",
-        "write_ground_truth",
-        "write_raw",
-    ]
-    __all__ += shipped.__all__
-
-    __version__: str
+# Public names stand in `__init__.pyi`.
+_of_stub, _, _in_stub = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __dir__() -> list[str]:
+    from .extension import entries, missing
+
+    added = {name for kind in ("names", "modules") for _, name, _ in entries(kind) if "." not in name}
     dunders = {name for name in globals() if name.startswith("__")}
-    return sorted({*served.public_names(), *served.modules(), *dunders, "__all__", "__version__"})
+    return sorted({*(name for name in _in_stub if not missing("names", name)), *added, *dunders, "__version__"})
 
 
 def __getattr__(name: str) -> Any:
+    from .errors import did_you_mean
+    from .extension import entries, missing, place
+
+    modules = {key for _, key, _ in entries("modules")} | {each.name for each in pkgutil.iter_modules(__path__)}
     if name == "__version__":
         found = importlib.import_module("importlib.metadata").version("mitsuba-plenoptic")
     elif name == "__all__":
-        return served.public_names()
+        return [each for each in __dir__() if each not in modules and not each.startswith("__")]
+    elif absent := missing("modules", name):
+        raise AttributeError(absent)
+    elif name in modules:
+        found = importlib.import_module(f"{__name__}.{name}")
+    elif name in _in_stub:
+        found = _of_stub(name)
     else:
-        found = served.attribute(name)
+        added = [place(package, text) for package, key, text in entries("names") if key == name]
+        if not added:
+            public = [each for each in __dir__() if not each.startswith("__")]
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}{did_you_mean(name, public)}")
+        found = added[0]
     # From the second time on Python finds it in the module itself.
     return globals().setdefault(name, found)

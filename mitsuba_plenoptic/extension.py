@@ -17,7 +17,6 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from .errors import InputError, refuse_if
-from .shipped import SHIPPED
 
 GROUP = "mitsuba_plenoptic.extensions"
 """Name of the entry point group of extensions in other packages, and of the package of the shipped ones."""
@@ -50,8 +49,9 @@ class Extension:
 
     Parameters
     ----------
-    names : mapping of str to tuple of str
-        Public names of `mitsuba_plenoptic`, by the modules that define them; ``refocus.name`` is one of a subpackage.
+    names : mapping of str to str
+        Public names that other packages add to `mitsuba_plenoptic`, or to its `refocus` as ``refocus.name``, and the
+        places of the objects. Those of shipped extensions stand in ``mitsuba_plenoptic/__init__.pyi``.
     modules : mapping of str to str
         Public modules of `mitsuba_plenoptic`, such as ``torch``, and the modules that they are.
     commands : mapping of str to str
@@ -66,42 +66,33 @@ class Extension:
         Names of known cameras, and the places of dictionaries that have their parameters by these names.
     plugins : mapping of str to str
         Modules of plugins for Mitsuba, with ``NAME`` and ``make_class``, and their kind, sensor or integrator.
-    captures : mapping of str to str
-        Kinds of cameras whose scenes the core's signed rays cannot capture, such as ``small lenses``, and the places of
-        functions of a camera, its light, the colours and the accuracy, which return their wave capture.
     methods : mapping of str to str
         Methods of reconstruction, and the modules that register them by `refocus.methods.method`.
-    lenses : mapping of str to str
-        Kinds of main lenses, and the modules that register them by `lenses.common.builds`.
-    cameras : mapping of str to str
-        Programs whose JSON files of cameras are read, and the places of functions of such a file's object that return
-        the camera.
     generators : mapping of str to str
         Generators of the samples of data sets, by the names that recipes call them, and the places of their classes.
     displays : mapping of str to str
         Classes whose objects notebooks show with a picture or a table, such as ``Capture``, and the places of functions
         of such an object that return its HTML.
-    comparisons : mapping of str to str
-        Options of ``compare`` that take the place of a scene, and the places of the functions that they call.
+    hooks : mapping of str to str
+        Places of functions that the core calls where they are installed: ``small lenses``, the wave capture of a
+        camera, its light, the colours and the accuracy; ``libpleno``, the camera of the object in such a file;
+        ``--real``, what ``compare`` does with a real light field.
     formats : mapping of str to FileFormat
         Suffixes of files, such as ``.lfr``, or the name of a file in each folder, such as ``parameters.cfg``, and how
         they are read and written.
     """
 
-    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
     modules: Mapping[str, str] = field(default_factory=dict)
     commands: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, str] = field(default_factory=dict)
     responses: Mapping[str, str] = field(default_factory=dict)
     presets: Mapping[str, str] = field(default_factory=dict)
     plugins: Mapping[str, str] = field(default_factory=dict)
-    captures: Mapping[str, str] = field(default_factory=dict)
     methods: Mapping[str, str] = field(default_factory=dict)
-    lenses: Mapping[str, str] = field(default_factory=dict)
-    cameras: Mapping[str, str] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
     displays: Mapping[str, str] = field(default_factory=dict)
-    comparisons: Mapping[str, str] = field(default_factory=dict)
+    hooks: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, FileFormat] = field(default_factory=dict)
 
 
@@ -131,18 +122,18 @@ def entries(kind: str) -> Iterator[tuple[str, str, Any]]:
             yield package, key, value
 
 
-def entry_of(kind: str, key: str, what: str) -> Any:
-    """Return the object that a mapping of the records, such as ``commands``, names for a key.
+def hook(key: str, what: str) -> Any:
+    """Return the function that the records name for a key under ``hooks``.
 
     Raises
     ------
     InputError
-        If no extension has the entry; `what` begins the line.
+        If no extension has it; `what` begins the line.
     """
-    for package, found, text in entries(kind):
+    for package, found, text in entries("hooks"):
         if found == key:
             return place(package, text)
-    raise InputError(f"{what}: {missing(kind, key) or f'no extension has {key}'}")
+    raise InputError(f"{what}: {missing('hooks', key) or f'no extension has {key}'}")
 
 
 class Displayed:
@@ -155,13 +146,6 @@ class Displayed:
             if name == type(self).__name__:
                 return str(place(package, text)(self))
         return None
-
-
-def register(kind: str) -> None:
-    """Import the modules listed under ``methods`` or ``lenses`` of the records, which register themselves."""
-    for package, record in installed().items():
-        for module in getattr(record, kind).values():
-            importlib.import_module(f"{package}.{module}")
 
 
 def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[str, str] | None:
@@ -182,10 +166,54 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 GONE = {"benchmark": "a recipe of a data set serves instead (docs/datasets.md)"}
 """Commands and modules of version 1.0 that are gone, and what serves instead."""
 
+MOVED = {
+    "system": "light",
+    "capture": "light",
+    "reconstruction": "refocus",
+    "operator": "points",
+    "lightfield": "views",
+    "lens_data": "prescription.lens_data",
+    "phase_screen": "camera.phase_screen",
+    "detector": "light.detector",
+    "sharpness": "extensions.sharpness.sharpness",
+    "objective": "prescription.objective",
+    "collimator": "prescription.collimator",
+    "focusing": "extensions.lensdesign.focusing",
+}
+"""Modules of version 1.0, and what they are called now."""
+
+SHIPPED = {
+    "calibrate": ("calibrate", "calibration", "photon_transfer", "libpleno"),
+    "data": ("dataset",),
+    "deconvolution": ("incoherent", "deconvolved"),
+    "inverse": (
+        "fit", "StoredOperator", "volume_points", "refocus.CoherentRefocus", "refocus.DeconvolvedRefocus",
+        "refocus.RayRefocus", "fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax",
+    ),
+    "laser": ("laser", "plenoptic_laser"),
+    "lensdesign": ("focus_by_group", ".zmx", ".seq"),
+    "onchip": (
+        "bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank", "onchip", "dual", "small lenses",
+        "photodiode_response", "full_frame_dual", "phone_quad", "phone_quad_bayer",
+    ),
+    "paper": ("reproduce",),
+    "particles": ("particles",),
+    "prediction": ("--real",),
+    "raw": ("demosaic", "exchange", ".lfp", ".lfr", ".raw", "parameters.cfg", ".mat"),
+    "sharpness": ("EdgeSharpness", "edge_sharpness", "mtf"),
+    "studio": ("Viewer", "view", "preview", "sweep", "run"),
+    "wavefront": ("wavefront", "far_sources", "hcipy"),
+}  # fmt: skip
+"""What the shipped extensions add, so that one that is not installed is named."""
+
 
 def missing(kind: str, name: str) -> str:
     """Return the line on what is gone, or on a shipped extension that has it and is not installed; else no text."""
     if kind in ("commands", "modules") and name in GONE:
         return f"{name}: it is gone since version 2.0; {GONE[name]}"
-    owner = SHIPPED[kind].get(name)
-    return f"{name}: extension {owner} is not installed" if owner and f"{GROUP}.{owner}" not in installed() else ""
+    if kind == "modules" and name in MOVED:
+        return f"mitsuba_plenoptic.{name} is called mitsuba_plenoptic.{MOVED[name]} since version 2.0"
+    for owner, names in SHIPPED.items():
+        if name in names and f"{GROUP}.{owner}" not in installed():
+            return f"{name}: extension {owner} is not installed"
+    return ""

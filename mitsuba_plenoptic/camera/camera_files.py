@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing
-from ..extension import entry_of
+from ..extension import hook
 from ..presets import PRESETS
 from ..runtime.files import parse_yaml, read_text, read_yaml, require_size
 from .plenoptic_camera import PlenopticCamera
@@ -42,7 +42,7 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
     with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
         values = json.loads(text)
     if isinstance(values, dict) and set(values) >= _LIBPLENO:
-        read = entry_of("cameras", "libpleno", str(path))
+        read = hook("libpleno", str(path))
         with naming(path):
             return read(values), None
     with naming(path):

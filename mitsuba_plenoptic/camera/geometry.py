@@ -363,9 +363,6 @@ class CameraGeometry(CameraParameters):
         return self.lens_data.bin_size(self, distance)
 
 
-SMALL_LENSES = "small lenses"
-"""Kind of cameras, in the records of extensions, whose pitch is below 20 wavelengths."""
-
 _SMALLEST = 20.0
 """Pitch in wavelengths below which paraxial kernels do not hold."""
 

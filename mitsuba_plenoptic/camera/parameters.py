@@ -45,9 +45,6 @@ from .lens_transmissions import LensTransmissions, known_transmissions
 from .phase_screen import PhaseScreen, known_screen
 from .vignetting import Vignetting, known_vignetting
 
-if TYPE_CHECKING:
-    from ..shipped import ShippedParameters
-
 LENS_MODELS = ("ideal", "parabolic")
 
 MOST_APODISATION = 4.0
@@ -581,8 +578,10 @@ class CoreParameters:
 if TYPE_CHECKING:
 
     @record
-    class CameraParameters(CoreParameters, ShippedParameters):
-        """The parameters of one camera, with their values."""
+    class CameraParameters(CoreParameters):
+        """The parameters of one camera, with their values; of the extensions' those that are shipped."""
+
+        photodiode_response: Parameter[Any, Any]
 
 else:
     _added = {name: place(package, text) for package, name, text in entries("parameters")}

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InputError, refuse_if, require_count
-from ..extension import entry_of
+from ..extension import hook
 from .choices import AGAINST
 from .inputs import (
     CameraFile,
@@ -102,7 +102,7 @@ def compare(
         missing = None in (white, dark, known, wavelength)
         refuse_if(missing, "--real: give --white, --dark, --camera and --wavelength, too")
         with stage_lines(resume) as stages:
-            entry_of("comparisons", "real", "--real")(
+            hook("--real", "--real")(
                 real, output, known, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
             )
         return

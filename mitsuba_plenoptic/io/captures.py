@@ -38,7 +38,6 @@ from ..errors import (
 from ..extension import Displayed, format_of, place
 from ..runtime.backend import as_pixels
 from ..runtime.files import atomic_output, require_writable
-from ..served import attribute
 from .exr import read_attributes, read_exr, read_pixels, write_exr
 from .pictures import KEY, StoredPicture, read_numbers
 from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
@@ -138,7 +137,9 @@ class Capture(Displayed):
         Viewer
             ``save(path)`` writes the page.
         """
-        return attribute("view")(self, *others, title=title)
+        import mitsuba_plenoptic
+
+        return mitsuba_plenoptic.view(self, *others, title=title)
 
     @property
     def relative_noise(self) -> float | None:

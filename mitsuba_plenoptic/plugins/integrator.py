@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera, has_small_lenses
 from ..camera.entry import Captures
-from ..camera.geometry import SMALL_LENSES
 from ..camera.plenoptic_camera import require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
-from ..extension import entry_of
+from ..extension import hook
 from ..light import colour
 from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
@@ -310,7 +309,7 @@ def make_class() -> type:
             require_known_to(camera, Captures.SCENES, "signed rays are followed", "use ray captures, or ")
             if has_small_lenses(camera, max(colours.spectrum.wavelengths)):
                 what = f"{NAME}: mla_pitch = {camera.mla_pitch:g}"
-                return entry_of("captures", SMALL_LENSES, what)(camera, light, colours, self.accuracy)
+                return hook("small lenses", what)(camera, light, colours, self.accuracy)
             return SignedCapture(camera, light, colours, self.accuracy)
 
         def parameters(self) -> dict[str, Any]:

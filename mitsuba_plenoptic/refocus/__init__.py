@@ -3,9 +3,11 @@
 A new method is a module with a function that `methods.method` registers, imported here or named by an extension.
 """
 
+import importlib
 from typing import Any
 
-from ..extension import register
+from ..errors import did_you_mean
+from ..extension import entries, missing, place
 from ..refocus_options import FOOTPRINTS, RESPONSES
 
 # in the order in which help and messages name them
@@ -15,14 +17,18 @@ from .estimates import estimate_reconstruction
 from .methods import METHODS
 from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
 
-register("methods")
+# Modules that register methods.
+for _package, _, _module in entries("methods"):
+    importlib.import_module(f"{_package}.{_module}")
 
 
 def __getattr__(name: str) -> Any:
     """Return an object that an extension adds to this package, such as `CoherentRefocus`."""
-    from ..served import attribute
-
-    return attribute(f"refocus.{name}")
+    for package, added, text in entries("names"):
+        if added == f"refocus.{name}":
+            return place(package, text)
+    absent = missing("names", f"refocus.{name}")
+    raise AttributeError(absent or f"module {__name__!r} has no attribute {name!r}{did_you_mean(name, __all__)}")
 
 
 __all__ = [

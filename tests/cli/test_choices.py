@@ -59,13 +59,12 @@ LIGHT = {
     "mitsuba_plenoptic.extension",
     "mitsuba_plenoptic.plugins",
     "mitsuba_plenoptic.presets",
+    "mitsuba_plenoptic.public_modules",
     "mitsuba_plenoptic.refocus_options",
     "mitsuba_plenoptic.runtime",
     "mitsuba_plenoptic.runtime.llvm",
     "mitsuba_plenoptic.runtime.progress",
     "mitsuba_plenoptic.scene_files",
-    "mitsuba_plenoptic.served",
-    "mitsuba_plenoptic.shipped",
 }
 """What the help of commands may import of this package, beside the modules of the command."""
 

@@ -187,8 +187,7 @@ def test_doctor_prints_json_alone(capfd, monkeypatch):
 # What may be imported before a value is refused that can be judged without the library.
 BEFORE_A_REFUSAL = {"", "runtime", "runtime.llvm", "runtime.progress", "plugins", "cli", "errors", "presets"}
 BEFORE_A_REFUSAL |= {
-    "served",
-    "shipped",
+    "public_modules",
     "extension",
     "extensions.onchip.cameras",
     "cli.stages",

@@ -6,8 +6,7 @@ Centres of LFToolbox need the extension `raw`.
 from ...extension import Extension
 
 EXTENSION = Extension(
-    names={"calibration": ("calibrate",), "photon_transfer": ("photon_transfer",)},
     modules={"calibration": "calibration"},
-    cameras={"libpleno": "calibrated_cameras:libpleno_camera"},
+    hooks={"libpleno": "calibrated_cameras:libpleno_camera"},
     commands={"calibrate": "calibrate_command"},
 )

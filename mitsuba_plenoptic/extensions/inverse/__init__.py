@@ -7,10 +7,7 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     names={
-        "fitting": ("fit",),
-        "stored": ("StoredOperator",),
-        "volume_points": ("volume_points",),
-        "differentiable": ("refocus.CoherentRefocus", "refocus.DeconvolvedRefocus", "refocus.RayRefocus"),
+        f"refocus.{name}": f"differentiable:{name}" for name in ("CoherentRefocus", "DeconvolvedRefocus", "RayRefocus")
     },
     modules={name: name for name in ("fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax")},
     commands={"fit": "fit_command"},

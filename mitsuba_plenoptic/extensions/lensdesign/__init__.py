@@ -3,7 +3,6 @@
 from ...extension import Extension, FileFormat
 
 EXTENSION = Extension(
-    names={"focusing": ("focus_by_group",)},
     formats={
         ".zmx": FileFormat("lens", "zemax_file:read_zemax"),
         ".seq": FileFormat("lens", "codev_file:read_codev"),

@@ -6,11 +6,10 @@ Banks of point spreads by rays (`psf_bank`) need the extension `inverse`.
 from ...extension import Extension
 
 EXTENSION = Extension(
-    names={"onchip": ("bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank")},
     modules={"onchip": "onchip"},
     commands={"dual": "dual_command"},
     parameters={"photodiode_response": "parameter:PHOTODIODE_RESPONSE"},
     responses={"photodiode_response": "photodiode_table:PhotodiodeTable"},
     presets=dict.fromkeys(("full_frame_dual", "phone_quad", "phone_quad_bayer"), "cameras:CAMERAS"),
-    captures={"small lenses": "responses:response_capture"},
+    hooks={"small lenses": "responses:response_capture"},
 )

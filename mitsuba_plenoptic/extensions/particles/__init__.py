@@ -6,7 +6,7 @@ Images by rays, and tracking, need the extension `inverse`.
 from ...extension import Extension
 
 EXTENSION = Extension(
-    modules={"particles": "velocimetry"},
+    modules={"particles": "particles"},
     commands={"particles": "particles_command"},
     generators={"particles": "particle_pairs:ParticlePairs"},
 )

@@ -5,4 +5,4 @@ Cameras are fitted by the extension `calibrate`.
 
 from ...extension import Extension
 
-EXTENSION = Extension(comparisons={"real": "real_command:compare_real"})
+EXTENSION = Extension(hooks={"--real": "real_command:compare_real"})

@@ -6,7 +6,6 @@ White pictures of mosaics need the extension `inverse`.
 from ...extension import Extension, FileFormat
 
 EXTENSION = Extension(
-    names={"demosaic": ("demosaic",)},
     modules={"exchange": "exchange"},
     commands={"demosaic": "demosaic_command"},
     formats={

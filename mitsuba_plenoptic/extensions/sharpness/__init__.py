@@ -2,4 +2,4 @@
 
 from ...extension import Extension
 
-EXTENSION = Extension(names={"sharpness": ("EdgeSharpness", "edge_sharpness")}, commands={"mtf": "mtf_command"})
+EXTENSION = Extension(commands={"mtf": "mtf_command"})

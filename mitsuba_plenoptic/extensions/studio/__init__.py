@@ -3,7 +3,6 @@
 from ...extension import Extension
 
 EXTENSION = Extension(
-    names={"viewer": ("Viewer", "view")},
     commands={"preview": "preview_command", "view": "view_command", "sweep": "sweep_command", "run": "run_command"},
     displays={
         "Capture": "thumbnails:show_capture",
