@@ -47,6 +47,8 @@ MERGED = {
     "start/compare": ["howto/compare"],
     "start/own_scene": ["howto/own_scene"],
     "guides/other_programs": ["peers", "which_tool", "coming_from"],
+    "guides/datasets": ["benchmark"],
+    "guides/long_runs": ["howto/run_files"],
     "reference/models": ["models"],
     "reference/numbers": ["numbers"],
     "reference/changelog": ["changelog", "upgrading"],

@@ -163,8 +163,12 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
     return None
 
 
-GONE = {"benchmark": "a recipe of a data set serves instead (docs/datasets.md)"}
-"""Commands and modules of version 1.0 that are gone, and what serves instead."""
+GONE = {
+    "benchmark": "a recipe of a data set serves instead (docs/guides/datasets.md)",
+    "run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
+    "--save-run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
+}
+"""Commands, options and modules of version 1.0 that are gone, and what serves instead."""
 
 MOVED = {
     "system": "light",
@@ -201,7 +205,7 @@ SHIPPED = {
     "prediction": ("--real",),
     "raw": ("demosaic", "exchange", ".lfp", ".lfr", ".raw", "parameters.cfg", ".mat"),
     "sharpness": ("EdgeSharpness", "edge_sharpness", "mtf"),
-    "studio": ("Viewer", "view", "preview", "sweep", "run"),
+    "studio": ("Viewer", "view", "preview", "sweep"),
     "wavefront": ("wavefront", "far_sources", "hcipy"),
 }  # fmt: skip
 """What the shipped extensions add, so that one that is not installed is named."""

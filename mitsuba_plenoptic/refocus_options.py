@@ -1,8 +1,7 @@
 """Options of single reconstruction methods, each declared once as a field of `MethodOptions`.
 
-The signature and docstring of `mitsuba_plenoptic.reconstruct`, its checks, the options of ``mitsuba-plenoptic
-reconstruct`` with their help, and the keys of run files follow from these fields. Help reads this module, which imports
-no library.
+The signature and docstring of `mitsuba_plenoptic.reconstruct`, its checks, and the options of ``mitsuba-plenoptic
+reconstruct`` with their help follow from these fields. Help reads this module, which imports no library.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def test_modules_of_1_0_say_what_they_are_called_now(python, former, now):
 
 
 def test_what_is_gone_says_what_serves_instead(capsys):
-    line = "benchmark: it is gone since version 2.0; a recipe of a data set serves instead (docs/datasets.md)"
+    line = "benchmark: it is gone since version 2.0; a recipe of a data set serves instead (docs/guides/datasets.md)"
     with pytest.raises(AttributeError, match=re.escape(line)):
         _ = mitsuba_plenoptic.benchmark
     with pytest.raises(ModuleNotFoundError, match=re.escape(line)):

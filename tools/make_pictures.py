@@ -469,20 +469,6 @@ def preview() -> Image.Image:
 
 
 @picture
-def run_files() -> Image.Image:
-    """Show what the page's study writes, from the captures that come with the package."""
-    light_field = mp.decode(mp.example("letters-ray"))
-    found = mp.reconstruct(mp.example("letters-wave"), [210, 240, 280], method="partial")
-    depth = mp.views.depth_map(light_field)["depth"].values
-    views = mp.views.view_mosaic(mp.views.pick_views(light_field, 5))
-    panels = [(f"wave.pdf, {one.distance:g} mm", one.image) for one in found]
-    white = Brightness().peak([one.image for one in found])
-    depths = ("depth.exr", coloured(depth, 200, 290))
-    views = to_bytes(np.nan_to_num(views), Brightness().peak([np.nan_to_num(views)]))
-    return sheet([[*panels, depths, ("views.png, 5 x 5", views)]], white)
-
-
-@picture
 def dual_pixel() -> Image.Image:
     """Show the pictures of both photodiodes of a telephone's camera, overlaid, and the disparity."""
     camera = mp.PlenopticCamera.preset("phone_quad")

@@ -45,9 +45,6 @@ COMMANDS = {
     }.items()
 } | {name: f"{package}.{module}" for package, name, module in entries("commands")}
 
-STEPS = tuple(name for name in COMMANDS if name not in ("run", "mtf", "info", "doctor"))
-"""Commands that write files, and can be steps of a run file."""
-
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
 
@@ -104,7 +101,6 @@ def _command() -> typer.Typer:
 def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
     """Return the command with the named subcommands only, since loading all of them would take a second."""
     from .judging import judging
-    from .run_file import recorded
 
     made = _command()
     for name in names:
@@ -112,8 +108,7 @@ def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
         if isinstance(command, typer.Typer):
             made.add_typer(command, name=name)
         else:
-            judged = judging(command)
-            made.command(name)(recorded(judged, step_commands) if name in STEPS else judged)
+            made.command(name)(judging(command))
     return made
 
 
@@ -191,12 +186,6 @@ def _be_quiet() -> None:
     warnings.showwarning = lambda *_, **__: None
 
 
-def step_commands() -> dict[str, Any]:
-    """Return the commands that can be steps of a run file, by name."""
-    group: Any = typer.main.get_command(command_line(STEPS))
-    return dict(group.commands)
-
-
 def __getattr__(name: str) -> Any:
     if name == "app":
         return command_line()
@@ -260,6 +249,8 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
     if not _is_usage(error):
         return None
     unknown = getattr(error, "option_name", "")
+    if gone := missing("commands", unknown):
+        return gone
     if hasattr(error, "possibilities"):
         rule = relation(unknown.strip("-").replace("-", "_"))
         return f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))

@@ -36,7 +36,7 @@ class Judged:
 
 
 def judging(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that checks its option values when it is called, not when a run file is parsed."""
+    """Return a command that checks its option values when it is called."""
     parameters = inspect.signature(function, eval_str=True).parameters
     judges = []
     for name, parameter in parameters.items():

@@ -35,25 +35,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class FilesUsed:
-    """The files read and written within `files_used`, by absolute path."""
+    """The files that a step has read and written, by absolute path."""
 
     read: set[Path] = field(default_factory=set)
     written: set[Path] = field(default_factory=set)
-
-
-_used: FilesUsed | None = None
-"""What files are noted in; of the process, as threads that compute read files, too."""
-
-
-@contextlib.contextmanager
-def files_used() -> Iterator[FilesUsed]:
-    """Collect the files that this process reads and writes by the functions of this module."""
-    global _used
-    before, _used = _used, FilesUsed()
-    try:
-        yield _used
-    finally:
-        _used = before
 
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:
@@ -105,8 +90,6 @@ def require_file(path: str | Path) -> Path:
     refuse_if(not regular, f"{path}: {what if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
     _log.debug("%s: read", path)
-    if _used is not None:
-        _used.read.add(path.absolute())
     return path
 
 
@@ -153,8 +136,6 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
                 raise
             temporary.replace(path)
             _log.debug("%s: written", path)
-            if _used is not None:
-                _used.written.add(path.absolute())
     except (OSError, RuntimeError) as error:
         named = str(getattr(error, "filename", None) or "")
         ours = f".{path.name}." in f"{named}{error}" or (isinstance(error, OSError) and not named)

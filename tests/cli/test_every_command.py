@@ -18,6 +18,7 @@ from stopped_runs import start_command
 from test_imports import loaded
 
 from mitsuba_plenoptic.cli import COMMANDS, app, commands_of, main, render_command
+from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.runtime import progress
 
 STUDIO, SHARPNESS = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness"))
@@ -27,6 +28,19 @@ STUDIO, SHARPNESS = (pytest.mark.needs_extension(name) for name in ("studio", "s
 def test_every_command_can_be_quiet_and_verbose(name, run):
     assert re.search(r"--quiet +-q", said := run(*name.split(), "--help")) and re.search(r"--verbose +-v", said)
     assert name.split()[0] in COMMANDS
+
+
+def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
+    kept = {resume: checkpoint_of(tmp_path / "a.exr", resume) for resume in (False, True)}
+    assert kept[False].existing == "resume_if_same" and kept[True].existing == "resume"
+    assert kept[True].path == tmp_path / "a.exr.checkpoint"
+    texts = {
+        option.help
+        for _, command in commands_of(typer.main.get_command(app))
+        for option in command.params
+        if "--resume" in option.opts
+    }
+    assert len(texts) == 1
 
 
 def test_a_quiet_command_prints_results_and_errors_alone(raw, tmp_path, capfd, monkeypatch):
@@ -196,7 +210,6 @@ BEFORE_A_REFUSAL |= {
     "cli.choices",
     "cli.inputs",
     "cli.judging",
-    "cli.run_file",
     "cli.stopping",
 }
 

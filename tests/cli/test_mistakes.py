@@ -21,6 +21,7 @@ from mitsuba_plenoptic.views.light_field_files import open_light_field
     ("line", "words"),
     [
         ("nosuch", "nosuch"),
+        ("render letters -o {out}.exr --save-run a.yaml", "Makefile or Snakemake"),
         ("render", "scene"),
         ("render letters", "output"),
         ("render letters -o {out}.exr --nosuch", "--nosuch"),

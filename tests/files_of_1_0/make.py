@@ -77,8 +77,7 @@ def make(folder: Path) -> None:
     os.chdir(folder)
     assert mp.__version__ == "1.0.0"
     run("render", "letters", "-o", "ray.exr", "--spp", "4", *SIZE)
-    run("render", "letters", "-o", "wave.exr", *WAVE, "--aov", "depth", *SIZE, "--save-run", "run.yaml")
-    run("depth", "wave.exr", "-o", "depth.png", "--save-run", "run.yaml")
+    run("render", "letters", "-o", "wave.exr", *WAVE, "--aov", "depth", *SIZE)
     run("expose", "wave.exr", "-o", "wave.png", "--photons", "1000")
     render("small_lenses.exr", "phone_quad")
     render("real_lens.exr", "paper_double_gauss")

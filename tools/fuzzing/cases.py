@@ -263,9 +263,7 @@ KINDS = tuple(
         read_as($text, edits=[(0, 0, <<b'\xff\xfe' | b'\xfe\xff' | b'\xef\xbb\xbf' | b'\r' | b'\x1f\x8b'>>)])
         read_as($text, TEXTS[$text][0].encode(<<'utf-16' | 'utf-32' | 'cp037' | 'utf-7'>>))
         ! command('info', holding(<<'a.json' | 'a.yaml' | 'a.zmx' | 'a.seq' | 'a.xml' | 'a.lfp' | 'a.exr'>>, $bytes))
-        ! command('run', holding('a.yaml', b'\xff' + $bytes))
         ! command('dataset', holding('a.yaml', b'\xff' + $bytes), '-o', 'out')
-        ! command('info', 'letters', '-D', 'resolution=64', '--save-run', holding('a.yaml', b'\xff' + $bytes))
 
     8 MAT, HDF5, PNG: damaged bytes
         open_light_field(damaged(<<'uint8.mat' | 'uint16.mat' | 'single.mat'>>, $edits))

@@ -203,7 +203,7 @@ def damaged(name: str, edits: list[tuple[int, int, bytes]]) -> str:
 
 
 def read_as(name: str, content: bytes | None = None, edits: Sequence[tuple[int, int, bytes]] = ()) -> None:
-    """Read a file of text by the reader of its name, or as a camera, a scene and a run file at the command.
+    """Read a file of text by the reader of its name, or as a camera and a scene at the command.
 
     It holds a whole text, other content, or a text with bytes replaced, as for `damaged`.
     """

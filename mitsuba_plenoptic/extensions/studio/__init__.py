@@ -1,9 +1,9 @@
-"""Extension `studio`: the viewer, previews, sweeps of parameters, run files, and what notebooks show."""
+"""Extension `studio`: the viewer, previews, sweeps of parameters, and what notebooks show."""
 
 from ...extension import Extension
 
 EXTENSION = Extension(
-    commands={"preview": "preview_command", "view": "view_command", "sweep": "sweep_command", "run": "run_command"},
+    commands={"preview": "preview_command", "view": "view_command", "sweep": "sweep_command"},
     displays={
         "Capture": "thumbnails:show_capture",
         "PlenopticCamera": "thumbnails:show_camera",
