@@ -167,6 +167,8 @@ GONE = {
     "benchmark": "a recipe of a data set serves instead (docs/guides/datasets.md)",
     "run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
     "--save-run": "a Makefile or Snakemake serves instead (docs/guides/long_runs.md)",
+    "--fit": "preview says which distances refocusing makes sharp, and info --fix mends a camera",
+    "--overview": "napari and ImageJ show the file of the volume",
 }
 """Commands, options and modules of version 1.0 that are gone, and what serves instead."""
 
@@ -213,7 +215,7 @@ SHIPPED = {
 
 def missing(kind: str, name: str) -> str:
     """Return the line on what is gone, or on a shipped extension that has it and is not installed; else no text."""
-    if kind in ("commands", "modules") and name in GONE:
+    if kind in ("commands", "modules", "options") and name in GONE:
         return f"{name}: it is gone since version 2.0; {GONE[name]}"
     if kind == "modules" and name in MOVED:
         return f"mitsuba_plenoptic.{name} is called mitsuba_plenoptic.{MOVED[name]} since version 2.0"

@@ -30,7 +30,7 @@ WRONG = re.compile(
     r"|pip install "
 )
 EXTRAS = {
-    "matlab": "h5py", "calibration": "cv2", "video": "imageio_ffmpeg", "sweep": "h5netcdf", "dataset": "h5py",
+    "matlab": "h5py", "calibration": "cv2", "sweep": "h5netcdf", "dataset": "h5py",
     "torch": "torch", "jax": "jax", "lenses": "optiland", "ao": "hcipy", "distributed": "distributed",
 }  # fmt: skip
 """A module of each extra, by which it is known to be installed."""

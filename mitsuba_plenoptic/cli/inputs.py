@@ -178,7 +178,7 @@ Scale = Annotated[
     int | None,
     numeric(
         "Of plain pictures: pixels that a bin is wide.",
-        "as many as fit in 960 pixels, at least 1; in 480 for .gif and .mp4",
+        "as many as fit in 960 pixels, at least 1; in 480 for .gif",
     ),
 ]
 

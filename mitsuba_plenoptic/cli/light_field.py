@@ -39,7 +39,7 @@ def views(
         output_option(
             "FILE",
             "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled "
-            "grid if in .pdf, a tour round the pupil if in .gif or .mp4.",
+            "grid if in .pdf, a tour round the pupil if in .gif.",
         ),
         ends_in(*PICTURES, *ANIMATED),
     ],
@@ -149,7 +149,7 @@ def stack(
         output_option(
             "FILE",
             "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
-            "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif or .mp4.",
+            "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif.",
         ),
         ends_in(*PICTURES, *ANIMATED),
     ],

@@ -40,8 +40,6 @@ from .stopping import Resume, checkpoint_of, stopped_by_hand
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
-    from ..refocus import Reconstruction
-    from ..report.images import Drawing
 
 
 def _with_method_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -104,16 +102,6 @@ def reconstruct(
             help="A capture or picture of a white scene by the same camera; the result is divided by it.",
         ),
     ] = None,
-    overview: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.png",
-            help="Write a picture of all distances, too: maximum projections, slices through the brightest voxel, and "
-            "depth as colour.",
-            rich_help_panel=EXPERT,
-        ),
-        ends_in(".png"),
-    ] = None,
     resume: Resume = False,
     workers: Annotated[
         int | None,
@@ -173,12 +161,12 @@ def reconstruct(
     from ..refocus.methods import registered, used_by
     from ..refocus.results import SUFFIXES, require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
-    from ..runtime.files import require_apart, require_different, require_writable
+    from ..runtime.files import require_apart
     from ..runtime.limits import GIB
 
     chosen = registered(method)
     if estimate:
-        refused = {"overview": overview, "resume": resume, "workers": workers, "scheduler": scheduler}
+        refused = {"resume": resume, "workers": workers, "scheduler": scheduler}
         for name in (name for name, value in refused.items() if value):
             raise InputError(f"--{name}: an estimate does not take it; leave it out")
     elif output is None:
@@ -204,15 +192,12 @@ def reconstruct(
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
     whole = output.suffix.lower() in SUFFIXES
-    drawing = drawing_of(exposure, percentile, scale, figure, output, overview)
+    drawing = drawing_of(exposure, percentile, scale, figure, output)
     paths = [] if whole else reconstruction_paths(output, distance, drawing)
     if whole:
         require_volume_path(output, distance)
-    if overview:
-        require_writable(overview)
-    written = [*(paths or [output]), overview]
-    require_different(*written)
-    for path in filter(None, written):
+    written = paths or [output]
+    for path in written:
         require_apart(path, capture, white)
     recorded, reference = _recorded(capture, white, known, linear, variant)
     saved = checkpoint_of(output, bool(resume)) if chosen.long else None
@@ -227,9 +212,13 @@ def reconstruct(
                 batch_map=batch_map,
                 **used,
             )
-        if not whole:
+        if whole:
+            volume = reconstruction.Volume.of(results)
+            reconstruction.write_volume(output, volume)
+            planes, rows, columns = volume.values.shape[:3]
+            typer.echo(f"{output}: volume of {columns} x {rows} x {planes} voxels, {volume.voxel_size:.4g} mm wide")
+        else:
             write_reconstructions(paths, results, recorded.metadata, drawing)
-        _write_volume(output if whole else None, overview, results, drawing)
     for path, result in zip(paths if len(paths) == len(results) else [output] * len(results), results, strict=True):
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
@@ -299,25 +288,6 @@ def _value_of(option: Option, value: Any) -> Any:
         return value if option.default else value or None
     short = isinstance(value, str) and value.isdecimal() and len(value) < 10
     return int(value) if short and int in option.types else value
-
-
-def _write_volume(path: Path | None, overview: Path | None, results: list[Reconstruction], drawing: Drawing) -> None:
-    """Write all distances together as a volume, and as an overview picture, if requested."""
-    from ..refocus import Volume, write_volume
-
-    if path is None and overview is None:
-        return
-    made = Volume.of(results)
-    if path is not None:
-        write_volume(path, made)
-        planes, rows, columns = made.values.shape[:3]
-        typer.echo(f"{path}: volume of {columns} x {rows} x {planes} voxels, {made.voxel_size:.4g} mm wide")
-    if overview is not None:
-        # Brings libraries that take a second to load.
-        from ..report.volumes import write_volume_overview
-
-        write_volume_overview(overview, made, drawing.brightness.peak([made.values]))
-        typer.echo(f"{overview}: overview")
 
 
 def _described(facts: dict[str, Any]) -> str:

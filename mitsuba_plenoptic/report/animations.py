@@ -1,16 +1,15 @@
-"""Animations as GIF, and as MP4 if imageio-ffmpeg is installed."""
+"""Animations as GIF."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..errors import argument, refuse_if, require_module, require_number
+from ..errors import argument, refuse_if, require_number
 from ..runtime.files import atomic_output
 from .images import ANIMATED, enlarge, enlargement, to_bytes
 
@@ -22,13 +21,6 @@ _SWEEP = 24
 
 _LONGEST = 480
 """Pixels of the longer side that small images are enlarged to."""
-
-
-def require_animation(path: Path) -> Any:
-    """Return the module that writes an animation's format, None for GIF; called before frames are computed."""
-    if path.suffix.lower() == ".gif":
-        return None
-    return require_module("imageio_ffmpeg", f"{path}: MP4 needs a package: pip install 'mitsuba-plenoptic[video]'")
 
 
 def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[float]:
@@ -52,7 +44,7 @@ def write_animation(
     Parameters
     ----------
     path : str or Path
-        A GIF file, or an MP4 file, which needs the extra ``video``.
+        A GIF file, which programs such as ffmpeg turn into other videos.
     frames : sequence of (array, str)
         Images, (rows, columns) or with three channels, each with a text for its lower left corner.
     white : float
@@ -63,7 +55,7 @@ def write_animation(
     Raises
     ------
     InputError
-        If the file has another ending, or a package is missing.
+        If the file has another ending.
     """
     path = Path(path)
     scale = scale or enlargement(frames[0][0], _LONGEST)
@@ -76,17 +68,6 @@ def write_animation(
             font = ImageFont.load_default(size)
             drawn = ImageDraw.Draw(picture)
             drawn.text(at, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge)
-    writer = require_animation(path)
+    first, *rest = pictures
     with atomic_output(path, *ANIMATED) as temporary:
-        if writer is None:
-            first, *rest = pictures
-            first.save(temporary, save_all=True, append_images=rest, duration=round(1000 / _RATE), loop=0)
-            return
-        # H.264 needs even sides: an odd side loses its last line.
-        width, height = (side // 2 * 2 for side in pictures[0].size)
-        # Without a macro block size of its own the writer would resize.
-        video = writer.write_frames(str(temporary), (width, height), fps=_RATE, quality=8, macro_block_size=2)
-        video.send(None)
-        for picture in pictures:
-            video.send(np.ascontiguousarray(np.asarray(picture.convert("RGB"))[:height, :width]))
-        video.close()
+        first.save(temporary, save_all=True, append_images=rest, duration=round(1000 / _RATE), loop=0)

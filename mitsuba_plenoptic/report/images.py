@@ -15,7 +15,7 @@ from PIL import Image
 from ..errors import InputError, require_number
 from ..runtime.files import atomic_output
 
-ANIMATED = (".gif", ".mp4")
+ANIMATED = (".gif",)
 
 PICTURES = (".png", ".pdf", *ANIMATED)
 """Suffixes of files that show radiances as brightness."""

@@ -18,7 +18,7 @@ from ..io.truth_files import COORDINATES
 from ..refocus import Reconstruction, write_reconstruction
 from ..runtime.files import require_writable
 from ..views.viewpoints import view_mosaic
-from .animations import require_animation, write_animation
+from .animations import write_animation
 from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
 
 SUFFIXES = (".exr", ".png", ".pdf")
@@ -28,10 +28,7 @@ _AUTOMATIC = Drawing()
 
 def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
     """Return a path after a check, before a long computation, that a picture or data can be written to it."""
-    path = require_writable(path, *SUFFIXES, *(ANIMATED if animated else ()))
-    if path.suffix.lower() in ANIMATED:
-        require_animation(path)
-    return path
+    return require_writable(path, *SUFFIXES, *(ANIMATED if animated else ()))
 
 
 def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing = _AUTOMATIC) -> list[Path]:

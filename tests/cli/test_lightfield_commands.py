@@ -212,7 +212,7 @@ def test_figures_enlarged_pictures_and_animations(raw, lf, tmp_path, run, coarse
 
 def test_refused_drawings(raw, tmp_path, complaint):
     for arguments, message in [
-        (["views", "-o", "a.exr", "--scale", 2], "--scale 2: it is for plain pictures (.png, .gif, .mp4), without"),
+        (["views", "-o", "a.exr", "--scale", 2], "--scale 2: it is for plain pictures (.png, .gif), without"),
         (["views", "-o", "a.png", "--figure", "--scale", 2], "--scale 2: it is for plain pictures"),
         (["depth", "-o", "a.pdf", "--scale", 2], "--scale 2: it is for plain pictures"),
         (["views", "-o", "a.gif", "--figure"], "--figure: it is for .png and .pdf; the output is a.gif"),
@@ -223,7 +223,7 @@ def test_refused_drawings(raw, tmp_path, complaint):
             "--distance: a focal sweep goes from one distance to another, and 1 are given",
         ),
         (["reconstruct", "-o", "a.pdf", "--distance", 240, "--distance", 240], "--distance = 240: it is given twice"),
-        (["views", "-o", "a.exr", "--exposure", 1], "--exposure: it is for pictures (.png, .pdf, .gif, .mp4)"),
+        (["views", "-o", "a.exr", "--exposure", 1], "--exposure: it is for pictures (.png, .pdf, .gif)"),
     ]:
         command, *options = arguments
         assert complaint(command, raw, *options).startswith(message), message

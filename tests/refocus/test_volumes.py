@@ -11,7 +11,6 @@ import tifffile
 
 from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, Reconstruction, reconstruct
 from mitsuba_plenoptic.refocus import Volume, write_volume
-from mitsuba_plenoptic.report.volumes import depth_coded, volume_overview
 
 WAVELENGTH = 633.0
 SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
@@ -99,12 +98,6 @@ def test_views_are_those_of_numpy():
     np.testing.assert_array_equal(side, values[:, :, 3])
     with pytest.raises(InputError, match="row = 4: the volume's are numbered from 0 to 3"):
         volume.slices(row=4)
-    coded = depth_coded(volume)
-    assert coded.shape == (4, 5, 3) and (coded[1, 1] == 0).all()
-    far, middle = coded[0, 0], coded[2, 3]
-    assert far[0] > 5 * far[2] and middle[1] > middle[2]
-    picture = volume_overview(volume)
-    assert picture.shape[2] == 3 and picture.max() == 5
 
 
 @pytest.mark.parametrize("distances", [[], [np.inf], [230.0, 230.0]])

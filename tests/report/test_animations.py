@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -37,39 +32,6 @@ def test_small_images_are_enlarged_and_labelled(tmp_path):
         drawn = np.asarray(picture.convert("L"))
     assert drawn.shape == (480, 480)
     assert drawn[400:, :160].max() == 255 and drawn[:400].max() == 0
-
-
-def test_mp4_has_even_sides(tmp_path, monkeypatch):
-    sent = []
-
-    def write_frames(path, size, **options):
-        sent.append((size, options["fps"], options["macro_block_size"]))
-        frame = yield
-        while True:
-            sent.append(frame.shape)
-            with Path(path).open("ab") as file:
-                file.write(b"frame")
-            frame = yield
-
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", SimpleNamespace(write_frames=write_frames))
-    write_animation(tmp_path / "a.mp4", FRAMES, 1.0, 1)
-    assert sent == [((4, 2), 12.5, 2), *[(2, 4, 3)] * 3] and (tmp_path / "a.mp4").read_bytes() == b"frame" * 3
-
-
-@pytest.mark.skipif(importlib.util.find_spec("imageio_ffmpeg") is None, reason="needs imageio-ffmpeg")
-def test_mp4_is_read_back(tmp_path):
-    import imageio_ffmpeg
-
-    write_animation(tmp_path / "a.mp4", FRAMES, 1.0, 16)
-    frames = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"))
-    assert next(frames)["size"] == (80, 48)
-    assert [np.frombuffer(frame, np.uint8).mean() for frame in frames] == pytest.approx([0, 188, 255], abs=4)
-
-
-def test_a_missing_package_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(mp.InputError, match=r"a\.mp4: MP4 needs a package: pip install 'mitsuba-plenoptic\[video\]'$"):
-        write_animation(tmp_path / "a.mp4", FRAMES, 1.0)
 
 
 def test_a_sweep_takes_even_steps_of_the_reciprocal():

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
@@ -16,11 +15,9 @@ from matplotlib.ticker import MaxNLocator
 
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_round
-from ...errors import refuse_if
-from ...prescription.lens_data import image_distance
 from ...report.framing import IN_FOCUS, Canvas, scale_bar, show, styled
 from ...report.images import Brightness
-from .preview_views import PreviewView, view_of
+from .preview_views import LensView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
 # objective, which takes more.
@@ -29,12 +26,6 @@ _COLUMNS, _SPP, _OBJECTIVE_SPP = 320, 16, 128
 # Fractions of the picture's width that a scene spans and of what is seen that can be refocused, below which a user is
 # warned.
 _LITTLE_FILLED, _LITTLE_SHARP = 0.4, 0.5
-
-# Part of the field that a scaled scene fills.
-_FILL = 0.8
-
-# Object distances over the focal length that images can be made of without an extreme magnification.
-_NEAREST = 1.25
 
 _SHARP, _FOCUS, _TINT = "#3fb4ff", "#ffb000", 0.35
 """Colours of what refocusing makes sharp and of what is in focus, and how opaque the tint of the latter is."""
@@ -51,16 +42,13 @@ class Preview:
     points : (rows, columns, 3) array
         Points seen from the middle of the lens, in the camera's frame: x to the left, y up, z the distance; NaN where
         there is nothing.
-    view : PreviewView
+    view : LensView
         The camera's view.
-    scale : float
-        Lengths of the camera's scene over those of the given one.
     """
 
     picture: np.ndarray
     points: np.ndarray
-    view: PreviewView
-    scale: float = 1.0
+    view: LensView
 
     @property
     def distance(self) -> np.ndarray:
@@ -78,57 +66,19 @@ class Preview:
         )
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """A proposed change: a distance from lens to MLA, or a scale of the scene and a position of the camera.
-
-    Attributes
-    ----------
-    distance : float
-        Distance of the plane in focus, in the scaled scene.
-    mla_distance : float
-        Distance from main lens to MLA for this focus.
-    scale : float
-        Factor for all lengths of the scene; 1 if only the focus is to change.
-    pose : mitsuba.ScalarTransform4f or None
-        Position of the camera in the unscaled scene; None for the present position.
-    """
-
-    distance: float
-    mla_distance: float
-    scale: float = 1.0
-    pose: Any = None
-
-    def lookat(self) -> str:
-        """Return the sensor's position in the scaled scene as Mitsuba's XML."""
-        matrix = np.array(self.pose.matrix, dtype=np.float64).reshape(4, 4)
-        origin, up, ahead = self.scale * matrix[:3, 3], matrix[:3, 1], matrix[:3, 2]
-        # The native plane of a microscope is where it stands.
-        target = origin + (self.distance or 1.0) * ahead / np.linalg.norm(ahead)
-        texts = [", ".join(f"{value:.6g}" for value in vector + 0.0) for vector in (origin, target, up)]
-        return '<lookat origin="{}" target="{}" up="{}"/>'.format(*texts)
-
-
-def preview_of(scene: Any, camera: PlenopticCamera, fit: Proposal | None = None) -> Preview:
-    """Return the preview of a scene with its present camera, or changed as a fit proposes.
-
-    Instead of the scene, the camera is scaled.
-    """
+def preview_of(scene: Any, camera: PlenopticCamera) -> Preview:
+    """Return the preview of a scene with its present camera."""
     camera.require_array("preview")
     require_round(camera, "previews are made")
-    scale, pose = (fit.scale, fit.pose) if fit else (1.0, None)
-    if fit and fit.mla_distance != camera.mla_distance:
-        camera = camera.replace(mla_distance=fit.mla_distance)
     view = view_of(camera)
     columns, rows = camera.bin_count
     size = (columns * -(-_COLUMNS // columns), rows * -(-_COLUMNS // columns))
-    spp = _SPP if camera.objective is None else _OBJECTIVE_SPP
-    picture = view.take(scene, size, spp, scale, pose)
-    rays, to_world = view.sight(scene, size, scale, pose)
+    picture = view.take(scene, size, _SPP if camera.objective is None else _OBJECTIVE_SPP)
+    rays, to_world = view.sight(scene, size)
     hit = scene.ray_intersect(rays)
     seen = to_world.inverse() @ hit.p
     points = np.array(dr.select(hit.is_valid(), seen, dr.nan), dtype=np.float64).T.reshape(size[1], size[0], 3)
-    return Preview(picture, scale * points, view, scale)
+    return Preview(picture, points, view)
 
 
 def framing_warnings(seen: Preview) -> list[str]:
@@ -153,50 +103,6 @@ def framing_warnings(seen: Preview) -> list[str]:
             f"{view.between(distance.min(), distance.max())}"
         )
     return found
-
-
-def propose(scene: Any, seen: Preview) -> Proposal:
-    """Return a proposed focus for the scene, or a scale and a position where refocusing does not suffice."""
-    view, camera = seen.view, seen.view.camera
-    if seen.filled >= _LITTLE_FILLED:
-        near, far = _span(seen.distance)
-        if camera.objective is not None:
-            # Its native plane is where it stands.
-            return Proposal(0.0, camera.mla_distance, pose=_pose(scene, (0.0, 0.0, (near + far) / 2)))
-        # In the middle of the inverse distances, so that both ends are blurred alike.
-        middle = 2 / (1 / near + 1 / far) if near > 0 else math.nan
-        if middle > _NEAREST * camera.focal_length:
-            # As far from the main lens's image as now.
-            behind = camera.mla_distance - image_distance(camera.focal_length, view.focus)
-            return Proposal(middle, image_distance(camera.focal_length, middle) + behind)
-    low, high = _extent(scene)
-    size, centre = high - low, (low + high) / 2
-    refuse_if(not size[:2].max() > 0, "scene: its objects have no width or height")
-    field = np.array(view.field(view.focus))
-    scale = float(f"{_FILL * float(np.min(field / np.maximum(size[:2], 1e-6 * size.max()))):.2g}")
-    pose = _pose(scene, (centre[0], centre[1], centre[2] - view.focus / scale))
-    return Proposal(view.focus, camera.mla_distance, scale, pose)
-
-
-def _pose(scene: Any, position: Any) -> Any:
-    """Return the pose of the scene's sensor after a move to a position in the sensor's frame."""
-    to_world = mi.ScalarTransform4f(np.array(scene.sensors()[0].world_transform().matrix, np.float64).reshape(4, 4))
-    return to_world @ mi.ScalarTransform4f().translate(list(position))
-
-
-def _extent(scene: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of a box around the scene's objects in the sensor's frame, without lamps if possible."""
-    objects = [shape for shape in scene.shapes() if not shape.is_emitter()] or list(scene.shapes())
-    refuse_if(not objects, "scene: it has no objects to be framed")
-    to_camera = scene.sensors()[0].world_transform().inverse()
-    corners = [np.array(to_camera @ shape.bbox().corner(index)).ravel() for shape in objects for index in range(8)]
-    return np.min(corners, axis=0), np.max(corners, axis=0)
-
-
-def _span(distance: np.ndarray) -> tuple[float, float]:
-    """Return the distances between which most of the visible scene lies (5 to 95 %)."""
-    known = distance[np.isfinite(distance)]
-    return tuple(map(float, np.percentile(known, (5, 95)))) if known.size else (math.nan, math.nan)  # type: ignore[return-value]
 
 
 _LONGEST_TITLE = 30

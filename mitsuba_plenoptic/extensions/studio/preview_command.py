@@ -32,10 +32,6 @@ def preview(
     ] = None,
     camera: CameraFile = None,
     unit: Unit = "mm",
-    fit: Annotated[
-        bool,
-        typer.Option("--fit", help="Propose a focus for the scene, or a scale of the scene, and draw it, too."),
-    ] = False,
     waves: Annotated[
         bool, typer.Option("--waves", help="Estimate what a wave capture takes, too, which may take a while.")
     ] = False,
@@ -54,7 +50,7 @@ def preview(
 
       mitsuba-plenoptic preview letters
 
-      mitsuba-plenoptic preview my_scene.xml --camera lytro --fit
+      mitsuba-plenoptic preview my_scene.xml --camera lytro
 
       mitsuba-plenoptic preview beads
     """
@@ -69,30 +65,14 @@ def preview(
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
         progress(1, 4)
         # Brings Matplotlib, which takes a while to load.
-        from .preview import draw_preview, framing_warnings, preview_of, propose
+        from .preview import draw_preview, framing_warnings, preview_of
 
         seen = preview_of(loaded, seen_by)
         progress(2, 4)
         view = seen.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
-        previews = [(Path(scene).name, seen)]
-        lines = []
-        if fit:
-            proposal = propose(loaded, seen)
-            previews.append(("As proposed", preview_of(loaded, seen_by, proposal)))
-            if proposal.pose is None:
-                lines.append(
-                    f"proposal: focus at {proposal.distance:.4g} mm: mla_distance = {proposal.mla_distance:.6g}"
-                )
-            else:
-                scaled = "" if proposal.scale == 1 else f"multiply the scene's lengths by {proposal.scale:g} and "
-                before = f"{proposal.distance:.4g} mm before its middle"
-                if seen_by.objective is not None:
-                    before = "the native object plane in its middle"
-                lines.append(f"proposal: {scaled}put the camera at {proposal.lookat()}, {before}")
-            lines += [f"proposal, still: {text}" for text in framing_warnings(previews[1][1])]
         progress(3, 4)
-        draw_preview(target, previews)
+        draw_preview(target, [(Path(scene).name, seen)])
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
@@ -106,5 +86,3 @@ def preview(
             typer.echo(f"{model} capture: refused: {error}")
     for text in framing_warnings(seen):
         typer.echo(f"framing: {text}")
-    for text in lines:
-        typer.echo(text)

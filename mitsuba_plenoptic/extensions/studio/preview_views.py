@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,78 +24,14 @@ _FAR = 1e5
 
 
 @dataclass(frozen=True)
-class PreviewView(ABC):
-    """A camera's view without microlenses; distances are from the main lens or from the native object plane."""
+class LensView:
+    """The view through a thin lens of the camera's aperture; distances are in mm from the lens."""
 
     camera: PlenopticCamera
 
     # Of lengths that are printed: its name, and how many there are in a millimetre.
     unit = "mm"
     per_millimetre = 1.0
-
-    @property
-    @abstractmethod
-    def focus(self) -> float:
-        """Distance of the plane in focus, in the view's unit."""
-
-    @property
-    def focus_label(self) -> str:
-        """Name of the plane in focus."""
-        return f"in focus at {self.in_units(self.focus)}"
-
-    @abstractmethod
-    def sharp_range(self) -> tuple[float, float]:
-        """Return the nearest and farthest distance that some microlenses show sharply when refocused; NaN for none."""
-
-    @abstractmethod
-    def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Return a picture of the scene, with lengths scaled by `scale`, optionally from another pose.
-
-        It has colours where the variant has them.
-        """
-
-    @abstractmethod
-    def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return the rays through the centre of the pupil, one per pixel, and the transform of the camera to the world.
-
-        Instead of the scene, the camera is scaled.
-        """
-
-    @abstractmethod
-    def is_focused(self, distance: np.ndarray) -> np.ndarray:
-        """Return a mask of distances at which the picture's blur is below a bin of reconstructions."""
-
-    @abstractmethod
-    def field(self, distance: float) -> tuple[float, float]:
-        """Return width and height of the field at a distance, in the view's unit."""
-
-    def field_in_units(self) -> str:
-        """Return width and height of the field in the plane in focus as text with unit."""
-        width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
-        return f"{width:.4g} x {height:.4g} {self.unit}"
-
-    @abstractmethod
-    def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Return the range of distances over which the field is drawn, given the distances of visible points."""
-
-    @abstractmethod
-    def ticks(self, reach: float) -> dict[float, str]:
-        """Return the distances, up to `reach`, that a drawing marks, with their labels."""
-
-    def in_units(self, distance: float) -> str:
-        """Return a distance as text with its unit."""
-        return "infinity" if math.isinf(distance) else f"{self._digits(distance)} {self.unit}"
-
-    def between(self, near: float, far: float) -> str:
-        """Return a range of distances as text with unit."""
-        return f"{self._digits(near)} to {self.in_units(far)}"
-
-    def _digits(self, distance: float) -> str:
-        return f"{distance * self.per_millimetre:.4g}"
-
-
-class LensView(PreviewView):
-    """The view through a thin lens of the camera's aperture."""
 
     @property
     def focus(self) -> float:
@@ -110,34 +45,29 @@ class LensView(PreviewView):
         )
         return min(distance, _FAR * camera.focal_length)
 
-    def in_units(self, distance: float) -> str:
-        """Return a distance as text with its unit, or the word for infinity."""
-        return super().in_units(math.inf if distance >= _FAR * self.camera.focal_length else distance)
-
-    def field_in_units(self) -> str:
-        """Write width and height of the field, at infinity as angles."""
-        if self.in_units(self.focus) != self.in_units(math.inf):
-            return super().field_in_units()
-        width, height = (math.degrees(2 * math.atan(extent / 2)) for extent in self.field(1.0))
-        return f"{width:.4g} x {height:.4g} degrees"
+    @property
+    def focus_label(self) -> str:
+        """Name of the plane in focus."""
+        return f"in focus at {self.in_units(self.focus)}"
 
     def sharp_range(self) -> tuple[float, float]:
-        """Return the ends of `design.depth_ranges` of all types."""
+        """Return the nearest and farthest distance that some microlenses show sharply when refocused; NaN for none."""
         ranges = [found for found in design.depth_ranges(self.camera) if found is not None]
         return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
 
-    def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
-        """Return the picture taken by Mitsuba's thin lens."""
-        lens = {"aperture_radius": self.camera.aperture_radius / scale, "focus_distance": self.focus / scale}
+    def take(self, scene: Any, size: tuple[int, int], spp: int) -> np.ndarray:
+        """Return the picture of the scene, with colours where the variant has them, by Mitsuba's thin lens."""
+        lens = {"aperture_radius": self.camera.aperture_radius, "focus_distance": self.focus}
         colours = "luminance" if mi.is_monochromatic else "rgb"
-        return photograph(
-            scene, photographic_sensor(scene, self.camera, size, colours, type="thinlens", **lens, **_posed(pose)), spp
-        )
+        return photograph(scene, photographic_sensor(scene, self.camera, size, colours, type="thinlens", **lens), spp)
 
-    def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
-        """Return the rays of Mitsuba's `perspective` sensor."""
-        near = 1e-6 * self.focus / scale
-        pinhole = photographic_sensor(scene, self.camera, size, type="perspective", near_clip=near, **_posed(pose))
+    def sight(self, scene: Any, size: tuple[int, int]) -> tuple[Any, Any]:
+        """Return the rays through the centre of the pupil, one per pixel, and the transform of the camera to the world.
+
+        The rays are those of Mitsuba's `perspective` sensor.
+        """
+        near = 1e-6 * self.focus
+        pinhole = photographic_sensor(scene, self.camera, size, type="perspective", near_clip=near)
         x, y = _pixel_centres(size)
         rays, _ = pinhole.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
         return rays, pinhole.world_transform()
@@ -155,17 +85,34 @@ class LensView(PreviewView):
         bin_size = self.camera.mla_pitch * distance / self.camera.mla_distance
         return columns * bin_size, rows * bin_size
 
+    def field_in_units(self) -> str:
+        """Return width and height of the field in the plane in focus as text with unit, at infinity as angles."""
+        if self.in_units(self.focus) == self.in_units(math.inf):
+            width, height = (math.degrees(2 * math.atan(extent / 2)) for extent in self.field(1.0))
+            return f"{width:.4g} x {height:.4g} degrees"
+        width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
+        return f"{width:.4g} x {height:.4g} {self.unit}"
+
     def drawn_range(self, distances: np.ndarray) -> tuple[float, float]:
-        """Return the range from the lens to the farthest visible point."""
+        """Return the range over which the field is drawn: from the lens to the farthest of the visible points."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
     def ticks(self, reach: float) -> dict[float, str]:
-        """Return marks at the lens and at the plane in focus."""
+        """Return the distances, up to `reach`, that a drawing marks, with their labels."""
         return {0.0: "lens", self.focus: self.in_units(self.focus)}
 
+    def in_units(self, distance: float) -> str:
+        """Return a distance as text with its unit, or the word for infinity."""
+        far = distance >= _FAR * self.camera.focal_length
+        return "infinity" if far else f"{distance * self.per_millimetre:.4g} {self.unit}"
 
-class MicroscopeView(PreviewView):
-    """View through an objective without microlenses, by telecentric rays from the stop."""
+    def between(self, near: float, far: float) -> str:
+        """Return a range of distances as text with unit."""
+        return f"{near * self.per_millimetre:.4g} to {self.in_units(far)}"
+
+
+class MicroscopeView(LensView):
+    """The view through an objective by telecentric rays from the stop; distances are from the native object plane."""
 
     unit = "um"
     per_millimetre = 1e3
@@ -184,7 +131,7 @@ class MicroscopeView(PreviewView):
         """Return the range of depths that `design.depth_of_field` states."""
         return design.depth_of_field(self.camera)
 
-    def take(self, scene: Any, size: tuple[int, int], spp: int, scale: float, pose: Any) -> np.ndarray:
+    def take(self, scene: Any, size: tuple[int, int], spp: int) -> np.ndarray:
         """Return the picture through an objective: the radiance averaged over the stop and over each pixel."""
         integrator = scene.integrator()
         # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
@@ -203,19 +150,19 @@ class MicroscopeView(PreviewView):
             jitter, stop = sampler.next_2d(), mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
             place = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
             radius = self.camera.aperture_radius
-            rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y), scale, pose)
+            rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y))
             light, found = integrator.sample(scene, sampler, rays)[:2]
             value = [dr.select(found, light[channel], 0.0).numpy() for channel in range(channels)]
             total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
         return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
 
-    def sight(self, scene: Any, size: tuple[int, int], scale: float, pose: Any) -> tuple[Any, Any]:
+    def sight(self, scene: Any, size: tuple[int, int]) -> tuple[Any, Any]:
         """Return rays parallel to the axis."""
-        return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)), scale, pose)
+        return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)))
 
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
         """Return a mask of depths whose blur in the object is at most a bin wide."""
-        steepest = math.tan(self._objective.half_angle)
+        steepest = math.tan(self.camera.objective.half_angle)
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
 
     def field(self, distance: float) -> tuple[float, float]:
@@ -235,32 +182,23 @@ class MicroscopeView(PreviewView):
         ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
         return {**ends, 0.0: "native plane"}
 
-    @property
-    def _objective(self) -> Any:
-        return self.camera.objective
-
-    def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any], scale: float, pose: Any) -> Any:
+    def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any]) -> Any:
         """Return the rays through points of the native object plane and of the stop, in fractions of both."""
-        lens = TelecentricLens(self._objective)
+        lens = TelecentricLens(self.camera.objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
-        width, height = (self._objective.magnification * extent for extent in self.field(0.0))
+        width, height = (self.camera.objective.magnification * extent for extent in self.field(0.0))
         origin, slope, _ = lens.ray(stop, ((place[0] - 0.5) * width, (place[1] - 0.5) * height))
-        to_world = scene.sensors()[0].world_transform() if pose is None else mi.Transform4f(pose.matrix)
+        to_world = scene.sensors()[0].world_transform()
         rays = dr.zeros(mi.RayDifferential3f, dr.width(place[0]))
-        rays.o = to_world @ mi.Point3f(*(coordinate / scale for coordinate in origin))
+        rays.o = to_world @ mi.Point3f(*origin)
         rays.d = dr.normalize(to_world @ mi.Vector3f(slope[0], slope[1], 1))
         rays.maxt = dr.inf
         return rays, to_world
 
 
-def view_of(camera: PlenopticCamera) -> PreviewView:
+def view_of(camera: PlenopticCamera) -> LensView:
     """Return the view of a camera: through a thin lens, or through an objective."""
     return LensView(camera) if camera.objective is None else MicroscopeView(camera)
-
-
-def _posed(pose: Any) -> dict[str, Any]:
-    """Return the entries of a sensor that state its pose, the scene's own pose by default."""
-    return {} if pose is None else {"to_world": pose}
 
 
 def _pixel_centres(size: tuple[int, int]) -> tuple[Any, Any]:

@@ -22,9 +22,8 @@ from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.points.units import radiance_weight
-from mitsuba_plenoptic.refocus import Reconstruction, Volume
+from mitsuba_plenoptic.refocus import Reconstruction
 from mitsuba_plenoptic.report.images import write_png
-from mitsuba_plenoptic.report.volumes import write_volume_overview
 from mitsuba_plenoptic.views import view_mosaic
 
 from .. import Row, at_most, case, figure
@@ -457,4 +456,3 @@ def fourier(
     yield figure("steps with noise", rough[0].facts["iterations"])
     mosaic = view_mosaic(decode(capture))
     write_png(output / "views.png", mosaic, peak=float(np.quantile(mosaic, 0.999)))
-    write_volume_overview(output / "volume.png", Volume.of(found))
