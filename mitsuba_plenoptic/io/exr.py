@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +12,7 @@ import numpy as np
 import OpenEXR
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, content_of, naming, refuse_if, refusing, short_repr
+from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
 from ..runtime.files import atomic_output, native_output_dropped, require_file
 from ..runtime.limits import require_memory
 from .versions import require_seal, sealed
@@ -23,15 +21,8 @@ ATTRIBUTE = "mitsuba_plenoptic"
 
 _NOISE = "noise."
 
-_LARGEST_HEADER = 2**26
-
 _MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 """Bytes that every OpenEXR file begins with."""
-
-_LONGEST_NAME = 256
-
-_SEVERAL_PARTS = 0x1000
-"""Bit of the version that says so."""
 
 _SRGB = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 """Chromaticities of the primaries and of white (ITU-R BT.709), which files without any mean."""
@@ -224,39 +215,19 @@ def _attributes(path: Path, part: ExrPart) -> dict[str, Any]:
 
 
 def read_parts(path: Path) -> list[ExrPart]:
-    """Read the headers of an OpenEXR file, without pixels; refuse a file too large to be read whole."""
-    with path.open("rb") as raw:
+    """Return the headers of the parts of an OpenEXR file."""
+    with path.open("rb") as file:
         refuse_if(
-            raw.read(len(_MAGIC)) != _MAGIC,
+            file.read(len(_MAGIC)) != _MAGIC,
             f"{path}: it is {content_of(path)}; give OpenEXR of this package or a raw picture, as .png or .tiff",
         )
-
-        def text() -> bytes:
-            return b"".join(itertools.islice(iter(lambda: raw.read(1).strip(b"\0"), b""), _LONGEST_NAME))
-
-        several = bool(int.from_bytes(raw.read(4), "little") & _SEVERAL_PARTS)
-        # A name, a type, a size and a value each; no name ends a part, and no attribute at all the last one of several.
-        # OpenEXR finds whether they are correct.
-        attributes = 0
-        while raw.tell() <= _LARGEST_HEADER:
-            if text():
-                text()
-                raw.seek(int.from_bytes(raw.read(4), "little"), os.SEEK_CUR)
-                attributes += 1
-            elif several and attributes:
-                attributes = 0
-            else:
-                break
-        else:
-            rule = "it may have at most as many"
-            raise InputError(f"{path}: its header claims more than {_LARGEST_HEADER} bytes: {rule}")
     parts = []
     with (
         _undamaged(path),
         native_output_dropped(),
-        OpenEXR.File(str(path), separate_channels=True, header_only=True) as file,
+        OpenEXR.File(str(path), separate_channels=True, header_only=True) as opened,
     ):
-        for part in file.parts:
+        for part in opened.parts:
             (left, top), (right, bottom) = (map(int, corner) for corner in part.header["dataWindow"])
             names = tuple(channel.name for channel in part.header["channels"])
             # Closing the file empties its own dictionary.

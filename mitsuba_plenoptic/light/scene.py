@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -22,7 +21,6 @@ from ..errors import (
     content_of,
     did_you_mean,
     refuse_if,
-    refusing,
     require_choice,
     short_repr,
     suggest_keywords,
@@ -31,54 +29,41 @@ from ..extension import missing
 from ..io.exr import read_parts
 from ..runtime.backend import one_at_a_time, set_variant
 from ..runtime.files import require_file, require_size
-from ..runtime.limits import require_memory
 from ..scene_files import scene_path
 from .scene_light import warn_of_metres
 
-_DEEPEST = 64
-_DEEPEST_INCLUDE = 8
-_MOST_FILES = 256
 LARGEST_SCENE = 2**28
 """Largest size of an XML file in bytes; Mitsuba's parser needs several times as much memory."""
 
 _NATIVE = re.compile(r"\.(so|dylib|dll|pyd)(\.|$)", re.IGNORECASE)
-_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tga")
-
-# Bytes that Mitsuba takes for a texel: four channels, as read from the file and in single precision, twice.
-_TEXEL = 40
-
-_LONGEST_PLY_HEADER = 2**16
 
 _ATTRIBUTES = ("name", "value", "type", "filename")
 
 
 def check_scene_file(path: Path, parameters: Mapping[str, str]) -> list[Element]:
-    """Refuse a scene file that would run native code, read endless or oversized files, or nest without end.
+    """Return the root elements of a scene file and of all that it includes.
 
-    Returns the root elements of the file and of all that it includes.
+    Scenes that would run native code as plugins are refused, and pictures that crash Mitsuba.
     """
     what = content_of(require_size(path, LARGEST_SCENE))
     refuse_if(what != SCENE_XML, f"{path}: it is {what}; a scene is XML in UTF-8 with the root <scene>")
-    roots: list[Element] = []
-    _check(path, dict(parameters), [Path.cwd(), path.parent], roots, ())
-    return roots
+    roots: dict[Path, Element] = {}
+    _check(path, dict(parameters), [Path.cwd(), path.parent], roots)
+    return list(roots.values())
 
 
-def _check(
-    path: Path, parameters: dict[str, str], folders: list[Path], roots: list[Element], parents: tuple[Path, ...]
-) -> None:
-    path = require_file(path)
-    refuse_if(
-        path.resolve() in parents or len(parents) > _DEEPEST_INCLUDE or len(roots) >= _MOST_FILES,
-        f"{path}: scenes include each other without end, deeper than {_DEEPEST_INCLUDE} or more than "
-        f"{_MOST_FILES} times",
-    )
-    roots.append(_parse(path))
+def _check(path: Path, parameters: dict[str, str], folders: list[Path], roots: dict[Path, Element]) -> None:
+    """Check a scene file and what it includes, each once, and add their root elements to `roots`."""
+    require_size(path, LARGEST_SCENE)
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        cause = str(error).partition(":")[0]
+        raise InputError(f"{path}, line {error.position[0]}: it is not well-formed XML: {cause}") from None
+    roots[path.resolve()] = root
     # A scene's defaults also apply to the files that it includes.
-    values = scene_defaults(roots[-1:]) | parameters
-    elements = [
-        (each.tag, {key: _filled(each.get(key, ""), values) for key in _ATTRIBUTES}) for each in roots[-1].iter()
-    ]
+    values = scene_defaults([root]) | parameters
+    elements = [(each.tag, {key: _filled(each.get(key, ""), values) for key in _ATTRIBUTES}) for each in root.iter()]
     folders = [*folders, path.parent, *(path.parent / given["value"] for tag, given in elements if tag == "path")]
     for plugins in (folder / "plugins" for folder in folders):
         with contextlib.suppress(OSError):  # there is no such folder
@@ -94,11 +79,15 @@ def _check(
             re.search(r"[^\w$.\-]", plugin) or ".." in plugin,
             f"{path}: type = {short_repr(plugin)}: it must be the name of a plugin",
         )
-        for name in (given["value"], given["filename"]):
-            for file in _existing(name, folders):
-                _check_resource(path, file)
         for file in _existing(given["filename"], folders) if tag == "include" else ():
-            _check(file, values, folders, roots, (*parents, path.resolve()))
+            if file.resolve() not in roots:
+                _check(file, values, folders, roots)
+        for file in _existing(given["value"], folders) if given["value"].lower().endswith(".exr") else ():
+            for part in read_parts(file):
+                refuse_if(
+                    min(part.origin) < 0,
+                    f"{path}: {file}: its data window begins at {part.origin}, and Mitsuba crashes below 0",
+                )
 
 
 def scene_defaults(roots: Iterable[Element]) -> dict[str, str]:
@@ -116,32 +105,6 @@ def names_in(element: Element) -> set[str]:
     return {name for text in element.attrib.values() for name in re.findall(r"\$(\w+)", text)}
 
 
-def _parse(path: Path) -> Element:
-    """Return the root element of an XML file; refuse document types, other encodings, and deep nesting."""
-    # A scene's meshes belong in their own files.
-    require_size(path, LARGEST_SCENE)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: it is no scene, which is XML in UTF-8: {error.reason} at byte {error.start}"
-        ) from None
-    # Mitsuba's parser and this one might read other encodings differently, and so see different scenes.
-    declared = re.match(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", text)
-    if declared and declared.group(1).lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
-        raise InputError(f"{path}: its encoding is {short_repr(declared.group(1))}: it must be UTF-8")
-    # Only document types have entities, which Mitsuba leaves as they stand and this parser would replace.
-    refuse_if("<!DOCTYPE" in text, f"{path}: a scene has no document type; remove <!DOCTYPE")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        cause = str(error).partition(":")[0]
-        raise InputError(f"{path}, line {error.position[0]}: it is not well-formed XML: {cause}") from None
-    # Mitsuba's parser overflows its stack.
-    refuse_if(root.find("/".join("*" * _DEEPEST)) is not None, f"{path}: nested deeper than {_DEEPEST}")
-    return root
-
-
 def _filled(text: str, values: Mapping[str, str]) -> str:
     """Return a text with ``$names`` replaced by their values, the longest names first, as Mitsuba does."""
     for name in sorted(values, key=len, reverse=True) if "$" in text else ():
@@ -150,50 +113,11 @@ def _filled(text: str, values: Mapping[str, str]) -> str:
 
 
 def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
-    """Yield existing files, of any kind, with a given name in the folders."""
-    if not name or "\0" in name:
-        return
-    for folder in dict.fromkeys(folders):
-        file = folder / name
-        try:
-            if file.exists() and not file.is_dir():
+    """Yield the files of a name in the folders."""
+    for file in dict.fromkeys(folder / name for folder in folders):
+        with contextlib.suppress(OSError, ValueError):  # a text that is no name of a file
+            if name and file.is_file():
                 yield file
-        except OSError:
-            continue  # a text that is too long for a file name
-
-
-def _check_resource(scene: Path, file: Path) -> None:
-    """Refuse a resource file that may never end, or whose header claims more data than exist or fit into memory."""
-    status = file.stat()
-    refuse_if(
-        not stat.S_ISREG(status.st_mode),
-        f"{scene}: {file} is a device, a pipe or a socket: a scene may name regular files only",
-    )
-    # Imported here because only some scenes need it.
-    from PIL import Image
-
-    suffix, sizes = file.suffix.lower(), list[tuple[int, int]]()
-    with refusing(f"{scene}: {file} cannot be read:", OSError, SyntaxError, ValueError, Image.DecompressionBombError):
-        if suffix in _PICTURES:
-            with Image.open(file) as picture:
-                sizes.append(picture.size)
-        elif suffix == ".exr":
-            for part in read_parts(file):
-                sizes.append((part.columns, part.rows))
-                if min(part.origin) < 0:
-                    raise ValueError(f"its data window begins at {part.origin}, and Mitsuba crashes below 0")
-        elif suffix == ".ply":
-            with file.open("rb") as opened:
-                header = opened.read(_LONGEST_PLY_HEADER).partition(b"end_header")[0]
-            for match in re.finditer(rb"^\s*element\s+(\w+)\s+(\S+)", header, re.MULTILINE):
-                name, count = (word.decode(errors="replace") for word in match.groups())
-                # An element takes a byte at least.
-                refuse_if(
-                    not count.isdecimal() or len(count) > 18 or int(count) > status.st_size,
-                    f"{scene}: {file} claims {short_repr(count)} elements '{name}' in {status.st_size} bytes",
-                )
-    for columns, rows in sizes:
-        require_memory(_TEXEL * columns * rows, f"{scene}: {file} of {columns} x {rows} pixels")
 
 
 KNOWN_PARAMETERS = {

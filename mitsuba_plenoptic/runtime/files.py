@@ -8,7 +8,6 @@ import glob
 import io
 import json
 import logging
-import math
 import os
 import re
 import shutil
@@ -213,8 +212,8 @@ _LARGEST_JSON = 2**26
 class _Loader(yaml.SafeLoader):
     """Loader of YAML 1.2 and JSON that avoids common traps of YAML.
 
-    PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Repeated names, and
-    aliases, with which a small file can grow without end, are refused.
+    PyYAML reads version 1.1, in which 1e-05 is text, 010 is 8, 1:30 is 90 and `no` is false. Repeated names are
+    refused.
     """
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
@@ -222,10 +221,6 @@ class _Loader(yaml.SafeLoader):
         for key in keys:
             refuse_if(keys.count(key) > 1, f"{key} is given twice")
         return super().construct_mapping(node, deep)
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        refuse_if(self.check_event(yaml.AliasEvent), "aliases (*name) are not allowed")
-        return super().compose_node(parent, index)
 
 
 # The scalars of the core schema of YAML 1.2 (section 10.3.2), without octal and hexadecimal numbers.
@@ -242,14 +237,14 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Read a YAML or JSON file of at most 64 KiB, without aliases."""
+    """Read a YAML or JSON file of at most 64 KiB."""
     text = read_text(path, _LARGEST_YAML)
     with naming(path):
         return parse_yaml(text)
 
 
 def parse_yaml(text: str) -> Any:
-    """Return the data in a YAML or JSON text without aliases."""
+    """Return the data in a YAML or JSON text."""
     with refusing("it is not YAML:", yaml.YAMLError, ValueError, RecursionError):
         return yaml.load(text, Loader=_Loader)
 
@@ -275,35 +270,16 @@ def read_table(path: str | Path) -> NDArray[np.float64]:
     return np.asarray(rows)
 
 
-# Chunks of arrays that are smaller than this may be larger than they are.
-_SMALL = 2**20
-
-
 def h5py_module(purpose: str) -> Any:
     """Return the module h5py; without it, say what it is needed for."""
     return require_module("h5py", f"{purpose} needs the package h5py: pip install h5py")
 
 
 def stored_array(group: Any, name: str) -> Any:
-    """Return a numeric dataset in HDF5 by name, None if it is missing; links are refused.
-
-    HDF5 can link to other files, store data in other files and assemble them from other files; a stranger's file could
-    thus read the user's files.
-    """
-    h5py = h5py_module("HDF5")
-    refuse_if(not isinstance(group, h5py.Group), f"{name} is in no structure")
-    link = group.get(name, getlink=True)
-    if link is None:
-        return None
-    stored = group[name] if isinstance(link, h5py.HardLink) else None
-    if not isinstance(stored, h5py.Dataset) or stored.is_virtual or stored.external:
-        raise InputError(f"{name} is not an array in the file itself: links to other files are not followed")
-    refuse_if(stored.dtype.kind not in "fiu" or stored.dtype.itemsize > 8, f"{name} is not an array of numbers")
-    # A chunk is decompressed whole, however little of it the array uses.
-    refuse_if(
-        stored.chunks and math.prod(stored.chunks) > max(stored.size, 1) + _SMALL,
-        f"{name} is stored in chunks of {stored.chunks}, larger than itself",
-    )
+    """Return a numeric dataset in HDF5 by name, None if it is missing."""
+    stored = group.get(name)
+    kind = getattr(getattr(stored, "dtype", None), "kind", "")
+    refuse_if(stored is not None and kind not in ("f", "i", "u"), f"{name} is not an array of numbers")
     return stored
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from ..io.captures import RAW_SUFFIXES, Capture, read_capture, states_detector
 from ..io.exr import read_attributes, read_pixels
 from ..io.pictures import TIFF, read_numbers, read_picture
 from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
-from ..runtime.files import atomic_output, require_file, require_size, require_writable
+from ..runtime.files import atomic_output, require_file, require_writable
 from ..runtime.limits import require_memory
 from . import MicroImages, decode, estimate_lens_grid, micro_images
 from .coordinates import camera_of, require_light_field
@@ -222,10 +221,6 @@ def _refuse(path: Path, **options: object) -> None:
 # Bytes that reading takes for each of a file: the file, and the arrays of which a light field is made and checked.
 _PER_BYTE = 3
 
-# Files in which Zarr keeps shapes and attributes, and their bytes at most.
-_ZARR_RECORDS = ("zarr.json", ".zgroup", ".zarray", ".zattrs", ".zmetadata")
-_LARGEST_RECORD = 2**24
-
 
 def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
     """Write a light field to a file that `read_labelled` or ``xarray.open_dataarray`` opens.
@@ -255,7 +250,7 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
 def read_labelled(path: str | Path) -> xr.DataArray:
     """Read a light field that `write_labelled` wrote.
 
-    NetCDF 4 is HDF5, whose files can link to others, and is not read.
+    NetCDF 4 is not read.
 
     Parameters
     ----------
@@ -283,17 +278,11 @@ def read_labelled(path: str | Path) -> xr.DataArray:
                 not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file(),
                 f"{path}: there is no such folder of Zarr",
             )
-            zarr = require_zarr(path)
-            for record in path.rglob("*"):
-                if record.name in _ZARR_RECORDS:
-                    require_size(record, _LARGEST_RECORD)
-            # Chunks may be larger than their arrays.
-            sizes = [
-                array.dtype.itemsize * max(math.prod(array.shape), math.prod(array.chunks))
-                for _, array in zarr.open_group(str(path), mode="r").arrays()
-            ]
-            require_memory(_PER_BYTE * float(sum(sizes)), f"{path}: a light field")
-            stored = xr.load_dataarray(path, engine="zarr")
+            require_zarr(path)
+            # Without pixels so far.
+            stored = xr.open_dataarray(path, engine="zarr")
+            require_memory(_PER_BYTE * float(stored.nbytes), f"{path}: a light field")
+            stored.load()
     with naming(path):
         lf = require_light_field(stored)
         if lf.attrs.get("camera"):

@@ -1,4 +1,4 @@
-"""Captures, light fields and scenes from strangers: they run nothing, reach nothing, and take no more than they are."""
+"""Captures, light fields and scenes from strangers: they run nothing, and pixels take no more than memory."""
 
 from __future__ import annotations
 
@@ -68,16 +68,6 @@ def test_pictures_are_judged_by_the_memory_that_is_allowed(tmp_path, monkeypatch
 
 
 class TestCaptures:
-    def test_the_size_of_a_header_is_judged_before_it_is_read(self, capture):
-        """An attribute that claims 3 GiB, which the file has."""
-        data = capture.read_bytes()
-        place = data.index(b"mitsuba_plenoptic\0string\0") + len(b"mitsuba_plenoptic\0string\0")
-        large(capture)
-        with capture.open("r+b") as file:
-            file.write(data[:place] + struct.pack("<I", 3 * 2**30 - 1000))
-        with pytest.raises(InputError, match=r"raw\.exr: its header claims more than 67108864 bytes"):
-            read_capture(capture)
-
     @pytest.mark.parametrize("size", [(10**9, 10**9), (2**30, 1), (200_000, 200_000), (65, 64)])
     def test_a_header_that_claims_more_than_the_file_holds(self, capture, size):
         data = capture.read_bytes()
@@ -220,9 +210,6 @@ class TestLightFields:
             file.unlink()
         with pytest.raises(InputError, match="a light field: it would need"):
             open_light_field(path)
-        large(path / ".zattrs")
-        with pytest.raises(InputError, match=r"\.zattrs: 3221225472 bytes: it may have at most 16777216"):
-            open_light_field(path)
 
     @pytest.mark.parametrize("size", [(10**6, 10**6), (2**31 - 1, 2**31 - 1), (100_000, 100_000)])
     def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):
@@ -267,86 +254,26 @@ class TestScenes:
                 load_scene(write_scene(tmp_path, text), parameters={"kind": name})
         assert not mark.exists()
 
-    @pytest.mark.parametrize(
-        "document_type",
-        [
-            '[<!ENTITY l0 "ha">' + "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 30)) + "]",
-            '[<!ENTITY l29 SYSTEM "file:///dev/zero">]',
-            '[<!ENTITY % l SYSTEM "file:///dev/zero"> %l;]',
-            'SYSTEM "file:///dev/zero"',
-        ],
-        ids=["growing", "external", "of parameters", "elsewhere"],
-    )
-    def test_entities_do_not_grow(self, tmp_path, document_type):
-        path = write_scene(tmp_path, "&l29;")
-        path.write_text(f"<!DOCTYPE scene {document_type}>{path.read_text()}")
-        start = time.process_time()
-        with pytest.raises(InputError, match=r"^[^\n]*document type[^\n]*$"):
-            load_scene(path)
-        assert time.process_time() - start < 10
-
-    def test_nesting_has_an_end(self, tmp_path):
-        # Mitsuba's parser overflows its stack and ends the process.
-        for depth in (64, 100_000):
-            deep = '<bsdf type="twosided">' * depth + "</bsdf>" * depth
-            with pytest.raises(InputError, match="nested deeper than 64"):
-                load_scene(write_scene(tmp_path, deep))
-
-    def test_includes_have_an_end(self, tmp_path):
-        with pytest.raises(InputError, match="include each other"):
+    def test_scenes_that_include_each_other_are_refused(self, tmp_path):
+        with pytest.raises(InputError, match=r"scene\.xml"):
             load_scene(write_scene(tmp_path, '<include filename="scene.xml"/>'))
-        for level in range(7):
-            twice = f'<include filename="i{level + 1}.xml"/>' * 6 if level < 6 else ""
-            (tmp_path / f"i{level}.xml").write_text(f'<scene version="3.0.0">{twice}</scene>')
-        with pytest.raises(InputError, match="more than 256"):
-            load_scene(write_scene(tmp_path, '<include filename="i0.xml"/>'))
 
     def test_an_include_is_judged_as_the_scene_is(self, tmp_path):
-        (tmp_path / "inner.xml").write_text('<!DOCTYPE scene><scene version="3.0.0"/>')
-        with pytest.raises(InputError, match=r"inner\.xml.*document type"):
+        (tmp_path / "inner.xml").write_text('<scene version="3.0.0"><shape></scene>')
+        with pytest.raises(InputError, match=r"inner\.xml, line 1: it is not well-formed XML: mismatched tag$"):
             load_scene(write_scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
 
-    @pytest.mark.parametrize("name", ["/dev/zero", "/dev/random", "pipe.ply"])
-    def test_what_never_ends_is_not_read(self, tmp_path, name):
-        os.mkfifo(tmp_path / "pipe.ply")
-        with pytest.raises(InputError, match="a device, a pipe or a socket"):
-            load_scene(write_scene(tmp_path, f'<shape type="ply"><string name="filename" value="{name}"/></shape>'))
-
-    def test_meshes_and_pictures_are_no_larger_than_they_are(self, tmp_path):
-        (tmp_path / "mesh.ply").write_text(
-            "ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"
-        )
-        with pytest.raises(InputError, match="claims '4000000000' elements 'vertex' in"):
-            load_scene(write_scene(tmp_path, '<shape type="ply"><string name="filename" value="mesh.ply"/></shape>'))
-        (tmp_path / "bomb.png").write_bytes(png(10**6, 10**6))
-        with pytest.raises(InputError, match=r"bomb\.png"):
-            load_scene(
-                write_scene(tmp_path, '<texture type="bitmap"><string name="filename" value="bomb.png"/></texture>')
-            )
-
     @pytest.mark.parametrize(
-        ("left", "columns", "words"),
-        [(0, 8, None), (7, 8, None), (-1, 8, "its data window begins at"), (0, 2**20, "it would need")],
+        ("left", "words"),
+        [(0, None), (7, None), (-1, "its data window begins at .-1, 0., and Mitsuba crashes below 0")],
     )
-    def test_windows_of_exr_pictures(self, tmp_path, monkeypatch, left, columns, words):
-        window = np.array([left, 0], np.int32), np.array([left + columns - 1, 3], np.int32)
+    def test_windows_of_exr_pictures(self, tmp_path, left, words):
+        window = np.array([left, 0], np.int32), np.array([left + 7, 3], np.int32)
         header = {"dataWindow": window, "displayWindow": window, "compression": OpenEXR.PXR24_COMPRESSION}
-        OpenEXR.File(header, {"Y": np.ones((4, columns), np.float32)}).write(str(tmp_path / "x.exr"))
+        OpenEXR.File(header, {"Y": np.ones((4, 8), np.float32)}).write(str(tmp_path / "x.exr"))
         texture = '<texture name="reflectance" type="bitmap"><string name="filename" value="x.exr"/></texture>'
         path = write_scene(tmp_path, f'<bsdf type="diffuse">{texture}</bsdf>')
-        monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.05")
         with pytest.raises(InputError, match=words) if words else contextlib.nullcontext():
-            load_scene(path)
-
-    @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
-    def test_one_encoding_so_that_all_parsers_read_the_same(self, tmp_path, encoding):
-        path = write_scene(tmp_path, "<!-- ä -->")
-        text = path.read_text()
-        path.write_bytes(text.encode(encoding))
-        with pytest.raises(InputError, match="UTF-8"):
-            load_scene(path)
-        path.write_text('<?xml version="1.0" encoding="cp037"?>' + text)
-        with pytest.raises(InputError, match="its encoding is 'cp037'"):
             load_scene(path)
 
     def test_a_scene_of_radiance_nan_makes_no_capture(self, tmp_path, capfd):

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import json
 import math
-import struct
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +23,12 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ...runtime.files import atomic_output, h5py_module, require_file, stored_array
-from ...runtime.limits import memory_limit, require_memory
+from ...runtime.limits import require_memory
 from ...views.coordinates import grid_of, light_field, require_light_field
 from ...views.lens_grid import LensGrid, bin_grid
 
 # Bytes of a value of a light field while it is read: as stored (at most 8), and twice in single precision.
 _NUMBER_BYTES = 8 + 4 + 4
-
-# Of files of version 5: bytes before the first variable, the type of a packed one, and bytes unpacked at once.
-_HEADER, _PACKED, _PIECE = 128, 15, 2**20
-_VARIABLES = (14, _PACKED)
 
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
@@ -152,30 +146,7 @@ def _check(shape: tuple[int, ...]) -> None:
     require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
 
 
-def _require_unpacked(path: Path) -> None:
-    """Refuse a MATLAB 5 file with packed variables too large for memory, whatever sizes its structures state."""
-    limit = int(memory_limit())
-    left = limit
-    with path.open("rb") as file:
-        order = {b"IM": "<", b"MI": ">"}.get(file.read(_HEADER)[-2:])
-        refuse_if(order is None, "it is not a MATLAB file of version 5 or 7.3: it does not begin as one does")
-        while len(tag := file.read(8)) == 8:
-            kind, size = struct.unpack(f"{order}II", tag)
-            refuse_if(
-                kind not in _VARIABLES or not size, f"it is damaged: at byte {file.tell() - 8} no variable begins"
-            )
-            end = file.tell() + size
-            unpacking = zlib.decompressobj()
-            while kind == _PACKED and (piece := file.read(min(_PIECE, end - file.tell()))):
-                while piece:
-                    left -= len(unpacking.decompress(piece, _PIECE))
-                    piece = unpacking.unconsumed_tail
-                    refuse_if(left < 0, f"it unpacks into more than {limit} bytes, which is what may be taken")
-            file.seek(end)
-
-
 def _read_version_5(path: Path) -> dict[str, Any]:
-    _require_unpacked(path)
     variables = scipy.io.whosmat(path)
     for name, shape, kind in variables:
         if name == "LF":
@@ -205,7 +176,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
         largest = stored_array(file, "MaxLum")
         if largest is not None:
             found["MaxLum"] = float(largest[0, 0])
-        if isinstance(file.get("LensletGridModel", getlink=True), h5py.HardLink):
+        if "LensletGridModel" in file:
             found["LensletGridModel"] = _read_model(file["LensletGridModel"])
     return found
 
