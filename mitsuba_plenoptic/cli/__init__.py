@@ -252,8 +252,6 @@ def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
     if gone := missing("commands", unknown):
         return gone
     if hasattr(error, "possibilities"):
-        if absent := missing("options", unknown):
-            return absent
         rule = relation(unknown.strip("-").replace("-", "_"))
         return f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
     return str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
