@@ -41,7 +41,9 @@ def __dir__() -> list[str]:
 
     added = {name for kind in ("names", "modules") for _, name, _ in entries(kind) if "." not in name}
     dunders = {name for name in globals() if name.startswith("__")}
-    return sorted({*(name for name in _in_stub if not missing("names", name)), *added, *dunders, "__all__", "__version__"})
+    return sorted(
+        {*(name for name in _in_stub if not missing("names", name)), *added, *dunders, "__all__", "__version__"}
+    )
 
 
 def __getattr__(name: str) -> Any:
