@@ -19,7 +19,7 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 
@@ -266,8 +266,9 @@ def require_number(
     return number
 
 
-def require_choice(name: str, value: Any, choices: Collection[str]) -> str:
-    """Return a word that is one of the choices; refuse other words."""
+def require_choice(name: str, value: Any, choices: Any) -> str:
+    """Return a word that is one of the choices, a collection or a `Literal` type; refuse other words."""
+    choices = get_args(choices) or choices
     if not isinstance(value, str) or value not in choices:
         rule = f"it must be one of {', '.join(choices)}"
         raise InputError(f"{name} = {short_repr(value)}: {rule}{did_you_mean(value, choices)}")

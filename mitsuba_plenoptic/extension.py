@@ -54,8 +54,9 @@ class Extension:
         places of the objects. Those of shipped extensions stand in ``mitsuba_plenoptic/__init__.pyi``.
     modules : mapping of str to str
         Public modules of `mitsuba_plenoptic`, such as ``torch``, and the modules that they are.
-    commands : mapping of str to str
-        Commands of ``mitsuba-plenoptic``, and the modules with a function, or a `typer.Typer`, of their name.
+    commands : mapping of str to pair of str
+        Commands of ``mitsuba-plenoptic``, the modules with a function of their name, and the first sentence of their
+        help.
     parameters : mapping of str to str
         Parameters of the camera, and the places of their entries, of type `camera.entry.Parameter`.
     responses : mapping of str to str
@@ -68,6 +69,9 @@ class Extension:
         Modules of plugins for Mitsuba, with ``NAME`` and ``make_class``, and their kind, sensor or integrator.
     methods : mapping of str to str
         Methods of reconstruction, and the modules that register them by `refocus.methods.method`.
+    options : mapping of str to str
+        Those of these methods that have options, and the places of typed dictionaries whose fields are the options,
+        such as `refocus_options.RayOptions`. Help reads them, so that their module should import no large library.
     generators : mapping of str to str
         Generators of the samples of data sets, by the names that recipes call them, and the places of their classes.
     displays : mapping of str to str
@@ -84,12 +88,13 @@ class Extension:
 
     names: Mapping[str, str] = field(default_factory=dict)
     modules: Mapping[str, str] = field(default_factory=dict)
-    commands: Mapping[str, str] = field(default_factory=dict)
+    commands: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     parameters: Mapping[str, str] = field(default_factory=dict)
     responses: Mapping[str, str] = field(default_factory=dict)
     presets: Mapping[str, str] = field(default_factory=dict)
     plugins: Mapping[str, str] = field(default_factory=dict)
     methods: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
     generators: Mapping[str, str] = field(default_factory=dict)
     displays: Mapping[str, str] = field(default_factory=dict)
     hooks: Mapping[str, str] = field(default_factory=dict)

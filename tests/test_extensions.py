@@ -37,11 +37,11 @@ def test_all_that_records_name_is_there():
     for package, record in installed().items():
         for module in [*record.plugins, *record.methods.values()]:
             importlib.import_module(f"{package}.{module}")
-        for kind in ("names", "parameters", "responses", "presets", "hooks", "generators", "displays"):
+        for kind in ("names", "parameters", "responses", "presets", "hooks", "generators", "displays", "options"):
             for text in getattr(record, kind).values():
                 module, _, name = text.partition(":")
                 assert hasattr(importlib.import_module(f"{package}.{module}"), name)
-        for name, module in record.commands.items():
+        for name, (module, _) in record.commands.items():
             assert hasattr(importlib.import_module(f"{package}.{module}"), name)
 
 
@@ -224,6 +224,34 @@ def test_the_suite_of_the_core_passes_without_extensions(core, tmp_path, capsys)
     assert count <= SKIPPED_WITHOUT_EXTENSIONS, skipped
 
 
+METHOD = {
+    "options.py": """
+        from typing import Annotated, TypedDict
+        from mitsuba_plenoptic.errors import require_number
+        from mitsuba_plenoptic.refocus_options import Option
+
+        class EvenOptions(TypedDict, total=False):
+            brightness: Annotated[
+                float | None,
+                Option(
+                    "how bright the image is.",
+                    default=1.5,
+                    check=lambda name, value, _: require_number(name, value, maximum=9),
+                ),
+            ]
+        """,
+    "even.py": """
+        import numpy as np
+        from mitsuba_plenoptic.refocus.methods import method
+
+        @method("even", waves=False)
+        def refocus(task, *, brightness):
+            return [np.full((*task.camera.bin_count[::-1], 1), brightness) for _ in task.distances]
+        """,
+}
+"""Files of a method of reconstruction with an option of its own."""
+
+
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     """The page on extensions shows a whole one; here the package is installed by its entry point alone."""
     page = (PACKAGE.parent / "docs" / "reference" / "develop" / "extension.md").read_text()
@@ -234,18 +262,17 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     record = tmp_path / "site" / "dust" / "__init__.py"
-    record.write_text(record.read_text().replace("Extension(\n", "Extension(methods={'raw': 'raw'},\n"))
-    (tmp_path / "site" / "dust" / "raw.py").write_text(
-        "from mitsuba_plenoptic.refocus.methods import method\n"
-        "@method('raw', waves=False)\n"
-        "def refocus(task):\n"
-        "    return [task.image[: task.camera.bin_count[1], : task.camera.bin_count[0]] for _ in task.distances]\n"
-    )
+    added = "Extension(methods={'even': 'even'}, options={'even': 'options:EvenOptions'},\n"
+    record.write_text(record.read_text().replace("Extension(\n", added))
+    for name, text in METHOD.items():
+        (tmp_path / "site" / "dust" / name).write_text(textwrap.dedent(text))
     info = tmp_path / "site" / "dust-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: dust\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[mitsuba_plenoptic.extensions]\ndust = dust\n")
     code = """
+    import contextlib
+    import inspect
     import os
     import sys
     import mitsuba as mi
@@ -264,8 +291,27 @@ def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     os.chdir(sys.argv[1])
     assert main(["dust", "0.25"]) == 0
     assert main(["example", "letters-ray", "-o", "raw.exr"]) == 0
-    assert main(["reconstruct", "raw.exr", "--method", "raw", "--distance", "240", "-o", "out.exr"]) == 0
+    assert inspect.signature(mp.reconstruct).parameters["brightness"].annotation == float | None
+    assert "brightness : float, optional" in mp.reconstruct.__doc__
+    capture = mp.read_capture("raw.exr")
+    assert (mp.reconstruct(capture, 240, method="even").image == 1.5).all()
+    assert mp.reconstruct(capture, 240, method="even", brightness=2).options == {"brightness": 2.0, "oversample": 1}
+    for wrong in (10, "much"):
+        with contextlib.suppress(mp.InputError):
+            mp.reconstruct(capture, 240, method="even", brightness=wrong)
+            raise SystemExit(f"{wrong} is taken")
+    words = ["reconstruct", "raw.exr", "--distance", "240", "-o", "out.exr", "--method"]
+    assert main([*words, "even", "--brightness", "2"]) == 0
+    assert (mp.refocus.read_reconstruction("out.exr").image == 2).all()
+    assert main([*words, "even", "--brightness", "10"]) == 2
+    assert main([*words, "eve"]) == 2
+    assert main(["reconstruct", "--help"]) == 0
     """
     made = python(code, tmp_path, PYTHONPATH=os.pathsep.join([str(tmp_path / "site"), str(PACKAGE.parent)]))
     assert made.returncode == 0, made.stderr
     assert "75 %" in made.stdout
+    told = " ".join(made.stdout.replace("│", " ").split())
+    assert "--brightness" in told and "For even: how bright the image is." in told
+    low, unknown = made.stderr.splitlines()[-2:]
+    assert low.endswith("error: --brightness = 10: it must be at most 9")
+    assert unknown.endswith("deconvolved, even; did you mean even?")

@@ -57,14 +57,10 @@ def test_the_help_imports_no_command(words):
 
 def test_the_help_lists_every_command_with_its_first_sentence(capsys):
     assert mitsuba_plenoptic.cli.main(["--help"]) == 0
-    page = capsys.readouterr().out
-    commands = mitsuba_plenoptic.cli.command_line()
-    described = {command.name: command.callback.__doc__ for command in commands.registered_commands}
-    described |= {group.name: group.typer_instance.info.help for group in commands.registered_groups}
-    assert set(described) == set(mitsuba_plenoptic.cli.COMMANDS)
-    for name, text in described.items():
-        assert f" {name} " in page
-        assert text.split()[0] in page
+    page = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for name, (_, line) in mitsuba_plenoptic.cli.COMMANDS.items():
+        assert f" {name} {line}" in page
+        assert mitsuba_plenoptic.cli.load(name).help.startswith(line)
 
 
 @pytest.mark.parametrize("name", mitsuba_plenoptic.__all__)

@@ -99,13 +99,11 @@ def _tabs(text: str) -> str:
 
 def commands(text: str) -> str:
     """Write the page of the command, below what it says itself, from its Typer application."""
-    import typer
+    from mitsuba_plenoptic.cli import COMMANDS, PROGRAM, command_group, load
 
-    from mitsuba_plenoptic.cli import PROGRAM, app, commands_of
-
-    group: Any = typer.main.get_command(app)
-    parts = [text, "", *_help(group.help)]
-    for name, command in commands_of(group):
+    parts = [text, "", *_help(command_group().help)]
+    for name in COMMANDS:
+        command = load(name)
         usage = [PROGRAM, name, "[OPTIONS]", *(value_name(p) for p in command.params if is_argument(p))]
         parts += [name, "-" * len(name), "", ".. code-block:: text", "", f"   {' '.join(usage)}", ""]
         parts += [*_help(command.help), *_parameters(command), ""]
@@ -132,7 +130,7 @@ def is_argument(parameter: Any) -> bool:
 
 def value_name(parameter: Any) -> str:
     """Return what stands for a parameter's value."""
-    return parameter.metavar or parameter.name.upper()
+    return parameter.metavar or "|".join(parameter.type_descriptor.choices or [parameter.name.upper()])
 
 
 def written(parameter: Any) -> str:

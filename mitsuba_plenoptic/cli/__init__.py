@@ -5,10 +5,9 @@ Commands import the library in their bodies, so that help, completion and refuse
 
 from __future__ import annotations
 
-import ast
 import contextlib
+import functools
 import importlib
-import importlib.util
 import logging
 import os
 import re
@@ -16,13 +15,13 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Collection, Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from ..errors import InputError, at_shell, did_you_mean, relation
+from ..errors import InputError, at_shell, did_you_mean, relation, require_choice
 from ..extension import entries, missing
 from ..runtime.progress import INTERRUPTED, plain_lines
 
@@ -30,20 +29,26 @@ PROGRAM = "mitsuba-plenoptic"
 
 _logger = logging.getLogger(__package__.partition(".")[0])
 
-# In the order of the help: each command is a function of its name in this module, or a `Typer` of several commands.
-COMMANDS = {
-    name: f"{__package__}.{module}"
-    for name, module in {
-        "example": "example",
-        "render": "render_command",
-        **dict.fromkeys(("reconstruct", "sheet"), "reconstruct"),
-        **dict.fromkeys(("views", "epi", "stack", "depth"), "light_field"),
-        "expose": "render_command",
-        "convert": "light_field",
-        "compare": "compare",
-        **dict.fromkeys(("info", "doctor"), "info"),
-    }.items()
-} | {name: f"{package}.{module}" for package, name, module in entries("commands")}
+_OWN = {
+    "example": ("example", "Write a finished capture, with its ground truth next to it, to try the other commands on."),
+    "render": ("render_command", "Render what a scene's plenoptic camera records."),
+    "reconstruct": ("reconstruct", "Refocus a capture to one or several distances."),
+    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method, a column a distance."),
+    "views": ("light_field", "Show the scene from many positions on the main lens."),
+    "epi": ("light_field", "Show one line of the scene from every view along the same direction."),
+    "stack": ("light_field", "Make a focal stack: one image for each distance, in focus there."),
+    "depth": ("light_field", "Estimate depth, and an image in focus everywhere, from how views agree."),
+    "expose": ("render_command", "Add what a real detector does: noise, saturation, digital numbers."),
+    "convert": ("light_field", "Decode a capture into a light field, or change a light field's format."),
+    "compare": ("compare", "Capture a scene by rays and by waves, refocus it by every method, and compare."),
+    "info": ("info", "Print what follows from a camera's parameters, and warnings about its design."),
+    "doctor": ("info", "Check the installation: versions, LLVM, Mitsuba variants, threads and GPU."),
+}
+
+COMMANDS = {name: (f"{__package__}.{module}", line) for name, (module, line) in _OWN.items()} | {
+    name: (f"{package}.{module}", line) for package, name, (module, line) in entries("commands")
+}
+"""In the order of the help: the module of each command, a function of its name, and its line of help."""
 
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
@@ -55,6 +60,45 @@ _STOPPED = 130
 
 class StoppedError(Exception):
     """Ends a command after Ctrl-C with a line that says how to go on."""
+
+
+class _Commands(TyperGroup):
+    """The commands by their lines of help; the module of the one that is called, or completed, is imported."""
+
+    def resolve_command(self, context: Any, words: list[str]) -> Any:
+        """Return the name, the command and the words that follow."""
+        name, command, rest = super().resolve_command(context, words)
+        return name, command and load(str(name)), rest
+
+
+def command_group() -> Any:
+    """Return the command with its subcommands, none of which is imported."""
+    made = typer.Typer(
+        cls=_Commands,
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    made.callback(invoke_without_command=True)(_root)
+    group: Any = typer.main.get_command(made)
+    group.commands |= {name: TyperCommand(name, help=line) for name, (_, line) in COMMANDS.items()}
+    return group
+
+
+@functools.cache
+def load(name: str) -> Any:
+    """Return a command with the options that every command has."""
+    from ..refocus_options import with_parameters
+
+    command = getattr(importlib.import_module(COMMANDS[name][0]), name)
+
+    @functools.wraps(command)
+    def called(quiet: bool, verbose: bool, **options: Any) -> None:
+        command(**options)
+
+    alone = typer.Typer(rich_markup_mode="rich", add_completion=False)
+    alone.command(name)(with_parameters(called, _FOR_ALL))
+    return typer.main.get_command(alone)
 
 
 def _print_version(wanted: bool) -> None:
@@ -87,109 +131,35 @@ def _root(
         typer.echo(context.get_help())
 
 
-def _command() -> typer.Typer:
-    """Return the command without subcommands."""
-    made = typer.Typer(
-        rich_markup_mode="rich",
-        pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+def _be_quiet(wanted: bool) -> None:
+    if wanted:
+        # Progress, too, is silent at this level.
+        _logger.setLevel(logging.CRITICAL)
+        warnings.showwarning = lambda *_, **__: None
+
+
+def _be_verbose(wanted: bool) -> None:
+    if wanted:
+        _logger.setLevel(logging.DEBUG)
+
+
+_FOR_ALL: dict[str, Any] = {
+    name: Annotated[
+        bool,
+        typer.Option(
+            f"-{name[0]}",
+            f"--{name}",
+            help=text,
+            callback=callback,
+            is_eager=True,
+            rich_help_panel="Every command",
+        ),
+    ]
+    for name, text, callback in (
+        ("quiet", "Print results and errors alone: no progress, notes or warnings.", _be_quiet),
+        ("verbose", "Print details, too: what is read, written and set, with times.", _be_verbose),
     )
-    made.callback(invoke_without_command=True)(_root)
-    return made
-
-
-def command_line(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """Return the command with the named subcommands only, since loading all of them would take a second."""
-    from .judging import judging
-
-    made = _command()
-    for name in names:
-        command = getattr(importlib.import_module(COMMANDS[name]), name)
-        if isinstance(command, typer.Typer):
-            made.add_typer(command, name=name)
-        else:
-            made.command(name)(judging(command))
-    return made
-
-
-def _outline() -> typer.Typer:
-    """Return the command with all subcommands as help texts only, without importing their modules."""
-    made = _command()
-    for name, path in COMMANDS.items():
-        spec = importlib.util.find_spec(path)
-        module = ast.parse(Path(str(spec and spec.origin)).read_text(encoding="utf-8"))
-        # A group of commands has no function of its name.
-        own = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
-        made.command(name, help=ast.get_docstring(next(own, module)))(lambda: None)
-    return made
-
-
-def _called(words: Sequence[str]) -> list[str]:
-    """Return the subcommand named in the words of a command line, or of one being completed; else an empty list."""
-    if "_MITSUBA_PLENOPTIC_COMPLETE" in os.environ:
-        # The last word is being typed.
-        words = os.environ.get("COMP_WORDS", os.environ.get("_TYPER_COMPLETE_ARGS", "")).split(" ")[1:-1]
-    return [word for word in words[:1] if word in COMMANDS]
-
-
-def commands_of(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
-    """Yield the commands of a Typer group with the words that call them, such as ``benchmark make``."""
-    for name, command in group.commands.items():
-        if hasattr(command, "commands"):
-            yield from commands_of(command, *words, name)
-        else:
-            yield " ".join((*words, name)), command
-
-
-def command_group(names: Iterable[str] = COMMANDS) -> Any:
-    """Return the Typer group of the named commands, each with the common options."""
-    group: Any = typer.main.get_command(command_line(names))
-    for_all = typer.Typer()
-    for_all.command()(_for_all)
-    for _, command in commands_of(group):
-        command.params += [one for one in typer.main.get_command(for_all).params if "--help" not in one.opts]
-    return group
-
-
-def _for_all(
-    quiet: Annotated[
-        bool,
-        typer.Option(
-            "-q",
-            "--quiet",
-            help="Print results and errors alone: no progress, notes or warnings.",
-            callback=lambda wanted: _be_quiet() if wanted else None,
-            is_eager=True,
-            expose_value=False,
-            rich_help_panel="Every command",
-        ),
-    ] = False,
-    verbose: Annotated[
-        bool,
-        typer.Option(
-            "-v",
-            "--verbose",
-            help="Print details, too: what is read, written and set, with times.",
-            callback=lambda wanted: _logger.setLevel(logging.DEBUG) if wanted else None,
-            is_eager=True,
-            expose_value=False,
-            rich_help_panel="Every command",
-        ),
-    ] = False,
-) -> None:
-    """Store the options that every command has."""
-
-
-def _be_quiet() -> None:
-    # Progress, too, is silent at this level.
-    _logger.setLevel(logging.CRITICAL)
-    warnings.showwarning = lambda *_, **__: None
-
-
-def __getattr__(name: str) -> Any:
-    if name == "app":
-        return command_line()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -203,8 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["MPLBACKEND"] = "agg"
     if words and (absent := missing("commands", words[0])):
         return _fail(absent)
-    called = _called(words)
-    group = command_group(called) if called else typer.main.get_command(_outline())
+    group, called = command_group(), words[0] if words and words[0] in COMMANDS else None
     if called:
         # Options before the command, of which none is given: Typer would import pydantic to judge them.
         group.params.clear()
@@ -212,11 +181,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _remarks(), _interrupts():
         try:
             # Progress begins before the options are read, thus before --quiet is.
-            silent = not called or not words or not {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
+            shown = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), contextlib.ExitStack() as shown:
-                if not silent:
-                    shown.enter_context(plain_lines(words[0]))
+            with at_shell(_OPTIONS), plain_lines(words[0]) if shown else contextlib.nullcontext():
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == _STOPPED:
@@ -226,40 +193,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _complain(str(stopped) or "stopped: nothing is kept; the same command begins anew")
             return _STOPPED
         except Exception as error:
-            known = dict(commands_of(group)) if called and words else {}
-            command = known.get(words[0]) or known.get(" ".join(words[:2])) if known else None
-            own = command.params if command else ()
-            message = mistake(error, {option: option for one in own for option in one.opts})
+            command = load(called) if called else group
+            message = _mistake(error, {option for known in command.params for option in known.opts})
             if message is None:
                 raise
-            context = getattr(error, "ctx", None)
-            usage = f" (see {context.command_path if context else PROGRAM} --help)" if _is_usage(error) else ""
-            return _fail(message + usage)
+            return _fail(message)
 
 
-def mistake(error: Exception, options: Mapping[str, str]) -> str | None:
+def _mistake(error: Exception, options: Collection[str]) -> str | None:
     """Return the line that describes a user's mistake; None for other exceptions, which are faults of the program.
 
-    Arguments named in the message are spelled as options of the command, by the mapping `options`.
+    Arguments named in the message are spelled as options of the command.
     """
-    if isinstance(error, InputError):
-        return _with_options(str(error), options)
     if isinstance(error, OSError):
         return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
-    if not _is_usage(error):
-        return None
-    unknown = getattr(error, "option_name", "")
-    if gone := missing("commands", unknown):
-        return gone
-    if hasattr(error, "possibilities"):
-        rule = relation(unknown.strip("-").replace("-", "_"))
-        return f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
-    return str(error.format_message()).rstrip(".")  # type: ignore[attr-defined]
-
-
-def _is_usage(error: Exception) -> bool:
-    """Return whether an error is one of Typer's usage errors, whose class has no public name in all versions."""
-    return hasattr(error, "format_message")
+    # The class of usage errors of Typer has no public name in all versions.
+    if hasattr(error, "format_message"):
+        unknown = getattr(error, "option_name", "")
+        message = str(error.format_message()).rstrip(".")
+        name = unknown.strip("-").replace("-", "_")
+        if absent := missing("commands", unknown):
+            message = absent
+        elif hasattr(error, "possibilities"):
+            rule = relation(name)
+            message = f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
+        elif chosen := re.search(r"(?s)'(.*)' is not one of (.*)", getattr(error, "message", "")):
+            name = max(error.param.opts, key=len).strip("-").replace("-", "_")  # type: ignore[attr-defined]
+            try:
+                require_choice(name, chosen[1], re.findall(r"'(.*?)'", chosen[2]))
+            except InputError as refused:
+                return _with_options(str(refused), options)
+        context = getattr(error, "ctx", None)
+        return f"{message} (see {context.command_path if context else PROGRAM} --help)"
+    return _with_options(str(error), options) if isinstance(error, InputError) else None
 
 
 @contextlib.contextmanager
@@ -306,12 +272,12 @@ def _remarks() -> Iterator[None]:
         _logger.removeHandler(handler)
 
 
-def _with_options(message: str, options: Mapping[str, str]) -> str:
+def _with_options(message: str, options: Collection[str]) -> str:
     """Return a message in which arguments, ``name = value: ...``, are spelt as options of the command."""
 
     def spelled(found: re.Match[str]) -> str:
-        option = options.get(_OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}"))
-        if option is None:
+        option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
+        if option not in options:
             return found[0]
         # At a shell flags and what is not given have no value.
         return option if found[2] else f"{option} = "

@@ -7,47 +7,40 @@ from typing import Annotated
 
 import typer
 
+from ..choices import Against
 from ..errors import InputError, refuse_if, require_count
 from ..extension import hook
-from .choices import AGAINST
-from .inputs import (
+from .inputs import camera_instead, named_camera, parse_definitions
+from .options import (
+    EXISTING,
+    SCENE,
     CameraFile,
     Definitions,
     OutputFolder,
-    PositiveDistances,
+    Resume,
     Unit,
-    camera_instead,
-    named_camera,
+    distances,
     numeric,
-    parse_definitions,
+    wavelength_option,
 )
-from .judging import COUNTED, FILE, SCENE, WAVELENGTH, one_of
-from .stages import stage_lines
-from .stopping import Resume
+from .stopping import stage_lines
 
 
 def compare(
     output: OutputFolder,
     scene: Annotated[
         str | None,
-        typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", show_default=False),
-        SCENE,
+        typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", show_default=False, callback=SCENE),
     ] = None,
-    distance: PositiveDistances = None,
-    wavelength: Annotated[
-        float | None,
-        numeric("Wavelength in nanometres; --real needs the one of its light.", "633", unit="NM"),
-        WAVELENGTH,
-    ] = None,
-    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves."), COUNTED] = 16,
+    distance: Annotated[list[float] | None, distances(positive=True)] = None,
+    wavelength: Annotated[float | None, wavelength_option("633; --real needs the one of its light")] = None,
+    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.", check=require_count)] = 16,
     against: Annotated[
-        str | None,
+        Against | None,
         typer.Option(
-            metavar="|".join(AGAINST),
             help="Also show what the camera sees without its microlens array, in focus at the first distance, and the "
             "sharpness of both.",
         ),
-        one_of(AGAINST),
     ] = None,
     real: Annotated[
         Path | None,
@@ -55,13 +48,16 @@ def compare(
             metavar="LIGHTFIELD",
             help="Light field of a real microscope, instead of a scene: a volume is found from part of its pixels, "
             "and predicts the others, by rays and by waves. --camera is the camera as it is known.",
+            callback=EXISTING,
         ),
-        FILE,
     ] = None,
     white: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With --real: picture of something evenly white."), FILE
+        Path | None,
+        typer.Option(metavar="FILE", help="With --real: picture of something evenly white.", callback=EXISTING),
     ] = None,
-    dark: Annotated[Path | None, typer.Option(metavar="FILE", help="With --real: picture without light."), FILE] = None,
+    dark: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --real: picture without light.", callback=EXISTING)
+    ] = None,
     part: Annotated[
         str | None,
         typer.Option(

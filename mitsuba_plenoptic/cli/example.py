@@ -8,15 +8,14 @@ from typing import Annotated
 
 import typer
 
-from .choices import EXAMPLES
-from .inputs import output_option
-from .judging import ends_in, one_of
+from ..choices import Example
+from .options import output_option
 
 
 def example(
-    name: Annotated[str, typer.Argument(metavar="|".join(EXAMPLES), help="Which capture."), one_of(EXAMPLES)],
+    name: Annotated[Example, typer.Argument(help="Which capture.")],
     output: Annotated[
-        Path | None, output_option("FILE.exr", "File to write. Default: named as the capture."), ends_in(".exr")
+        Path | None, output_option("FILE.exr", "File to write. Default: named as the capture.", ".exr")
     ] = None,
 ) -> None:
     """Write a finished capture, with its ground truth next to it, to try the other commands on.

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..choices import RAW_SUFFIXES
 from ..errors import printable, refuse_if
 from ..presets import PRESETS
-from .inputs import Definitions, Unit, load_camera, numeric, parse_definitions
-from .judging import CAMERA, WAVELENGTH
+from .inputs import load_camera, parse_definitions
+from .options import CAMERA, Definitions, Unit, wavelength_option
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,14 +34,10 @@ def info(
             show_default=False,
             help=f"A Mitsuba XML file, a built-in scene's name, a camera's ({', '.join(PRESETS)}), its file or "
             "parameters, as for --camera of 'render', a capture, a raw picture of a Lytro camera, or a lens's file.",
+            callback=CAMERA,
         ),
-        CAMERA,
     ] = None,
-    wavelength: Annotated[
-        float | None,
-        numeric("Wavelength in nanometres of the diffraction figures.", "the capture's", unit="NM"),
-        WAVELENGTH,
-    ] = None,
+    wavelength: Annotated[float | None, wavelength_option("the capture's")] = None,
     drawing: Annotated[
         Path | None,
         typer.Option(
@@ -67,14 +64,18 @@ def info(
     ] = None,
     camera: Annotated[
         str | None,
-        typer.Option(metavar="PRESET|FILE|NAME=VALUE,...", show_default="none", help="The camera, instead of SCENE."),
-        CAMERA,
+        typer.Option(
+            metavar="PRESET|FILE|NAME=VALUE,...",
+            show_default="none",
+            help="The camera, instead of SCENE.",
+            callback=CAMERA,
+        ),
     ] = None,
     unit: Unit = "mm",
     as_json: Json = False,
     define: Definitions = None,
 ) -> None:
-    """Print the quantities that follow from a camera's parameters, and warnings about its design.
+    """Print what follows from a camera's parameters, and warnings about its design.
 
     Nothing is rendered. For a capture, the way it was made is printed too. Warnings name their remedies, which --fix
     applies.
@@ -85,15 +86,9 @@ def info(
 
       mitsuba-plenoptic info raytrix --wavelength 550
 
-      mitsuba-plenoptic info raw.exr
-
       mitsuba-plenoptic info camera.json --drawing lens.png
 
-      mitsuba-plenoptic info camera.json --microlens microlens.png
-
       mitsuba-plenoptic info camera.json --fix better.json
-
-      mitsuba-plenoptic info raw.exr --json
     """
     from rich.console import Console
     from rich.markup import escape
@@ -101,7 +96,7 @@ def info(
     from ..camera import PlenopticCamera
     from ..design import design_warnings, mended
     from ..extension import format_of
-    from ..io.captures import RAW_SUFFIXES, read_capture
+    from ..io.captures import read_capture
     from ..report.design_sheet import design_sheet
     from ..runtime.files import require_writable, write_text
 

@@ -1,206 +1,29 @@
-"""Options that several commands have, and functions that load the cameras, scenes and captures they name."""
+"""Functions that load the cameras, scenes and captures that options name."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import re
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from ..errors import SCENE_XML, InputError, content_of, naming, refuse_if, require_count, require_number, warn
+from ..choices import ANIMATED, RAW_SUFFIXES
+from ..errors import SCENE_XML, InputError, content_of, naming, refuse_if, require_count, warn
 from ..presets import PRESETS
 from ..scene_files import scene_names, scene_path
-from .choices import MODELS, UNITS
-from .judging import CAMERA, COUNTED, FILE, RECORDING, SCENE, Judged, one_of, require_camera_name
+from .options import require_camera_name
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
+
+    import xarray as xr
 
     from ..camera import PlenopticCamera
     from ..report.images import Drawing
     from ..runtime.batches import BatchMap
 
-
-def output_option(metavar: str, text: str) -> Any:
-    """Return the option ``-o`` of a command that writes a file or a folder."""
-    return typer.Option("-o", "--output", metavar=metavar, help=text)
-
-
-WAVES, EXPERT = "Options of waves", "Options for experts"
-"""Panels of the help below the one of the options that most people need."""
-
-
-def numeric(text: str, default: str | None = None, *, unit: str = "N", panel: str | None = None) -> Any:
-    """Return an option that takes a number; help shows `default` where the parameter's default is None."""
-    return typer.Option(metavar=unit, show_default=default or True, help=text, rich_help_panel=panel)
-
-
-Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene."), SCENE]
-CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote."), RECORDING]
-OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.")]
-
-Definitions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "-D",
-        "--define",
-        metavar="NAME=VALUE",
-        help="Set a scene parameter, the $NAME in its XML file; repeat for several.",
-    ),
-]
-
-_DISTANCE = numeric("Distance from the main lens to focus on, beyond its focal length; repeat for several.", unit="MM")
-
-# Depths before an objective may be negative, and only the capture tells whether there is one.
-Distances = Annotated[list[float], _DISTANCE, Judged(partial(require_number, finite=False))]
-AnyDistances = Annotated[list[float] | None, _DISTANCE, Judged(partial(require_number, finite=False))]
-Disparities = Annotated[
-    list[float] | None,
-    numeric("Instead: shift of points in focus from view to view, negative nearer; no camera needed.", unit="LENSES"),
-    Judged(require_number),
-]
-PositiveDistances = Annotated[list[float] | None, _DISTANCE, Judged(partial(require_number, positive=True))]
-
-Variant = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        show_default="llvm_ad_mono",
-        help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
-        rich_help_panel=EXPERT,
-    ),
-]
-
-Model = Annotated[
-    str | None,
-    typer.Option(
-        metavar="|".join(MODELS),
-        show_default="as the scene's integrator has it",
-        help="How light propagates through the camera.",
-    ),
-    one_of(MODELS),
-]
-
-Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler"), COUNTED]
-
-Seed = Annotated[int, numeric("Seed of the random numbers.")]
-
-Workers = Annotated[
-    int | None,
-    numeric(
-        "Wave captures: number of processes of this machine to sum on; the capture has the same bits.",
-        "threads of one process",
-        panel=EXPERT,
-    ),
-]
-
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Wave captures: sum on the workers of this Dask scheduler, for example tcp://10.0.0.1:8786.",
-        rich_help_panel=EXPERT,
-    ),
-]
-
-CameraFile = Annotated[
-    str | None,
-    typer.Option(
-        "--camera",
-        metavar="PRESET|FILE.json|SCENE|NAME=VALUE,...",
-        help=f"Camera instead of any other: {', '.join(PRESETS)}, a JSON or YAML file, as 'calibrate' writes it, a "
-        "scene's, or parameters, such as f_number=2.8,lenses=100,pixels_per_lens=10,pixel_size=0.005,focal_length=50,"
-        "focus_distance=320.",
-    ),
-    CAMERA,
-]
-
-Unit = Annotated[
-    str,
-    typer.Option(
-        metavar="|".join(UNITS), help="Unit of the scene's lengths, which are scaled to millimetres; not the camera's."
-    ),
-    one_of(UNITS),
-]
-
-LightFieldSource = Annotated[
-    Path,
-    typer.Argument(
-        metavar="SOURCE",
-        help="A capture (.exr), a light field (.nc, .zarr, LFToolbox's .mat, or a folder of HCI), a mosaic (.png with "
-        "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or "
-        ".tiff, with --white or --camera).",
-    ),
-    RECORDING,
-]
-
-White = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        show_default="computed from the camera",
-        help="White image of the same camera, .exr, .png or .tiff. For a raw picture it shows where the micro-images "
-        "are.",
-    ),
-    FILE,
-]
-
-Truth = Annotated[
-    Path | None,
-    typer.Option(
-        "--truth",
-        metavar="FILE.truth.exr",
-        show_default="the one next to the capture, if 'render --aov' wrote it",
-        help="Ground truth of the capture.",
-    ),
-    FILE,
-]
-
-Exposure = Annotated[
-    float | None,
-    numeric("Of pictures: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
-]
-
-Percentile = Annotated[
-    float | None,
-    numeric(
-        "Of pictures: the value that this percentage does not surpass becomes white; 100: the brightest.",
-        "99.5, less where a lamp would make the rest black",
-        unit="PERCENT",
-    ),
-]
-
-Scale = Annotated[
-    int | None,
-    numeric(
-        "Of plain pictures: pixels that a bin is wide.",
-        "as many as fit in 960 pixels, at least 1; in 480 for .gif",
-    ),
-]
-
-Figure = Annotated[
-    bool,
-    typer.Option(
-        "--figure",
-        help="Make a .png a labelled figure for papers, with colour bar and scale bars, as a .pdf always is.",
-    ),
-]
-
 _LARGEST_SCALE = 64
-
-ViewCount = Annotated[
-    int | None, numeric("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
-]
-
-Linear = Annotated[
-    bool,
-    typer.Option("--linear", help="Pictures hold values proportional to light, as raw data does, instead of sRGB."),
-]
-
 
 _COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
@@ -214,19 +37,16 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
     A file takes precedence over a preset or scene of the same name.
     """
     from ..camera import PlenopticCamera
+    from ..camera.camera_files import camera_and_record, states_camera
     from ..light.scene import load_scene
 
-    preset = source in PRESETS and not Path(source).is_file()
     # Some scenes are called as a camera; parameters are theirs.
-    preset = preset and not (parameters and source in scene_names())
-    stated = re.match(r"\w+=", source) is not None and not Path(source).is_file()
-    if preset or stated or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
+    preset = source in PRESETS and not Path(source).is_file() and not (parameters and source in scene_names())
+    if preset or states_camera(source) or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
         refuse_if(
             unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out"
         )
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
-        from ..camera.camera_files import camera_and_record
-
         return camera_and_record(source)
     require_camera_name("camera", source)
     found = content_of(Path(source)) if Path(source).is_file() else SCENE_XML
@@ -236,10 +56,14 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
     return PlenopticCamera.from_sensor(sensors[0]), None
 
 
+def refuse_options(work: str, **options: object) -> None:
+    """Refuse options that a kind of work does not take."""
+    for name, value in options.items():
+        refuse_if(value, f"--{name.replace('_', '-')}: {work} does not take it; leave it out")
+
+
 def require_linear(linear: bool, *paths: Path | None) -> None:
     """Refuse ``--linear`` unless an input is a picture."""
-    from ..io.captures import RAW_SUFFIXES
-
     given = [path for path in paths if path is not None]
     refuse_if(
         linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given),
@@ -247,19 +71,36 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
     )
 
 
-def drawing_of(
-    exposure: float | None, percentile: float | None, scale: int | None, figure: bool, *paths: Path | None
-) -> Drawing:
-    """Return the settings for drawn pictures; refuse these options where the output is not a picture."""
-    from ..report.images import ANIMATED, PICTURES, Brightness, Drawing
+def light_field(
+    source: Path,
+    options: Mapping[str, Any],
+    camera: PlenopticCamera | None,
+    truth: Path | bool = False,
+) -> xr.DataArray:
+    """Return the light field that a command reads, by its options `LIGHT_FIELD`."""
+    from ..views.light_field_files import open_light_field
 
-    named = "--exposure" if exposure is not None else "--percentile" if percentile is not None else None
-    given = [path for path in paths if path is not None]
-    refuse_if(
-        named and not any(path.suffix.lower() in PICTURES for path in given),
-        f"{named}: it is for pictures ({', '.join(PICTURES)}); {given[0]} keeps the values as they are",
+    return open_light_field(
+        source,
+        white=options["white"],
+        views=options["view_count"],
+        linear=options["linear"],
+        camera=camera,
+        truth=truth,
     )
-    suffix = given[0].suffix.lower()
+
+
+def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> Drawing:
+    """Return the settings for drawn pictures, the options `PICTURE`; refuse them where the output is not a picture."""
+    from ..report.images import SHOWN, Brightness, Drawing
+
+    given = [path for path in paths if path is not None]
+    for name in ("exposure", "percentile"):
+        refuse_if(
+            options[name] is not None and not any(path.suffix.lower() in SHOWN for path in given),
+            f"--{name}: it is for pictures ({', '.join(SHOWN)}); {given[0]} keeps the values as they are",
+        )
+    suffix, figure, scale = given[0].suffix.lower(), options["figure"], options["scale"]
     refuse_if(figure and suffix not in (".png", ".pdf"), f"--figure: it is for .png and .pdf; the output is {given[0]}")
     if scale is not None:
         refuse_if(
@@ -268,7 +109,7 @@ def drawing_of(
             f"{given[0]}",
         )
         require_count("scale", scale, maximum=_LARGEST_SCALE)
-    return Drawing(Brightness(exposure, percentile), scale, figure)
+    return Drawing(Brightness(options["exposure"], options["percentile"]), scale, figure)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:

@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
-from ..errors import naming, refuse_if, require_suffix, warn
+from ..choices import ANIMATED, LIGHT_FIELDS, PICTURES, Axis, ViewMethod
+from ..errors import naming, refuse_if, require_number, require_suffix, warn
+from ..refocus_options import with_parameters
 from ..runtime.progress import progress_bar
-from .choices import ANIMATED, AXES, LIGHT_FIELDS, PICTURES, VIEW_METHODS
-from .inputs import (
-    AnyDistances,
-    CameraFile,
-    Disparities,
-    Exposure,
-    Figure,
+from .inputs import drawing_of, light_field, named_camera, require_in_sight
+from .options import (
+    LIGHT_FIELD,
+    PICTURE,
     LightFieldSource,
-    Linear,
-    Percentile,
-    Scale,
     Truth,
-    ViewCount,
-    White,
-    drawing_of,
-    named_camera,
+    distances,
     numeric,
     output_option,
-    require_in_sight,
 )
-from .judging import ends_in, one_of
 
 
+@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def views(
     source: LightFieldSource,
     output: Annotated[
@@ -40,19 +33,13 @@ def views(
             "FILE",
             "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled "
             "grid if in .pdf, a tour round the pupil if in .gif.",
+            *PICTURES,
+            *ANIMATED,
         ),
-        ends_in(*PICTURES, *ANIMATED),
     ],
     count: Annotated[int | None, numeric("Write N x N views, evenly spread over the pupil.", "all")] = None,
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
     truth: Truth = None,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    scale: Scale = None,
-    figure: Figure = False,
+    **options: Any,
 ) -> None:
     """Show the scene from many positions on the main lens.
 
@@ -70,13 +57,10 @@ def views(
     from ..report.output_files import require_picture_path, write_orbit, write_views
     from ..runtime.files import require_apart
     from ..views import pick_views
-    from ..views.light_field_files import open_light_field
 
-    require_apart(require_picture_path(output, animated=True), source, white, truth)
-    drawing = drawing_of(exposure, percentile, scale, figure, output)
-    lf = open_light_field(
-        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
-    )
+    require_apart(require_picture_path(output, animated=True), source, options["white"], truth)
+    drawing = drawing_of(options, output)
+    lf = light_field(source, options, named_camera(options["camera"]), truth or True)
     if count is not None:
         lf = pick_views(lf, count)
     if output.suffix.lower() in ANIMATED:
@@ -87,10 +71,11 @@ def views(
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
 
 
+@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def epi(
     source: LightFieldSource,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes."), ends_in(*PICTURES)],
-    axis: Annotated[str, typer.Option(metavar="|".join(AXES), help="Direction of the line.")] = "horizontal",
+    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes.", *PICTURES)],
+    axis: Annotated[Axis, typer.Option(help="Direction of the line.")] = "horizontal",
     at: Annotated[
         float | None,
         numeric(
@@ -107,14 +92,7 @@ def epi(
             unit="MM",
         ),
     ] = None,
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    scale: Scale = None,
-    figure: Figure = False,
+    **options: Any,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
@@ -127,21 +105,17 @@ def epi(
     from ..report.output_files import require_picture_path, write_epipolar_image
     from ..runtime.files import require_apart
     from ..views import epipolar_image
-    from ..views.light_field_files import open_light_field
 
-    require_apart(require_picture_path(output), source, white)
-    drawing = drawing_of(exposure, percentile, scale, figure, output)
-    image = epipolar_image(
-        open_light_field(source, white=white, views=view_count, linear=linear, camera=named_camera(camera)),
-        axis,
-        at=at,
-        through=through,
-    )
+    require_apart(require_picture_path(output), source, options["white"])
+    drawing = drawing_of(options, output)
+    lf = light_field(source, options, named_camera(options["camera"]))
+    image = epipolar_image(lf, axis, at=at, through=through)
     write_epipolar_image(output, image, drawing)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")
 
 
+@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def stack(
     source: LightFieldSource,
     output: Annotated[
@@ -150,24 +124,23 @@ def stack(
             "FILE",
             "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
             "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif.",
+            *PICTURES,
+            *ANIMATED,
         ),
-        ends_in(*PICTURES, *ANIMATED),
     ],
-    distance: AnyDistances = None,
-    disparity: Disparities = None,
-    method: Annotated[
-        str, typer.Option(metavar="|".join(VIEW_METHODS), help="Shift views and add, or slice the spectrum.")
-    ] = "shift",
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    scale: Scale = None,
-    figure: Figure = False,
+    distance: Annotated[list[float] | None, distances(finite=False)] = None,
+    disparity: Annotated[
+        list[float] | None,
+        numeric(
+            "Instead: shift of points in focus from view to view, negative nearer; no camera needed.",
+            unit="LENSES",
+            check=require_number,
+        ),
+    ] = None,
+    method: Annotated[ViewMethod, typer.Option(help="Shift views and add, or slice the spectrum.")] = "shift",
+    **options: Any,
 ) -> None:
-    """Make a focal stack: one image for each distance, in focus there and blurred elsewhere.
+    """Make a focal stack: one image for each distance, in focus there.
 
     The capture is decoded into views, which are moved against each other and
     added. All images have the same size, one pixel per microlens.
@@ -184,7 +157,7 @@ def stack(
     if not distance and not disparity:
         raise typer.BadParameter("give at least one, or a disparity", param_hint="--distance")
     refuse_if(distance and disparity, "--distance, --disparity: give one of the two")
-    known = require_in_sight(source, named_camera(camera), *(distance or []))
+    known = require_in_sight(source, named_camera(options["camera"]), *(distance or []))
     by, given = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
@@ -192,11 +165,10 @@ def stack(
     from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
     from ..runtime.files import require_apart
     from ..views import focal_stack
-    from ..views.light_field_files import open_light_field
 
-    require_apart(require_picture_path(output, animated=True), source, white)
-    drawing = drawing_of(exposure, percentile, scale, figure, output)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known)
+    require_apart(require_picture_path(output, animated=True), source, options["white"])
+    drawing = drawing_of(options, output)
+    lf = light_field(source, options, known)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(
@@ -216,6 +188,7 @@ _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
 
 
+@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def depth(
     source: LightFieldSource,
     output: Annotated[
@@ -225,8 +198,8 @@ def depth(
             "File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
             "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence; if in .pdf "
             "these with their scales.",
+            *PICTURES,
         ),
-        ends_in(*PICTURES),
     ],
     near: Annotated[
         float | None, numeric("Nearest distance to search, or least disparity.", "as near as depth shows", unit="MM")
@@ -235,17 +208,10 @@ def depth(
         float | None, numeric("Farthest distance to search, or greatest disparity.", "as far as depth shows", unit="MM")
     ] = None,
     planes: Annotated[int | None, numeric("Number of distances to try.", "64, more for a wide search")] = None,
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
     truth: Truth = None,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    scale: Scale = None,
-    figure: Figure = False,
+    **options: Any,
 ) -> None:
-    """Estimate depth, and an image in focus everywhere, from how well the views agree.
+    """Estimate depth, and an image in focus everywhere, from how views agree.
 
     Depth is measured from the main lens along the axis. The confidence estimates the probability that a depth is within
     1 %; below 0.5 the depth is unknown. It is 0 where the views agree best at an end of the search range. With a known
@@ -260,15 +226,15 @@ def depth(
     from ..runtime.files import require_apart
     from ..views import depth_error, depth_map
     from ..views.depth import beyond_search, is_focused
-    from ..views.light_field_files import open_light_field, open_micro_images
+    from ..views.light_field_files import open_micro_images
 
-    require_apart(require_picture_path(output), source, white, truth)
-    drawing = drawing_of(exposure, percentile, scale, figure, output)
-    known = named_camera(camera)
-    lf = open_light_field(source, white=white, views=view_count, linear=linear, camera=known, truth=truth or True)
+    require_apart(require_picture_path(output), source, options["white"], truth)
+    drawing = drawing_of(options, output)
+    known = named_camera(options["camera"])
+    lf = light_field(source, options, known, truth or True)
     images = None
     if is_focused(lf):
-        images = open_micro_images(source, white=white, linear=linear, camera=known)
+        images = open_micro_images(source, white=options["white"], linear=options["linear"], camera=known)
     with progress_bar("Comparing views") as progress:
         found = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
     write_depth(output, found, drawing)
@@ -302,6 +268,7 @@ def depth(
         )
 
 
+@partial(with_parameters, parameters=LIGHT_FIELD)
 def convert(
     source: LightFieldSource,
     output: Annotated[
@@ -313,23 +280,18 @@ def convert(
         ),
     ],
     layout: Annotated[
-        str | None,
+        Literal["hci"] | None,
         typer.Option(
             "--format",
-            metavar="hci",
             show_default="by the output's name",
             help="Write a folder as those of the 4D Light Field Benchmark (HCI): a picture for each view, the "
             "geometry, and depth where ground truth is known.",
         ),
-        one_of(("hci",)),
     ] = None,
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
     truth: Truth = None,
+    **options: Any,
 ) -> None:
-    """Decode a capture into a light field, or translate between formats of light fields.
+    """Decode a capture into a light field, or change a light field's format.
 
     NetCDF and Zarr keep the whole light field, with axes, weights and camera, for xarray and for the other commands.
 
@@ -337,11 +299,7 @@ def convert(
 
       mitsuba-plenoptic convert raw.exr -o lf.nc
 
-      mitsuba-plenoptic convert raw.exr -o lf.mat
-
       mitsuba-plenoptic convert photo.png --white white.png -o lf.mat
-
-      mitsuba-plenoptic convert lytro.eslf.png --view-count 14 -o lf.mat
 
       mitsuba-plenoptic convert raw.exr -o folder --format hci
 
@@ -351,7 +309,7 @@ def convert(
         require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
     from ..runtime.files import require_apart
-    from ..views.light_field_files import HCI, open_light_field, require_light_field_path, save_light_field
+    from ..views.light_field_files import HCI, require_light_field_path, save_light_field
 
     writer = None
     if layout is None:
@@ -359,10 +317,8 @@ def convert(
     else:
         writer = format_of(HCI, "light field", f"format = {layout}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
-    require_apart(output, source, white, truth)
-    lf = open_light_field(
-        source, white=white, views=view_count, linear=linear, camera=named_camera(camera), truth=truth or True
-    )
+    require_apart(output, source, options["white"], truth)
+    lf = light_field(source, options, named_camera(options["camera"]), truth or True)
     if writer is not None:
         known = lf.coords.get("virtual_depth", lf.coords.get("depth"))
         central = None if known is None else known.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]

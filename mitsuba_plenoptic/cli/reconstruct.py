@@ -3,68 +3,71 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InputError, refuse_if
-from ..refocus_options import METHODS, OPTIONS, Option, with_parameters
+from ..choices import PICTURES, VOLUMES
+from ..errors import refuse_if, require_count
+from ..refocus_options import Option, all_options, with_parameters
 from ..runtime.progress import in_words, progress_bar
-from .choices import PICTURES, VOLUMES
-from .inputs import (
+from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear
+from .options import (
     EXPERT,
+    PICTURE,
     WAVES,
     CameraFile,
     CaptureFile,
-    Distances,
+    Estimate,
     Exposure,
-    Figure,
     Linear,
+    Method,
     Percentile,
-    Scale,
+    Resume,
+    Scheduler,
     Variant,
-    batches_on,
-    drawing_of,
-    named_camera,
+    White,
+    Workers,
+    distances,
     numeric,
     output_option,
-    require_in_sight,
-    require_linear,
+    wavelength_option,
 )
-from .judging import COUNTED, METHOD, WAVELENGTH, ends_in
-from .stopping import Resume, checkpoint_of, stopped_by_hand
+from .stopping import checkpoint_of, resumable
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
     from ..io.captures import Capture
 
 
-def _with_method_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Give the command an option for each argument that only some methods take."""
+def _method_options() -> dict[str, Any]:
+    """Return an option of the command for each argument that only some methods take."""
     made: dict[str, Any] = {}
-    for name, option in OPTIONS.items():
+    for name, option in all_options().items():
         flag = bool in option.types
         kind: Any = str | None if str in option.types else option.types[0] | None
         made[name] = Annotated[
             kind,
             typer.Option(
                 *([f"--{name}/--no-{name}" if option.default else f"--{name}"] if flag else []),
-                metavar="|".join(option.choices) or option.metavar or (None if flag else "N"),
+                metavar=option.metavar or (None if flag or option.choices else "N"),
                 show_default=name if flag and option.default else not flag and option.shown_default,
-                help=option.label,
+                help=option.text,
                 rich_help_panel=WAVES if option.waves else EXPERT,
             ),
         ]
-    return with_parameters(command, made)
+    return made
 
 
-@_with_method_options
+@partial(with_parameters, parameters=_method_options())
+@partial(with_parameters, parameters=PICTURE)
 def reconstruct(
     capture: CaptureFile,
-    distance: Distances,
+    # Depths before an objective may be negative, and only the capture tells whether there is one.
+    distance: Annotated[list[float], distances(finite=False)],
     output: Annotated[
         Path | None,
         output_option(
@@ -73,57 +76,29 @@ def reconstruct(
             ".png. With several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. "
             "All go into one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif "
             "(ImageJ), .ome.tif (OME) or .zarr.",
+            *PICTURES,
+            *VOLUMES,
         ),
-        ends_in(*PICTURES, *VOLUMES),
     ] = None,
     method: Annotated[
-        str,
+        Method,
         typer.Option(
-            metavar="|".join(METHODS),
             help="How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved "
             "subset of lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, "
             "deconvolved finds the plane whose capture it is.",
         ),
-        METHOD,
     ] = "ray",
-    wavelength: Annotated[
-        float | None,
-        numeric("For waves: wavelength in nanometres.", "the capture's", unit="NM", panel=WAVES),
-        WAVELENGTH,
-    ] = None,
+    wavelength: Annotated[float | None, wavelength_option("the capture's", WAVES)] = None,
     camera: CameraFile = None,
     linear: Linear = False,
-    oversample: Annotated[int, numeric("Bins per microlens along each axis; info prints what suits."), COUNTED] = 1,
-    white: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            show_default="computed from the camera",
-            help="A capture or picture of a white scene by the same camera; the result is divided by it.",
-        ),
-    ] = None,
+    oversample: Annotated[
+        int, numeric("Bins per microlens along each axis; info prints what suits.", check=require_count)
+    ] = 1,
+    white: White = None,
     resume: Resume = False,
-    workers: Annotated[
-        int | None,
-        numeric(
-            "For deconvolved: number of processes that compute point spreads.", "threads of one process", panel=EXPERT
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="For deconvolved: compute them on the workers of this Dask scheduler.",
-            rich_help_panel=EXPERT,
-        ),
-    ] = None,
-    estimate: Annotated[
-        bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
-    ] = False,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    scale: Scale = None,
-    figure: Figure = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    estimate: Estimate = False,
     variant: Variant = None,
     **options: Any,
 ) -> None:
@@ -146,10 +121,6 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.exr --method deconvolved --distance 280 --estimate
 
-      mitsuba-plenoptic reconstruct raw.exr -o far.png --distance inf --white white.exr
-
-      mitsuba-plenoptic reconstruct raw.exr -o fine.exr --method deconvolved --oversample 4 --distance 280
-
       mitsuba-plenoptic reconstruct raw.exr -o out.tif --method deconvolved --volume --distance 220 --distance 260
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
@@ -159,16 +130,14 @@ def reconstruct(
     # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
     from ..refocus.methods import registered, used_by
-    from ..refocus.results import SUFFIXES, require_volume_path
+    from ..refocus.results import require_volume_path
     from ..report.output_files import reconstruction_paths, write_reconstructions
     from ..runtime.files import require_apart
     from ..runtime.limits import GIB
 
     chosen = registered(method)
     if estimate:
-        refused = {"resume": resume, "workers": workers, "scheduler": scheduler}
-        for name in (name for name, value in refused.items() if value):
-            raise InputError(f"--{name}: an estimate does not take it; leave it out")
+        refuse_options("an estimate", resume=resume, workers=workers, scheduler=scheduler)
     elif output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Those that the command alone knows, too, so that there is one note on all.
@@ -176,7 +145,7 @@ def reconstruct(
         chosen,
         white=white,
         wavelength=wavelength,
-        **{name: _value_of(OPTIONS[name], value) for name, value in options.items()},
+        **{name: _value_of(option, options[name]) for name, option in all_options().items()},
         resume=resume or None,
         workers=workers,
         scheduler=scheduler,
@@ -191,8 +160,8 @@ def reconstruct(
             cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **used)
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
-    whole = output.suffix.lower() in SUFFIXES
-    drawing = drawing_of(exposure, percentile, scale, figure, output)
+    whole = output.suffix.lower() in VOLUMES
+    drawing = drawing_of(options, output)
     paths = [] if whole else reconstruction_paths(output, distance, drawing)
     if whole:
         require_volume_path(output, distance)
@@ -202,7 +171,7 @@ def reconstruct(
     recorded, reference = _recorded(capture, white, known, linear, variant)
     saved = checkpoint_of(output, bool(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
-        with progress_bar("Refocusing") as progress, stopped_by_hand(saved, progress) if saved else nullcontext():
+        with progress_bar("Refocusing") as progress, resumable(progress, saved):
             results = reconstruction.reconstruct(
                 recorded,
                 distance,
@@ -229,7 +198,7 @@ def sheet(
     results: Annotated[
         list[Path], typer.Argument(metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.")
     ],
-    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png."), ends_in(".pdf", ".png")],
+    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.", ".pdf", ".png")],
     distance: Annotated[
         list[float] | None,
         numeric("Show the results at this distance alone; repeat for several.", "all", unit="MM"),
@@ -237,7 +206,7 @@ def sheet(
     exposure: Exposure = None,
     percentile: Percentile = None,
 ) -> None:
-    """Lay reconstructions out in one figure: a row for each method, a column for each distance.
+    """Lay reconstructions out in one figure: a row a method, a column a distance.
 
     All share one scale. They must be by one camera.
 

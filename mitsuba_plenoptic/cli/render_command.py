@@ -10,28 +10,28 @@ from typing import Annotated
 
 import typer
 
-from ..errors import InputError
+from ..choices import QUANTITIES, RAW_SUFFIXES, AnyMosaic
 from ..runtime.progress import MINUTE, Forecast, in_words, progress_bar
-from .choices import ALL_MOSAICS, QUANTITIES, RAW_SUFFIXES
-from .inputs import (
+from .inputs import batches_on, open_scene, parse_definitions, refuse_options
+from .options import (
     CameraFile,
     CaptureFile,
     Definitions,
+    Estimate,
     Model,
+    Resume,
     Samples,
     Scene,
     Scheduler,
     Seed,
     Unit,
     Workers,
-    batches_on,
+    ends_in,
+    nanometres_of_channels,
     numeric,
-    open_scene,
     output_option,
-    parse_definitions,
 )
-from .judging import WAVELENGTHS, ends_in
-from .stopping import Resume, checkpoint_of, stopped_by_hand
+from .stopping import checkpoint_of, resumable
 
 _log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 def render(
     scene: Scene,
     output: Annotated[
-        Path | None, output_option("FILE.exr", "File to write; not needed with --estimate."), ends_in(".exr")
+        Path | None, output_option("FILE.exr", "File to write; not needed with --estimate.", ".exr")
     ] = None,
     model: Model = None,
     spp: Samples = None,
@@ -50,8 +50,8 @@ def render(
             "Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
             "the scene's, else 633",
             unit="NM",
+            check=nanometres_of_channels,
         ),
-        WAVELENGTHS,
     ] = None,
     bandwidth: Annotated[
         float | None,
@@ -79,9 +79,7 @@ def render(
         bool,
         typer.Option("--noise", help="Keep the standard deviation of each pixel, too, as layer 'noise' of the file."),
     ] = False,
-    estimate: Annotated[
-        bool, typer.Option("--estimate", help="Print what it would take, after a few seconds, and stop.")
-    ] = False,
+    estimate: Estimate = False,
     resume: Resume = False,
     checkpoint: Annotated[
         Path | None,
@@ -101,9 +99,10 @@ def render(
     white: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.exr", help="Write the camera's white image, too: by rays, without noise, for any model."
+            metavar="FILE.exr",
+            help="Write the camera's white image, too: by rays, without noise, for any model.",
+            callback=ends_in(".exr"),
         ),
-        ends_in(".exr"),
     ] = None,
     aov: Annotated[
         str | None,
@@ -137,15 +136,9 @@ def render(
 
       mitsuba-plenoptic render letters -o wave.exr --model wave
 
-      mitsuba-plenoptic render letters -o wave.exr --model wave --method signed_rays --spp 16
-
-      mitsuba-plenoptic render letters -o small.exr -D resolution=1024
-
       mitsuba-plenoptic render still_life --model wave --estimate
 
       mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
-
-      mitsuba-plenoptic render letters -o raw.exr --camera camera.json
 
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
@@ -165,9 +158,7 @@ def render(
     options = {"wavelength": wavelength, "bandwidth": bandwidth, "responses": responses, "method": method}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
-        refused = {"noise": noise, "resume": resume, "checkpoint": checkpoint, "white": white, "aov": aov}
-        for name in (name for name, value in refused.items() if value):
-            raise InputError(f"--{name}: an estimate does not take it; leave it out")
+        refuse_options("an estimate", noise=noise, resume=resume, checkpoint=checkpoint, white=white, aov=aov)
         with progress_bar("Estimating") as progress:
             loaded = open_scene(scene, parameters, variant, camera, replaced, unit)
             progress(1, 2)
@@ -207,7 +198,7 @@ def render(
                 cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
             _log.info("the capture takes about %s: %s", in_words(seconds), cause)
 
-        with progress_bar("Rendering") as progress, stopped_by_hand(saved, progress) if by_waves else nullcontext():
+        with progress_bar("Rendering") as progress, resumable(progress, saved if by_waves else None):
             start = time.perf_counter()
             capture = render_capture(
                 loaded,
@@ -245,8 +236,7 @@ def expose(
     capture: CaptureFile,
     output: Annotated[
         Path,
-        output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers."),
-        ends_in(".exr", *RAW_SUFFIXES),
+        output_option("FILE", "File to write: .exr, or .png or .tiff for digital numbers.", ".exr", *RAW_SUFFIXES),
     ],
     photons: Annotated[float, numeric("Photons that hit a pixel of value 1 during the exposure.")],
     quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,
@@ -261,9 +251,8 @@ def expose(
         int | None, numeric("Number without any electron.", "four deviations of the dark noise")
     ] = None,
     mosaic: Annotated[
-        str | None,
+        AnyMosaic | None,
         typer.Option(
-            metavar="|".join(ALL_MOSAICS),
             show_default="none",
             help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
         ),
@@ -273,7 +262,7 @@ def expose(
     ] = 0.0,
     seed: Annotated[int, numeric("Seed of the noise.")] = 0,
 ) -> None:
-    """Add what a real detector does: photon and read noise, saturation, digital numbers.
+    """Add what a real detector does: noise, saturation, digital numbers.
 
     The sensor is linear after EMVA Standard 1288. The result is a capture in
     the units of the first, so that every command takes it. A name that ends

@@ -1,4 +1,4 @@
-"""Stopping of commands: the option ``--resume``, the handling of Ctrl-C, and the line on how to go on."""
+"""Runs that may be stopped: their checkpoints, the handling of Ctrl-C, and the lines of experiments with stages."""
 
 from __future__ import annotations
 
@@ -8,28 +8,18 @@ import signal
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from ..runtime.progress import ProgressBar
+from ..runtime.progress import ProgressBar, in_words, is_quiet, moving_bar, plain_lines
 from . import StoppedError
-from .inputs import EXPERT
 
 if TYPE_CHECKING:
+    from rich.progress import TaskID
+
     from ..io.checkpoints import Checkpoint
+    from ..report.stage_store import StageOptions
 
 _log = logging.getLogger(__name__)
-
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Refuse what another run has left at the output, instead of replacing it; the same command goes on from "
-        "what it has left itself with and without this.",
-        rich_help_panel=EXPERT,
-    ),
-]
 
 
 def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Checkpoint:
@@ -42,37 +32,51 @@ def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Check
 
 
 @contextlib.contextmanager
-def resumable(progress: ProgressBar | None = None) -> Iterator[None]:
-    """On Ctrl-C, print how much of the run is finished and that the same command continues it."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        done = f" at {100 * progress.fraction:.0f} %" if progress else ""
-        raise StoppedError(f"stopped{done}: the same command goes on from there") from None
-
-
-@contextlib.contextmanager
-def stopped_by_hand(checkpoint: Checkpoint, progress: ProgressBar) -> Iterator[None]:
-    """Let Ctrl-C end a run with its checkpoint written, and say how to go on; a second Ctrl-C ends it at once."""
+def resumable(progress: ProgressBar | None = None, checkpoint: Checkpoint | None = None) -> Iterator[None]:
+    """Let Ctrl-C end a run, with its checkpoint written, and say how to go on; a second Ctrl-C ends it at once."""
     # Only the main thread receives signals.
-    on_main = threading.current_thread() is threading.main_thread()
+    waits = checkpoint is not None and threading.current_thread() is threading.main_thread()
     before: Any = signal.getsignal(signal.SIGINT)
 
     def stop(signal_number: int, frame: Any) -> None:
         signal.signal(signal.SIGINT, before)
-        if not checkpoint.stop():
+        if checkpoint is None or not checkpoint.stop():
             raise KeyboardInterrupt
         _log.info("stopping after the current batch; Ctrl-C again stops at once")
 
-    if on_main:
+    if waits:
         signal.signal(signal.SIGINT, stop)
     try:
-        with resumable(progress):
-            yield
-    except StoppedError:
-        if not checkpoint.path.exists():
-            raise KeyboardInterrupt from None
-        raise
+        yield
+    except KeyboardInterrupt:
+        if checkpoint is not None and not checkpoint.path.exists():
+            raise
+        done = f" at {100 * progress.fraction:.0f} %" if progress else ""
+        raise StoppedError(f"stopped{done}: the same command goes on from there") from None
     finally:
-        if on_main:
+        if waits:
             signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def stage_lines(resume: bool) -> Iterator[StageOptions]:
+    """Print a line for each finished stage, and show the progress of the current one, while the context is open."""
+    from ..report.stage_store import StageOptions
+
+    with moving_bar() as bar, plain_lines("starting") as line, resumable():
+        tasks: dict[str, TaskID] = {}
+
+        def notify(name: str, done: int, total: int) -> None:
+            line.label = name.replace("_", " ")
+            line(done, total)
+            if name not in tasks:
+                tasks[name] = bar.add_task(line.label, total=1)
+            bar.update(tasks[name], completed=done, total=total or 1)
+
+        def finished(name: str, seconds: float, was_there: bool) -> None:
+            if name in tasks:
+                bar.remove_task(tasks.pop(name))
+            if not is_quiet():
+                bar.console.print(f"{name.replace('_', ' '):<28} {'reused' if was_there else in_words(seconds)}")
+
+        yield StageOptions(notify, finished, resume)

@@ -12,7 +12,7 @@ import json
 import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import tifffile
@@ -21,6 +21,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..camera import PlenopticCamera, require_camera
+from ..choices import MODELS, RAW_SUFFIXES, AnyMosaic
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -41,8 +42,6 @@ from ..runtime.files import atomic_output, require_writable
 from .exr import read_attributes, read_exr, read_pixels, write_exr
 from .pictures import KEY, StoredPicture, read_numbers
 from .versions import camera_of_waves, is_of_1_0, require_seal, sealed
-
-MODELS = ("ray", "wave")
 
 _log = logging.getLogger(__name__)
 
@@ -160,19 +159,10 @@ def recording_of(capture: Capture) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-MOSAICS = ("RGGB", "GRBG", "GBRG", "BGGR")
-"""Bayer's mosaic and its turns (Bayer 1976, US patent 3971065), by the filters of the first two rows of two pixels."""
-
-QUAD = "QUAD_"
-"""Before the name of one of `MOSAICS`: each of its filters covers 2 x 2 pixels."""
-
-ALL_MOSAICS = (*MOSAICS, *(QUAD + mosaic for mosaic in MOSAICS))
-
-
 def mosaic_of(capture: Capture) -> str | None:
     """Return the colour-filter mosaic of a capture, None without a mosaic or after demosaicking."""
     mosaic = recording_of(capture).get("mosaic") if capture.image.ndim == 2 else None
-    return mosaic if mosaic in ALL_MOSAICS else None
+    return mosaic if mosaic in get_args(AnyMosaic) else None
 
 
 def require_demosaiced(capture: Capture) -> None:
@@ -314,8 +304,6 @@ def read_capture(
 
 read_raw = read_capture
 """The same function, by its name for raw pictures in version 1.0."""
-
-RAW_SUFFIXES = (".png", ".tif", ".tiff")
 
 
 def write_raw(path: str | Path, capture: Capture) -> None:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..choices import Example
 from ..errors import require_choice
 from .captures import Capture, read_capture
 from .truth_files import GroundTruth, read_ground_truth, truth_path
-
-NAMES = ("letters-ray", "letters-wave", "white")
-"""The scene of the letters by both models of light, and a luminous wall by the same camera."""
 
 FOLDER = Path(__file__).parents[1] / "examples"
 
@@ -75,4 +73,4 @@ def example_truth(name: str) -> GroundTruth:
 
 
 def _path(name: str) -> Path:
-    return FOLDER / f"{require_choice('example', name, NAMES)}.exr"
+    return FOLDER / f"{require_choice('example', name, Example)}.exr"

@@ -10,18 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..choices import QUANTITIES
 from ..errors import InputError, naming, refuse_if, require_choice, short_repr
 from .exr import read_exr_parts, write_exr_parts
-
-QUANTITIES = {
-    "depth": "Z",
-    "virtual_depth": "Z",
-    "position": "XYZ",
-    "normal": "XYZ",
-    "albedo": "RGB",
-    "shape_index": "I",
-}
-"""Quantities of the point that a ray meets, with their channels."""
 
 SUFFIX = ".truth.exr"
 """Suffix that replaces a capture's ``.exr``."""

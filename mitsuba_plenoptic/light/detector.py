@@ -12,6 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..choices import MOSAICS, AnyMosaic
 from ..errors import (
     InputError,
     put,
@@ -22,7 +23,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io.captures import ALL_MOSAICS, QUAD, Capture, recording_of, require_demosaiced
+from ..io.captures import Capture, recording_of, require_demosaiced
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9
@@ -114,7 +115,7 @@ class Detector:
         gain = (top - black) / self.full_well if self.gain is None else self.gain
         put(self, black_level=black, gain=_positive("gain", gain))
         if self.mosaic is not None:
-            require_choice("mosaic", self.mosaic, ALL_MOSAICS)
+            require_choice("mosaic", self.mosaic, AnyMosaic)
 
     def digital_numbers(self, photons: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Return the digital numbers of pixels that are hit by a given mean number of photons.
@@ -228,8 +229,8 @@ def expose(capture: Capture, detector: Detector, *, photons: float, seed: int = 
 
 def filters(camera: PlenopticCamera, mosaic: str) -> NDArray[np.int64]:
     """Return the channel, 0 to 2 for red to blue, that each recorded pixel sees."""
-    tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix(QUAD)]).reshape(2, 2)
-    each = 2 if mosaic.startswith(QUAD) else 1
+    tile = np.array(["RGB".index(letter) for letter in mosaic.removeprefix("QUAD_")]).reshape(2, 2)
+    each = 1 if mosaic in MOSAICS else 2
     left, top = camera.crop_offset
     rows, columns = camera.shape
     return np.asarray(tile[np.ix_((np.arange(rows) + top) // each % 2, (np.arange(columns) + left) // each % 2)])

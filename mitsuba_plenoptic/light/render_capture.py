@@ -14,8 +14,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
-from ..io.captures import MODELS, Capture
+from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
 from ..runtime.backend import one_at_a_time

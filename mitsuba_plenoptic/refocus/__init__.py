@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import did_you_mean
 from ..extension import entries, missing, place
-from ..refocus_options import FOOTPRINTS, RESPONSES
+from ..refocus_options import FOOTPRINTS
 
 # in the order in which help and messages name them
 from . import ray, wave_methods  # noqa: F401
@@ -34,7 +34,6 @@ def __getattr__(name: str) -> Any:
 __all__ = [
     "FOOTPRINTS",
     "METHODS",
-    "RESPONSES",
     "Reconstruction",
     "Volume",
     "estimate_reconstruction",

@@ -7,7 +7,7 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Unpack, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from ..errors import (
 from ..io.captures import Capture
 from ..io.checkpoints import Checkpoint
 from ..optics import guards
-from ..refocus_options import OPTIONS, MethodOptions, with_options
+from ..refocus_options import all_options, with_options
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap
 from ..runtime.limits import GIB, memory_asked
@@ -57,26 +57,35 @@ _LONG = 30.0
 """Seconds from which on the time and memory of a reconstruction are told as soon as they are known."""
 
 
-class ReconstructOptions(MethodOptions, total=False):
-    """Arguments of `reconstruct` other than capture and distance."""
-
-    method: str
-    camera: PlenopticCamera | None
-    wavelength: float | Sequence[float] | None
-    oversample: int
-    white: Capture | np.ndarray | None
-    progress: Callable[[int, int], None] | None
-    checkpoint: Checkpoint | None
-    batch_map: BatchMap | None
-
-
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray, distance: float, **options: Unpack[ReconstructOptions]
+    capture: Capture | np.ndarray,
+    distance: float,
+    *,
+    method: str = ...,
+    camera: PlenopticCamera | None = ...,
+    wavelength: float | Sequence[float] | None = ...,
+    oversample: int = ...,
+    white: Capture | np.ndarray | None = ...,
+    progress: Callable[[int, int], None] | None = ...,
+    checkpoint: Checkpoint | None = ...,
+    batch_map: BatchMap | None = ...,
+    **options: Any,
 ) -> Reconstruction: ...
 @overload
 def reconstruct(
-    capture: Capture | np.ndarray, distance: Sequence[float], **options: Unpack[ReconstructOptions]
+    capture: Capture | np.ndarray,
+    distance: Sequence[float],
+    *,
+    method: str = ...,
+    camera: PlenopticCamera | None = ...,
+    wavelength: float | Sequence[float] | None = ...,
+    oversample: int = ...,
+    white: Capture | np.ndarray | None = ...,
+    progress: Callable[[int, int], None] | None = ...,
+    checkpoint: Checkpoint | None = ...,
+    batch_map: BatchMap | None = ...,
+    **options: Any,
 ) -> list[Reconstruction]: ...
 @functools.partial(suggest_keywords, gone={"partition": "interleave, which takes every K-th lens along both axes"})
 @one_at_a_time
@@ -93,7 +102,7 @@ def reconstruct(
     progress: Callable[[int, int], None] | None = None,
     checkpoint: Checkpoint | None = None,
     batch_map: BatchMap | None = None,
-    **options: Unpack[MethodOptions],
+    **options: Any,
 ) -> Reconstruction | list[Reconstruction]:
     """Refocus a capture to one or several object distances.
 
@@ -142,7 +151,7 @@ def reconstruct(
         For ``deconvolved``: computes the point spreads, for example `Cluster`. Default: threads of this
         process.
     **options
-        Options of single methods: see `MethodOptions`.
+        Options of single methods: see `mitsuba_plenoptic.refocus_options`.
 
     Returns
     -------
@@ -197,12 +206,12 @@ def reconstruct(
         chosen,
         white=white,
         wavelength=wavelength,
-        **{name: options.get(name) for name in OPTIONS},
+        **{name: options.get(name) for name in all_options()},
         checkpoint=checkpoint,
         batch_map=batch_map,
     )
     white, wavelength = used["white"], used["wavelength"]
-    settings = {name: require_option(name, used[name], camera) for name in chosen.options}
+    settings = {name: require_option(option, name, used[name], camera) for name, option in chosen.options.items()}
     if "response" in settings:
         settings["response"] = require_response(settings["response"], capture, wavelength)
     oversample = require_count("oversample", oversample)

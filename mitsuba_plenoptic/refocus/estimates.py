@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Unpack
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..io.captures import Capture
 from ..runtime.batches import Cost
 from ..runtime.limits import memory_asked
 from ..runtime.progress import Forecast
-from .api import ReconstructOptions, reconstruct
+from .api import reconstruct
 
 _REFUSED = ("progress", "checkpoint")
 
@@ -25,9 +25,7 @@ class _KnownError(Exception):
         self.seconds = seconds
 
 
-def estimate_reconstruction(
-    capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Unpack[ReconstructOptions]
-) -> Cost:
+def estimate_reconstruction(capture: Capture | np.ndarray, distance: float | Sequence[float], **options: Any) -> Cost:
     """Return the estimated time and memory of `reconstruct` with the same arguments.
 
     The reconstruction is begun, and abandoned as soon as its speed is known: some five seconds after the first results,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
@@ -31,8 +31,7 @@ from ..io.captures import Capture, require_demosaiced
 from ..io.checkpoints import Checkpoint
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
-from ..refocus_options import METHODS as NAMES
-from ..refocus_options import OPTIONS
+from ..refocus_options import Option, all_options, options_of_methods
 from ..runtime.backend import as_array
 from ..runtime.batches import BatchMap
 from ..runtime.limits import require_memory_for
@@ -151,7 +150,7 @@ class RegisteredMethod:
 
     name: str
     refocus: Refocus
-    options: tuple[str, ...]
+    options: Mapping[str, Option]
     waves: bool
     as_it_is: bool = False
     long: bool = False
@@ -176,7 +175,7 @@ def registered(name: object) -> RegisteredMethod:
     if isinstance(name, str) and name in METHODS:
         return METHODS[name]
     refuse_if(absent := missing("methods", str(name)), f"method = {absent}")
-    return METHODS[require_choice("method", name, tuple(dict.fromkeys((*NAMES, *METHODS))))]
+    return METHODS[require_choice("method", name, METHODS)]
 
 
 def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
@@ -206,7 +205,7 @@ def method(
     name : str
         The name under which users select it.
     options : tuple of str
-        The options of `reconstruct` that it takes, besides those whose records name it (see `refocus_options`).
+        Options of other methods that it takes, besides its own (see `refocus_options`).
     waves : bool
         Whether the method needs wavelengths.
     as_it_is : bool
@@ -218,7 +217,7 @@ def method(
     soft : bool
         Whether micro-images that are moved shall be smoothed; the task says whether they are.
     """
-    taken = (*options, *(option for option, record in OPTIONS.items() if name in record.methods))
+    taken = {option: all_options()[option] for option in options} | options_of_methods().get(name, {})
 
     def register(refocus: Refocus) -> Refocus:
         METHODS[name] = RegisteredMethod(name, refocus, taken, waves, as_it_is, long, white, soft)
@@ -256,9 +255,8 @@ def require_distances(distance: Any, camera: PlenopticCamera) -> list[float]:
     return distances
 
 
-def require_option(name: str, value: Any, camera: PlenopticCamera) -> Any:
+def require_option(option: Option, name: str, value: Any, camera: PlenopticCamera) -> Any:
     """Return an option's value as methods expect it, or the default of its record if none is given."""
-    option = OPTIONS[name]
     if value is None:
         return option.default
     if option.check:

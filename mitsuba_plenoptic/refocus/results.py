@@ -15,14 +15,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
+from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed
 from ..io.exr import read_exr, write_exr
 from ..runtime.files import atomic_output, require_writable
 from ..runtime.limits import require_memory
 from ..views.light_field_files import require_zarr
-
-SUFFIXES = (".tif", ".tiff", ".zarr")
 
 _EVEN = 1e-3
 """Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""
@@ -273,7 +272,7 @@ class Volume:
 
 def require_volume_path(path: str | Path, distances: Sequence[float]) -> Path:
     """Return a path after a check, before a long computation, that a volume of these planes can be written to it."""
-    path = require_writable(path, *SUFFIXES)
+    path = require_writable(path, *VOLUMES)
     if path.suffix.lower() == ".zarr":
         require_zarr(path)
     elif not _is_ome(path) and len(distances) > 1:

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from ..choices import ANIMATED
 from ..errors import argument, refuse_if, require_number
 from ..runtime.files import atomic_output
-from .images import ANIMATED, enlarge, enlargement, to_bytes
+from .images import enlarge, enlargement, to_bytes
 
 _RATE = 12.5
 """Frames a second: whole hundredths of a second each, as GIF stores them."""

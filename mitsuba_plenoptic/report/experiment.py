@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..choices import Against
 from ..errors import naming, refuse_if, require_choice
 from ..io.captures import Capture
 from ..light.render_capture import pass_counts, plenoptic_sensor, quiet, render_capture
@@ -132,9 +133,6 @@ SLIDER_METHODS = ("ray", "coherent", "partial")
 ORDINARY = "ordinary"
 """Name of the camera without a microlens array, and of its pictures."""
 
-AGAINST = (ORDINARY,)
-"""Cameras against which a comparison can set the scene's camera."""
-
 EDGE_TILT = math.radians(5)
 """Angle of slanted edges, on which sharpness is measured, against the pixels."""
 
@@ -248,7 +246,7 @@ def run_experiment(
     `first` is called with what was refocused so far: by rays, before all that takes longer, then by waves.
     """
     if against is not None:
-        require_choice("against", against, AGAINST)
+        require_choice("against", against, Against)
     refuse_if(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",

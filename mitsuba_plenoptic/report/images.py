@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ..choices import ANIMATED
 from ..errors import InputError, require_number
 from ..runtime.files import atomic_output
 
-ANIMATED = (".gif",)
-
-PICTURES = (".png", ".pdf", *ANIMATED)
+SHOWN = (".png", ".pdf", *ANIMATED)
 """Suffixes of files that show radiances as brightness."""
 
 LONGEST = 960

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from .. import report
+from ..choices import ANIMATED, PICTURES
 from ..errors import refuse_if
 from ..io.exr import image_channels, write_exr_parts
 from ..io.truth_files import COORDINATES
@@ -19,16 +20,14 @@ from ..refocus import Reconstruction, write_reconstruction
 from ..runtime.files import require_writable
 from ..views.viewpoints import view_mosaic
 from .animations import write_animation
-from .images import ANIMATED, Drawing, enlarge, enlargement, write_png
-
-SUFFIXES = (".exr", ".png", ".pdf")
+from .images import Drawing, enlarge, enlargement, write_png
 
 _AUTOMATIC = Drawing()
 
 
 def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
     """Return a path after a check, before a long computation, that a picture or data can be written to it."""
-    return require_writable(path, *SUFFIXES, *(ANIMATED if animated else ()))
+    return require_writable(path, *PICTURES, *(ANIMATED if animated else ()))
 
 
 def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing = _AUTOMATIC) -> list[Path]:

@@ -11,8 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
-from ..io.truth_files import QUANTITIES, GroundTruth, require_quantities
+from ..io.truth_files import GroundTruth, require_quantities
 from ..light.lens_kinds import regular_array
 from ..light.render_capture import plenoptic_sensor
 from ..runtime.backend import drjit_array, one_at_a_time

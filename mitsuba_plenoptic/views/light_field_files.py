@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera, are_alike
+from ..choices import LIGHT_FIELDS, RAW_SUFFIXES
 from ..errors import InputError, argument, content_of, naming, refuse_if, refusing, require_module
 from ..extension import format_of, place
-from ..io.captures import RAW_SUFFIXES, Capture, read_capture, states_detector
+from ..io.captures import Capture, read_capture, states_detector
 from ..io.exr import read_attributes, read_pixels
 from ..io.pictures import TIFF, read_numbers, read_picture
 from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
@@ -26,9 +27,6 @@ _LENSES = ".eslf.png"
 
 HCI = "parameters.cfg"
 """File in each folder of the 4D Light Field Benchmark, which belongs to an extension."""
-
-SUFFIXES = (".nc", ".zarr", ".mat", _LENSES, ".png")
-"""Of files to write; ``.mat`` belongs to an extension."""
 
 
 def open_light_field(
@@ -116,7 +114,7 @@ def open_light_field(
     )
     raise InputError(
         f"{path}: it is {content_of(path)}; a capture or light field is a folder with {HCI}, or has a name that ends "
-        f"in .exr, {', '.join(SUFFIXES)} or .tiff"
+        f"in .exr, {', '.join(LIGHT_FIELDS)} or .tiff"
     )
 
 
@@ -189,7 +187,7 @@ def require_light_field_path(path: str | Path) -> Path:
     InputError
         If the name's suffix is unknown or the file cannot be written.
     """
-    return require_writable(path, *SUFFIXES)
+    return require_writable(path, *LIGHT_FIELDS)
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:

@@ -9,14 +9,13 @@ import numpy as np
 import scipy
 import xarray as xr
 
+from ..choices import ViewMethod
 from ..errors import refuse_if, require_choice, require_number, suggest_keywords
 from ..runtime.batches import Progress, counted
 from ..runtime.limits import require_memory
 from .coordinates import channel_planes, require_light_field, view_steps
 from .coordinates import disparity as disparity_at
 from .viewpoints import as_view
-
-METHODS = ("shift", "fourier")
 
 
 def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
@@ -131,7 +130,7 @@ def focal_stack(
     require_choice("by", by, ("distance", "disparity"))
     distances = [require_number(by, value, finite=by == "disparity") for value in distances]
     refuse_if(not distances, "distances = []: give at least one")
-    require_choice("method", method, METHODS)
+    require_choice("method", method, ViewMethod)
     disparities = distances if by == "disparity" else [disparity_at(lf, value) for value in distances]
     refocus_at: Callable[[float], xr.DataArray]
     if method == "fourier":

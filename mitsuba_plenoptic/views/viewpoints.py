@@ -7,10 +7,9 @@ import math
 import numpy as np
 import xarray as xr
 
+from ..choices import Axis
 from ..errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from .coordinates import require_light_field
-
-AXES = ("horizontal", "vertical")
 
 
 @suggest_keywords
@@ -138,7 +137,7 @@ def epipolar_image(
         If the axis is another word, or a position is more than half a step beyond the lines.
     """
     lf = require_light_field(lf)
-    require_choice("axis", axis, AXES)
+    require_choice("axis", axis, Axis)
     field, pupil = ("t", "v") if axis == "horizontal" else ("s", "u")
     return _nearest(lf, **{field: ("at", at), pupil: ("through", through)})
 

@@ -21,8 +21,16 @@ from PIL import Image
 from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import start_command
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, read_capture, read_ground_truth, write_capture
-from mitsuba_plenoptic.cli import app, main
+from mitsuba_plenoptic import (
+    Capture,
+    Detector,
+    PlenopticCamera,
+    expose,
+    read_capture,
+    read_ground_truth,
+    write_capture,
+)
+from mitsuba_plenoptic.cli import COMMANDS, main
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.views import white_image
 
@@ -31,9 +39,16 @@ def test_without_a_command_help_is_printed(run):
     assert "reconstruct" in run()
 
 
-@pytest.mark.parametrize("command", [entry.name for entry in app.registered_commands])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help(command, run):
     assert f"mitsuba-plenoptic {command}" in run(command, "--help")
+
+
+def test_defaults_of_the_detector_are_those_of_the_library(raw, tmp_path, run):
+    run("expose", raw, "-o", tmp_path / "noisy.exr", "--photons", 500, "--seed", 1)
+    capture = read_capture(raw)
+    by_defaults = expose(capture, Detector(), photons=500, seed=1).image
+    np.testing.assert_array_equal(read_capture(tmp_path / "noisy.exr").image, by_defaults)
 
 
 def test_version(run):

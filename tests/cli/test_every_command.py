@@ -10,36 +10,30 @@ import re
 import signal
 import subprocess
 import sys
+import textwrap
 
 import pytest
-import typer
 from rich.console import Console
 from stopped_runs import start_command
 from test_imports import loaded
 
-from mitsuba_plenoptic.cli import COMMANDS, app, commands_of, main, render_command
+from mitsuba_plenoptic.cli import COMMANDS, load, main, render_command
 from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.runtime import progress
 
 STUDIO, SHARPNESS = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness"))
 
 
-@pytest.mark.parametrize("name", [name for name, _ in commands_of(typer.main.get_command(app))])
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_can_be_quiet_and_verbose(name, run):
-    assert re.search(r"--quiet +-q", said := run(*name.split(), "--help")) and re.search(r"--verbose +-v", said)
-    assert name.split()[0] in COMMANDS
+    assert re.search(r"--quiet +-q", said := run(name, "--help")) and re.search(r"--verbose +-v", said)
 
 
 def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
     kept = {resume: checkpoint_of(tmp_path / "a.exr", resume) for resume in (False, True)}
     assert kept[False].existing == "resume_if_same" and kept[True].existing == "resume"
     assert kept[True].path == tmp_path / "a.exr.checkpoint"
-    texts = {
-        option.help
-        for _, command in commands_of(typer.main.get_command(app))
-        for option in command.params
-        if "--resume" in option.opts
-    }
+    texts = {option.help for name in COMMANDS for option in load(name).params if "--resume" in option.opts}
     assert len(texts) == 1
 
 
@@ -198,20 +192,63 @@ def test_doctor_prints_json_alone(capfd, monkeypatch):
     assert found["Versions"]["mitsuba"]
 
 
-# What may be imported before a value is refused that can be judged without the library.
-BEFORE_A_REFUSAL = {"", "runtime", "runtime.llvm", "runtime.progress", "plugins", "cli", "errors", "presets"}
-BEFORE_A_REFUSAL |= {
+# What may be imported for help, and before a value is refused that can be judged without the library.
+LIGHT = {"", "runtime", "runtime.llvm", "runtime.progress", "plugins", "cli", "errors", "presets", "choices"}
+LIGHT |= {
     "public_modules",
     "extension",
+    # The data of cameras with on-chip lenses belong to the presets.
     "extensions.onchip.cameras",
-    "cli.stages",
+    "extensions.deconvolution.options",
     "refocus_options",
     "scene_files",
-    "cli.choices",
     "cli.inputs",
-    "cli.judging",
+    "cli.options",
     "cli.stopping",
 }
+
+SLOW = {"numpy", "scipy", "pandas", "xarray", "matplotlib", "skimage", "OpenEXR", "PIL", "yaml", "h5py"}
+
+
+def test_help_and_refused_options_import_no_library():
+    code = f"""
+    import contextlib, io, sys
+    from mitsuba_plenoptic.cli import main
+    for name in {list(COMMANDS)}:
+        for words in ([name, "--help"], [name, "--nosuch-option"]):
+            with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()) as told:
+                with contextlib.redirect_stdout(told):
+                    main(words)
+            assert "--help" in told.getvalue() or "such option" in told.getvalue(), (words, told.getvalue())
+    """
+    own, libraries = loaded(textwrap.dedent(code).strip())
+    assert not libraries & {*SLOW, "rich.progress"}
+    assert own <= LIGHT | {module.removeprefix("mitsuba_plenoptic.") for module, _ in COMMANDS.values()}
+
+
+def test_help_does_not_judge_options_that_are_not_given(python):
+    made = python("import sys; from mitsuba_plenoptic.cli import main; main(['view', '--help']); print(*sys.modules)")
+    assert "pydantic" not in made.stdout.split()
+
+
+COMPLETE = {"_MITSUBA_PLENOPTIC_COMPLETE": "complete_bash"}
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("recon", {"reconstruct"}),
+        ("reconstruct x.exr --interl", {"--interleave"}),
+        ("reconstruct x.exr --method part", {"partial"}),
+        ("render letters --model ", {"ray", "wave"}),
+        ("epi x.exr --axis h", {"horizontal"}),
+    ],
+)
+def test_words_are_completed(line, words, python):
+    typed = ["mitsuba-plenoptic", *line.split(" ")]
+    given = {"COMP_WORDS": " ".join(typed), "COMP_CWORD": str(len(typed) - 1), **COMPLETE}
+    made = python("from mitsuba_plenoptic.cli import main; main([])", **given)
+    assert set(made.stdout.split()) == words, made.stderr
 
 
 @pytest.mark.parametrize(
@@ -264,20 +301,9 @@ def test_values_are_refused_before_the_library_is_imported(words, rule, raw, tmp
     words = words.format(there=raw, scene=tmp_path / "scene.xml").split()
     assert rule in complaint(*words)
     own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
-    module = COMMANDS[words[0]].removeprefix("mitsuba_plenoptic.")
-    assert own <= BEFORE_A_REFUSAL | {module}
-    assert not libraries & {
-        "numpy",
-        "scipy",
-        "pandas",
-        "xarray",
-        "matplotlib",
-        "skimage",
-        "OpenEXR",
-        "PIL",
-        "yaml",
-        "h5py",
-    }
+    module = COMMANDS[words[0]][0].removeprefix("mitsuba_plenoptic.")
+    assert own <= LIGHT | {module}
+    assert not libraries & SLOW
 
 
 @pytest.mark.parametrize(

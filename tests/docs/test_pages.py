@@ -11,15 +11,14 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer
 from check_release import page_code
 
 import mitsuba_plenoptic
-from mitsuba_plenoptic.cli import app, commands_of
+from mitsuba_plenoptic import cli
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-COMMANDS = dict(commands_of(typer.main.get_command(app)))
+COMMANDS = {name: cli.load(name) for name in cli.COMMANDS}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -27,7 +26,6 @@ def test_commands_and_names_exist(page):
     text = page.read_text()
     for line in re.findall(r"^(?:\$ )?mitsuba-plenoptic ([a-z].*)$", text, flags=re.MULTILINE):
         name, *words = shlex.split(line.split("#")[0])
-        name = name if name in COMMANDS else f"{name} {words[0]}"
         known = {option for parameter in COMMANDS[name].params for option in parameter.opts + parameter.secondary_opts}
         assert {word for word in words if re.match(r"--?[A-Za-z]", word)} <= known | {"--help"}, line
     for path in set(re.findall(r"\bmp\.([A-Za-z]\w*(?:\.[A-Za-z]\w*)*)", text)):

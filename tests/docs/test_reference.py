@@ -9,12 +9,11 @@ from pathlib import Path
 
 import generated_reference
 import pytest
-import typer
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic.camera.entry import Form
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
-from mitsuba_plenoptic.cli import app, commands_of
+from mitsuba_plenoptic.cli import COMMANDS, load
 from mitsuba_plenoptic.extensions.laser import laser_integrator as laser
 from mitsuba_plenoptic.lenses.main_lens import Light, MainLens
 from mitsuba_plenoptic.plugins import integrator, properties
@@ -117,7 +116,7 @@ def test_every_public_package_has_a_page():
 
 
 def test_every_option_has_a_help():
-    commands = dict(commands_of(typer.main.get_command(app)))
+    commands = {name: load(name) for name in COMMANDS}
     found = {(name, p.name) for name, command in commands.items() for p in command.params if not p.help}
     assert found == set() and all(command.help for command in commands.values())
 

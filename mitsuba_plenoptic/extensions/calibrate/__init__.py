@@ -8,5 +8,7 @@ from ...extension import Extension
 EXTENSION = Extension(
     modules={"calibration": "calibration"},
     hooks={"libpleno": "calibrated_cameras:libpleno_camera"},
-    commands={"calibrate": "calibrate_command"},
+    commands={
+        "calibrate": ("calibrate_command", "Calibrate a real camera from corners of a checkerboard and white images."),
+    },
 )

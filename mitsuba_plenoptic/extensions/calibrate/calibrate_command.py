@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.choices import MODELS
-from ...cli.inputs import CameraFile, Linear, White, load_camera, numeric, output_option
-from ...cli.judging import WAVELENGTH, one_of
+from ...choices import Model
+from ...cli.inputs import load_camera, refuse_options
+from ...cli.options import CameraFile, Linear, White, numeric, output_option, wavelength_option
 from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
@@ -67,14 +67,8 @@ def calibrate(
     dark: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Picture without light, for a camera fitted to a white picture.")
     ] = None,
-    wavelength: Annotated[
-        float | None, numeric("Fits by waves: wavelength in nanometres.", "550", unit="NM"), WAVELENGTH
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(metavar="|".join(MODELS), show_default="wave", help="Light of a fit to a white picture."),
-        one_of(MODELS),
-    ] = None,
+    wavelength: Annotated[float | None, wavelength_option("550")] = None,
+    model: Annotated[Model | None, typer.Option(show_default="wave", help="Light of a fit to a white picture.")] = None,
 ) -> None:
     """Calibrate a real camera from corners of a checkerboard and white images.
 
@@ -123,29 +117,24 @@ def calibrate(
     for path in filter(None, (output, report)):
         require_apart(path, *sources, centres, white, dark)
     if not fitted:
-        _refuse("a calibration without a fit to a white picture", dark=dark, wavelength=wavelength, model=model)
+        refuse_options("a calibration without a fit to a white picture", dark=dark, wavelength=wavelength, model=model)
     if evaluate is not None:
-        _refuse("an evaluation", centres=centres, white=white, linear=linear)
+        refuse_options("an evaluation", centres=centres, white=white, linear=linear)
         _evaluate(evaluate, camera, board, square)
     elif fitted:
-        _refuse("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
+        refuse_options("a fit to a white picture", square=square, centres=centres, white=white, linear=linear)
         _fit(sources, output, camera, dark, wavelength, model, report)
     elif all(pictures) and board is not None:
-        _refuse("detecting corners", square=square)
+        refuse_options("detecting corners", square=square)
         _detect(sources, output, camera, Board.parse(board, 1.0), centres, white, linear)
     elif all(pictures):
-        _refuse("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
+        refuse_options("finding centres in white images", camera=camera, square=square, centres=centres, white=white)
         _centres(sources, output, linear)
     elif len(sources) > 1:
         raise typer.BadParameter("give one table of corners, or pictures", param_hint="SOURCE")
     else:
-        _refuse("a calibration from corners", white=white, linear=linear)
+        refuse_options("a calibration from corners", white=white, linear=linear)
         _calibrate(sources[0], output, camera, board, square, centres, report)
-
-
-def _refuse(work: str, **options: object) -> None:
-    for name, value in options.items():
-        refuse_if(value, f"--{name}: {work} does not take it; leave it out")
 
 
 def _board(board: str | None, square: float | None) -> Board:

@@ -11,8 +11,9 @@ import numpy as np
 import typer
 
 from ...camera import PlenopticCamera
+from ...choices import RAW_SUFFIXES
 from ...errors import InputError, naming
-from ...io.captures import RAW_SUFFIXES, Capture
+from ...io.captures import Capture
 from ...io.pictures import read_numbers
 from ...runtime.files import write_text
 from ...runtime.progress import progress_bar

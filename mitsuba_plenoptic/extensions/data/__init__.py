@@ -5,4 +5,12 @@ Data sets of dual pixels need the extension `onchip`.
 
 from ...extension import Extension
 
-EXTENSION = Extension(modules={"dataset": "dataset"}, commands={"dataset": "dataset_command"})
+EXTENSION = Extension(
+    modules={"dataset": "dataset"},
+    commands={
+        "dataset": (
+            "dataset_command",
+            "Make a data set: random scenes captured by rays and by waves, with ground truth.",
+        ),
+    },
+)

@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ...cli.inputs import OutputFolder, batches_on
+from ...cli.inputs import batches_on
+from ...cli.options import OutputFolder, Scheduler, Workers
 from ...cli.stopping import resumable
 from ...runtime.progress import progress_bar
-
-if TYPE_CHECKING:
-    pass
 
 
 def dataset(
     recipe: Annotated[Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.")],
     output: OutputFolder,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", show_default="this process", help="Number of processes of this machine to render on."
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Render on the workers of this Dask scheduler, which must see the output and the scenes under the "
-            "same names.",
-        ),
-    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
 ) -> None:
     """Make a data set: random scenes captured by rays and by waves, with ground truth.
 

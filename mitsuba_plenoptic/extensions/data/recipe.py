@@ -15,6 +15,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...camera.matched import MATCHED
 from ...camera.parameters import PARAMETERS
+from ...choices import MODELS, QUANTITIES
 from ...errors import (
     InputError,
     naming,
@@ -25,8 +26,7 @@ from ...errors import (
     require_number,
     short_repr,
 )
-from ...io.captures import MODELS
-from ...io.truth_files import QUANTITIES, require_quantities
+from ...io.truth_files import require_quantities
 from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
 from ...light.scene import UNITS

@@ -19,8 +19,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ...choices import MODELS
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr, warn
-from ...io.captures import MODELS
 from ...io.checkpoints import digest, flattened, write_json
 from ...io.versions import KEY, is_of_1_0, stamped
 from ...report.stage_store import scene_fingerprint

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...camera.vector import CameraVector
+from ...choices import MODELS
 from ...errors import (
     refuse_if,
     require_accuracy,
@@ -21,7 +22,6 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
-from ...io.captures import MODELS
 from ...io.checkpoints import Checkpoint
 from ...light.lens_kinds import regular_array
 from .fit_light import PixelNoise, Pixels, View, by_model, check_views, kept_numbers, light_digest

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.choices import MODELS
-from ...cli.inputs import (
-    CameraFile,
-    Definitions,
-    Unit,
-    named_camera,
-    numeric,
-    output_option,
-    parse_definitions,
-    require_in_use,
-)
-from ...cli.judging import RECORDING, ends_in
-from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
+from ...choices import Model
+from ...cli.inputs import named_camera, parse_definitions, require_in_use
+from ...cli.options import RECORDING, CameraFile, Definitions, Resume, Unit, numeric, output_option, wavelength_option
+from ...cli.stopping import checkpoint_of, resumable
 from ...errors import InputError, refuse_if, require_number
 from ...runtime.progress import progress_bar
 
@@ -33,10 +25,9 @@ _NAMED = 3
 def fit(
     captures: Annotated[
         list[Path],
-        typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera."),
-        RECORDING,
+        typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.", callback=RECORDING),
     ],
-    output: Annotated[Path, output_option("FILE.json", "File to write: the camera."), ends_in(".json")],
+    output: Annotated[Path, output_option("FILE.json", "File to write: the camera.", ".json")],
     scenes: Annotated[
         list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
     ],
@@ -46,11 +37,20 @@ def fit(
     ],
     photons: Annotated[
         float | None,
-        numeric("Photons counted in a pixel of value 1, for the noise.", "the noise that 'expose' keeps"),
+        numeric(
+            "Photons counted in a pixel of value 1, for the noise.",
+            "the noise that 'expose' keeps",
+            check=partial(require_number, positive=True),
+        ),
     ] = None,
     saturation: Annotated[
         float | None,
-        numeric("Value from which on pixels are left out as saturated.", "what 'expose' keeps, or none", unit="VALUE"),
+        numeric(
+            "Value from which on pixels are left out as saturated.",
+            "what 'expose' keeps, or none",
+            unit="VALUE",
+            check=partial(require_number, positive=True),
+        ),
     ] = None,
     mask: Annotated[
         Path | None,
@@ -60,7 +60,7 @@ def fit(
     start: Annotated[
         bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
     ] = False,
-    wavelength: Annotated[float | None, numeric("Wavelength.", "the captures', or 633", unit="NM")] = None,
+    wavelength: Annotated[float | None, wavelength_option("the captures', or 633")] = None,
     points_per_lens: Annotated[
         int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
     ] = 64,
@@ -71,9 +71,7 @@ def fit(
             help="Fit coarsely first, by rays and blurred captures: lengths some percent off.",
         ),
     ] = False,
-    model: Annotated[
-        str, typer.Option(metavar="|".join(MODELS), help="How light propagates; the ray model has no diffraction.")
-    ] = "wave",
+    model: Annotated[Model, typer.Option(help="How light propagates; the ray model has no diffraction.")] = "wave",
     accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
     resume: Resume = False,
     unit: Unit = "mm",
@@ -119,8 +117,6 @@ def fit(
             raise InputError(
                 f"{mask}: it has {left_out.shape} pixels, {path} {capture.camera.shape}: give one mask for all"
             )
-    if saturation is not None:
-        require_number("saturation", saturation, positive=True)
     first = named_camera(camera) or read[0].camera
     first.require_array("fit")
     if start:
@@ -130,8 +126,6 @@ def fit(
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
     # Light is found below, which takes much longer than seeing what is asked for.
     vector_of(first, names)
-    if photons is not None:
-        require_number("photons", photons, positive=True)
     views = []
     for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
         scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=parse_definitions(define), unit=unit)
@@ -151,9 +145,9 @@ def fit(
     coarse = checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{SUFFIX}"))
     with coarse, checkpoint_of(output, resume) as steps:
         if afar:
-            with progress_bar("Coarse fit") as progress, stopped_by_hand(coarse, progress):
+            with progress_bar("Coarse fit") as progress, resumable(progress, coarse):
                 first = fitting.coarse_fit(first, views, names, wavelength=known, progress=progress, checkpoint=coarse)
-        with progress_bar("Cameras") as progress, stopped_by_hand(steps, progress):
+        with progress_bar("Cameras") as progress, resumable(progress, steps):
             found = fitting.fit(
                 first,
                 views,

@@ -10,8 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...choices import MODELS
 from ...errors import InputError, argument, refuse_if, require_choice, require_count, require_number, suggest_keywords
-from ...io.captures import MODELS, Capture
+from ...io.captures import Capture
 from ...runtime.backend import drjit_array, one_at_a_time
 from .layers import Layers
 

@@ -16,10 +16,10 @@ from scipy.ndimage import convolve1d, uniform_filter
 
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_round
+from ...choices import Axis
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...prescription.lens_data import image_distance
 from ...views.coordinates import require_light_field
-from ...views.viewpoints import AXES
 
 _FLAT = 1e-6
 """Least variance in a window, over its mean square, for which there is something to match."""
@@ -76,7 +76,7 @@ def bank_disparity(bank: xr.DataArray, axis: str = "horizontal") -> xr.DataArray
     InputError
         If there are not two pictures along the axis.
     """
-    require_choice("axis", axis, AXES)
+    require_choice("axis", axis, Axis)
     pupil, along = ("u", "s") if axis == "horizontal" else ("v", "t")
     if bank.sizes[pupil] != 2:
         raise InputError(f"bank: {bank.sizes[pupil]} pictures along {pupil}: a pair has two")
@@ -128,7 +128,7 @@ def match_halves(halves: xr.DataArray, axis: str = "horizontal", *, window: int 
         If there are not two pictures along the axis, or a value is out of range.
     """
     require_light_field(halves)
-    require_choice("axis", axis, AXES)
+    require_choice("axis", axis, Axis)
     pupil, other, along = ("u", "v", 1) if axis == "horizontal" else ("v", "u", 0)
     if halves.sizes[pupil] != 2:
         raise InputError(f"halves: {halves.sizes[pupil]} pictures along {pupil}: a pair has two")

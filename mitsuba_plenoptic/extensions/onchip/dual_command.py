@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
-from ...cli.choices import PICTURES
-from ...cli.inputs import CaptureFile, Exposure, Figure, Percentile, Scale, drawing_of, output_option
-from ...cli.judging import ends_in, one_of
-
-LAYOUTS = ("2x1", "1x2", "2x2")
-"""Layouts of photodiodes, written out, as help does not wait for the library."""
+from ...choices import PICTURES
+from ...cli.inputs import drawing_of
+from ...cli.options import PICTURE, CaptureFile, output_option
+from ...refocus_options import with_parameters
 
 
+@partial(with_parameters, parameters=PICTURE)
 def dual(
     capture: CaptureFile,
     output: Annotated[
@@ -23,18 +23,14 @@ def dual(
             "FILE",
             "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
             ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
+            *PICTURES,
         ),
-        ends_in(*PICTURES),
     ],
     layout: Annotated[
-        str,
-        typer.Option(metavar="|".join(LAYOUTS), help="Photodiodes of a lens: beside each other, above, or four."),
-        one_of(LAYOUTS),
+        Literal["2x1", "1x2", "2x2"],
+        typer.Option(help="Photodiodes of a lens: beside each other, above, or four."),
     ] = "2x1",
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    scale: Scale = None,
-    figure: Figure = False,
+    **options: Any,
 ) -> None:
     """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
 
@@ -57,7 +53,7 @@ def dual(
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
-    drawing = drawing_of(exposure, percentile, scale, figure, output)
+    drawing = drawing_of(options, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     white = drawing.brightness.peak([halves.values])

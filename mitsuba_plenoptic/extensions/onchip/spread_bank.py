@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
+from ...choices import MODELS
 from ...errors import (
     InputError,
     refuse_if,
@@ -21,7 +22,6 @@ from ...errors import (
     short_repr,
     suggest_keywords,
 )
-from ...io.captures import MODELS
 from ...lenses.common import main_lens
 from ...light.detector import mix_pixels
 from ...light.optical_system import OpticalSystem

@@ -2,4 +2,8 @@
 
 from ...extension import Extension
 
-EXTENSION = Extension(commands={"reproduce": "reproduce_command"})
+EXTENSION = Extension(
+    commands={
+        "reproduce": ("reproduce_command", "Compute the paper's figures, timing and conclusions again."),
+    }
+)

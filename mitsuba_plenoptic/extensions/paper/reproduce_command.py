@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from ...cli.inputs import OutputFolder
-from ...cli.stages import stage_lines
-from ...cli.stopping import Resume
-
-if TYPE_CHECKING:
-    pass
+from ...cli.options import OutputFolder, Resume
+from ...cli.stopping import stage_lines
 
 
 def reproduce(
     output: OutputFolder,
     preset: Annotated[
-        str,
+        Literal["quick", "paper"],
         typer.Option(
-            metavar="quick|paper",
             help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels.",
         ),
     ] = "quick",

@@ -7,6 +7,11 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"particles": "particles"},
-    commands={"particles": "particles_command"},
+    commands={
+        "particles": (
+            "particles_command",
+            "Capture particles in a flow at several times, with their exact displacements.",
+        ),
+    },
     generators={"particles": "particle_pairs:ParticlePairs"},
 )

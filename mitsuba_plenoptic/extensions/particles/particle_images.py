@@ -26,8 +26,9 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 
 from ...camera import PlenopticCamera
 from ...camera.aperture import Round
+from ...choices import MODELS
 from ...errors import refuse_if, require_choice, require_count, require_wavelength, suggest_keywords
-from ...io.captures import MODELS, Capture
+from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator

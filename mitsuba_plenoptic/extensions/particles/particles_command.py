@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...cli.choices import MODELS
-from ...cli.inputs import CameraFile, OutputFolder, Seed, named_camera, numeric
-from ...cli.judging import COUNTED, WAVELENGTH, one_of
-from ...cli.stopping import Resume, checkpoint_of, stopped_by_hand
-from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_known, short_repr
+from ...choices import Model
+from ...cli.inputs import named_camera
+from ...cli.options import CameraFile, OutputFolder, Resume, Seed, numeric, wavelength_option
+from ...cli.stopping import checkpoint_of, resumable
+from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_count, require_known, short_repr
 from ...runtime.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def particles(
     ],
     interval: Annotated[float, numeric("Time from frame to frame.", unit="SECONDS")],
     camera: CameraFile = None,
-    frames: Annotated[int, numeric("Number of frames."), COUNTED] = 2,
+    frames: Annotated[int, numeric("Number of frames.", check=require_count)] = 2,
     per_lens: Annotated[
         float | None, numeric("Particles over the microlenses on which the volume is imaged; give one density.")
     ] = None,
@@ -56,10 +56,8 @@ def particles(
     thickness: Annotated[
         float | None, numeric("Thickness of the light sheet, across the axis.", "light everywhere", unit="MM")
     ] = None,
-    model: Annotated[
-        str, typer.Option(metavar="|".join(MODELS), help="How light propagates."), one_of(MODELS)
-    ] = "wave",
-    wavelength: Annotated[float, numeric("Wavelength in nanometres.", unit="NM"), WAVELENGTH] = 550.0,
+    model: Annotated[Model, typer.Option(help="How light propagates.")] = "wave",
+    wavelength: Annotated[float, wavelength_option(None)] = 550.0,
     accuracy: Annotated[float | None, numeric("Allowed relative error of captures by waves.", "0.01")] = None,
     photons: Annotated[
         float | None,
@@ -116,7 +114,7 @@ def particles(
         path = output / f"{model}_{frame:04d}.exr"
         with checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
             saved.run = {"photons": photons}
-            with stopped_by_hand(saved, progress):
+            with resumable(progress, saved):
                 capture = images.capture(frame, progress=progress, checkpoint=saved)
             if photons is not None:
                 capture = expose(capture, Detector(), photons=photons, seed=seed + frame)

@@ -7,7 +7,9 @@ from ...extension import Extension, FileFormat
 
 EXTENSION = Extension(
     modules={"exchange": "exchange"},
-    commands={"demosaic": "demosaic_command"},
+    commands={
+        "demosaic": ("demosaic_command", "Estimate all three colours of every pixel, micro-image by micro-image."),
+    },
     formats={
         **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
         "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),

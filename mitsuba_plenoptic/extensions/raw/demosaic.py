@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...choices import MOSAICS
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
-from ...io.captures import EXPOSED, MOSAICS, QUAD, RECORDED, Capture, mosaic_of, recording_of
+from ...io.captures import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
 from ...light.detector import filters
 from ...views.lens_grid import lens_numbers
 from ...views.white_image import recorded_white, white_image
@@ -79,7 +80,7 @@ def demosaic(
         mosaic is None and known is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
     )
     refuse_if(
-        known is not None and known.startswith(QUAD),
+        known is not None and known not in MOSAICS,
         f"mosaic = {known}: each lens has one colour; dual_pixel gives pictures that are Bayer mosaics",
     )
     mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)

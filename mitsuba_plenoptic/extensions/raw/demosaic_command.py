@@ -8,27 +8,18 @@ from typing import Annotated
 
 import typer
 
-from ...cli.choices import MOSAICS
-from ...cli.inputs import (
-    CameraFile,
-    CaptureFile,
-    Linear,
-    named_camera,
-    numeric,
-    output_option,
-    require_linear,
-)
-from ...cli.judging import ends_in
+from ...choices import Mosaic
+from ...cli.inputs import named_camera, require_linear
+from ...cli.options import CameraFile, CaptureFile, Linear, numeric, output_option
 from ...errors import refuse_if
 
 
 def demosaic(
     capture: CaptureFile,
-    output: Annotated[Path, output_option("FILE.exr", "File to write."), ends_in(".exr")],
+    output: Annotated[Path, output_option("FILE.exr", "File to write.", ".exr")],
     mosaic: Annotated[
-        str | None,
+        Mosaic | None,
         typer.Option(
-            metavar="|".join(MOSAICS),
             show_default="as the capture states",
             help="Colour filters of the first pixels of two rows.",
         ),

@@ -2,4 +2,8 @@
 
 from ...extension import Extension
 
-EXTENSION = Extension(commands={"mtf": "mtf_command"})
+EXTENSION = Extension(
+    commands={
+        "mtf": ("mtf_command", "Measure the modulation transfer function from one slanted edge in a refocused image."),
+    },
+)

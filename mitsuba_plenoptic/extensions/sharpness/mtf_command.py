@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.inputs import CameraFile, Linear, named_camera, numeric, require_in_sight
-from ...cli.judging import METHOD, RECORDING
+from ...cli.inputs import named_camera, require_in_sight
+from ...cli.options import RECORDING, CameraFile, Linear, Method, numeric
 from ...errors import naming, refuse_if
-from ...refocus_options import METHODS
 
 if TYPE_CHECKING:
     from ...refocus import Reconstruction
@@ -23,14 +22,12 @@ def mtf(
         typer.Argument(
             metavar="CAPTURE",
             help="A capture, which is refocused to --distance, one without microlenses, or what 'reconstruct' wrote.",
+            callback=RECORDING,
         ),
-        RECORDING,
     ],
     distance: Annotated[float | None, numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
     method: Annotated[
-        str | None,
-        typer.Option(metavar="|".join(METHODS), show_default="ray", help="Of a capture: how it is refocused."),
-        METHOD,
+        Method | None, typer.Option(show_default="ray", help="Of a capture: how it is refocused.")
     ] = None,
     oversample: Annotated[int | None, numeric("Of a capture: bins per microlens along each axis.", "1")] = None,
     region: Annotated[

@@ -7,18 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ...cli.inputs import (
-    CameraFile,
-    Definitions,
-    Samples,
-    Scene,
-    Unit,
-    Variant,
-    open_scene,
-    output_option,
-    parse_definitions,
-)
-from ...cli.judging import ends_in
+from ...cli.inputs import open_scene, parse_definitions
+from ...cli.options import CameraFile, Definitions, Samples, Scene, Unit, Variant, output_option
 from ...errors import InputError
 from ...runtime.progress import in_words, progress_bar
 
@@ -27,8 +17,7 @@ def preview(
     scene: Scene,
     output: Annotated[
         Path | None,
-        output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png."),
-        ends_in(".png", ".pdf"),
+        output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.", ".png", ".pdf"),
     ] = None,
     camera: CameraFile = None,
     unit: Unit = "mm",

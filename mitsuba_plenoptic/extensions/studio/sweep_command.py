@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ...cli.inputs import (
+from ...cli.inputs import batches_on, camera_instead, parse_definitions
+from ...cli.options import (
     CameraFile,
     Definitions,
+    Method,
     Model,
+    Resume,
     Samples,
     Scene,
     Scheduler,
@@ -18,24 +21,15 @@ from ...cli.inputs import (
     Unit,
     Variant,
     Workers,
-    batches_on,
-    camera_instead,
     output_option,
-    parse_definitions,
 )
-from ...cli.judging import METHOD, ends_in
-from ...cli.stages import stage_lines
-from ...cli.stopping import Resume
+from ...cli.stopping import stage_lines
 from ...errors import refuse_if
-from ...refocus_options import METHODS
-
-if TYPE_CHECKING:
-    pass
 
 
 def sweep(
     scene: Scene,
-    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write."), ends_in(".nc")],
+    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write.", ".nc")],
     grid: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
     ] = None,
@@ -48,11 +42,7 @@ def sweep(
         ),
     ] = None,
     model: Model = None,
-    method: Annotated[
-        str | None,
-        typer.Option(metavar="|".join(METHODS), show_default="ray", help="How captures are refocused."),
-        METHOD,
-    ] = None,
+    method: Annotated[Method | None, typer.Option(show_default="ray", help="How captures are refocused.")] = None,
     spp: Samples = None,
     seed: Seed = 0,
     resume: Resume = False,

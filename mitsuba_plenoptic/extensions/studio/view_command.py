@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ...cli.inputs import CameraFile, Linear, ViewCount, White, named_camera, output_option
-from ...cli.judging import RECORDING, ends_in
+from ...cli.inputs import named_camera
+from ...cli.options import RECORDING, CameraFile, Linear, ViewCount, White, output_option
 from ...errors import refuse_if
 from ...runtime.progress import progress_bar
 
@@ -20,13 +20,12 @@ def view(
             metavar="SOURCE",
             help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
             "reconstructions, a depth map.",
+            callback=RECORDING,
         ),
-        RECORDING,
     ],
     output: Annotated[
         Path | None,
-        output_option("FILE.html", "File to write. Default: named as the first source."),
-        ends_in(".html"),
+        output_option("FILE.html", "File to write. Default: named as the first source.", ".html"),
     ] = None,
     white: White = None,
     view_count: ViewCount = None,
@@ -57,9 +56,9 @@ def view(
     require_apart(target, *sources, white)
     known = named_camera(camera)
     with progress_bar("Making the page"):
-        found = [read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources]
-        used = any(isinstance(one, Recording) for one in found)
+        shown = [read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources]
+        used = any(isinstance(one, Recording) for one in shown)
         for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
             refuse_if(value is not None and not used, f"--{name} {value}: of no use without a capture or light field")
-        make_page(*found).save(target)
+        make_page(*shown).save(target)
     typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

@@ -10,8 +10,9 @@ import numpy as np
 import xarray as xr
 
 from ...camera import PlenopticCamera
+from ...choices import RAW_SUFFIXES
 from ...errors import InputError, naming, refuse_if, require_number
-from ...io.captures import RAW_SUFFIXES, Capture, read_capture
+from ...io.captures import Capture, read_capture
 from ...io.exr import read_attributes, read_exr, read_exr_parts
 from ...io.pictures import read_picture
 from ...views.light_field_files import open_light_field, read_recording

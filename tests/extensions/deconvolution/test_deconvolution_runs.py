@@ -18,11 +18,11 @@ from mitsuba_plenoptic import (
     reconstruct,
 )
 from mitsuba_plenoptic.extensions.deconvolution import response as response_module
+from mitsuba_plenoptic.extensions.deconvolution.options import MOST_VARIATION
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.extensions.deconvolution.solver import richardson_lucy
 from mitsuba_plenoptic.extensions.deconvolution.variation import Noise, TotalVariation
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.refocus_options import MOST_VARIATION
 from mitsuba_plenoptic.runtime.batches import Threads
 
 WAVELENGTH = 633.0

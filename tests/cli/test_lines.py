@@ -1,0 +1,104 @@
+"""Lines that the command meets, good and bad: those end with one line that names what was given, and status 2."""
+
+from __future__ import annotations
+
+import shlex
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import Capture, PlenopticCamera, write_capture
+from mitsuba_plenoptic.cli import main
+
+RECONSTRUCT = "reconstruct x.exr -o a.exr"
+REFOCUS = f"{RECONSTRUCT} --distance 210"
+RENDER = "render letters -o a.exr"
+
+GOOD = [
+    f"{RECONSTRUCT} --distance 210 --distance 280",
+    f"{RECONSTRUCT} --distance inf",
+    "reconstruct x.exr -oa.exr --distance 210",
+    f"{REFOCUS} --method partial --method ray",
+    f"{REFOCUS} --oversample 1_000",
+    f"{REFOCUS} --no-relay --no-accelerate",
+    f"{REFOCUS} --interleave auto",
+    f"{REFOCUS} -q",
+    "reconstruct -q x.exr -o a.exr --distance 210",
+    "reconstruct x.exr --distance 210 --help",
+    "--version",
+]
+
+BAD = [
+    ("nosuch", "No such command 'nosuch'"),
+    ("recontruct x.exr", "Did you mean 'reconstruct'?"),
+    ("run study.yaml", "run: it is gone since version 2.0; a Makefile or Snakemake"),
+    ("--nosuch", "no such option: --nosuch"),
+    ("reconstruct", "Missing argument 'CAPTURE.exr'"),
+    (RECONSTRUCT, "Missing option '--distance'"),
+    (f"{RECONSTRUCT} --distance", "'--distance' requires an argument"),
+    (f"{RECONSTRUCT} --distance far", "'--distance'"),
+    (f"{RECONSTRUCT} --distance nan", "--distance = nan: it must be finite"),
+    (f"{RECONSTRUCT} --distance -30", "--distance = -30: it must be greater than the focal length 80"),
+    (f"{RECONSTRUCT} --distance=-30.5e1", "--distance = -305: it must be greater than the focal length 80"),
+    (f"{RECONSTRUCT} --distance -inf", "--distance = -inf: it must be greater than the focal length 80"),
+    (f"{RECONSTRUCT} --distanc 210", "no such option: --distanc; did you mean --distance?"),
+    (f"{REFOCUS} --distanc 210", "no such option: --distanc; did you mean --distance?"),
+    (f"{RECONSTRUCT} --dist 210", "no such option: --dist; did you mean --distance?"),
+    (f"{REFOCUS} --method partal", "--method = 'partal': it must be one of ray, coherent, partial, "),
+    (f"{REFOCUS} --method PARTIAL", "; did you mean partial?"),
+    (f"{REFOCUS} --wavelength 0.5", "--wavelength = 0.5: it must be from 200 to 2500 nm; it looks like micrometres"),
+    (f"{REFOCUS} --oversample 0", "--oversample = 0: it must be at least 1"),
+    (f"{REFOCUS} --oversample 1.5", "'--oversample'"),
+    (f"{REFOCUS} --oversample 0x10", "'--oversample'"),
+    (f"{REFOCUS} --oversample 1e2", "'--oversample'"),
+    ("reconstruct x.exr -o a.jpg --distance 210", "a.jpg: give a name that ends in .exr or .png"),
+    ("reconstruct nofile.exr -o a.exr --distance 210", "nofile.exr: there is no such file"),
+    ("reconstruct x.exr y.exr -o a.exr --distance 210", "(y.exr)"),
+    (f"{REFOCUS} --camera a=1,b=2", "a=1,b=2: a: it is not a camera parameter"),
+    (f"{REFOCUS} --camera lytr", "did you mean lytro?"),
+    (f"{REFOCUS} --camera f_number=2.8,lenses=100,focal_length=-50", "pixels_per_lens or mla_pitch"),
+    (f"{REFOCUS} --no-volume", "no such option: --no-volume; did you mean --volume?"),
+    (f"{REFOCUS} --volume=maybe", "'--volume' does not take a value"),
+    (f"{REFOCUS} --volume=false", "'--volume' does not take a value"),
+    (f"{REFOCUS} --volume false", "(false)"),
+    (f"{REFOCUS} --f-number 2", "--f-number; aperture_radius is focal_length / (2 f_number)"),
+    (f"-q {REFOCUS}", "no such option: -q"),
+    (f"{REFOCUS} --camera -q", "-q: there is no such file, and no camera"),
+    (f"{REFOCUS} -- -x.exr", "(-x.exr)"),
+    ("reconstruct -o a.exr --distance 210 -- -x.exr", "-x.exr: there is no such file"),
+    ("reconstruct --capture x.exr -o a.exr --distance 210", "no such option: --capture"),
+    ("reconstruct x.exr --distance 210 -o", "'-o' requires an argument"),
+    ("render letters", "--output"),
+    (f"{RENDER} -D a=1 -D b=-2 --aov depth,normal --seed -1 --spp 16", "parameter a: the scene "),
+    (f"{RENDER} -D a=1 b=2", "(b=2)"),
+    (f"{RENDER} --define.a 1", "no such option: --define.a; did you mean --define?"),
+    (f"{RENDER} --model magic", "--model = 'magic': it must be one of ray, wave"),
+    (f"{RENDER} --save-run a.yaml", "--save-run: it is gone since version 2.0; a Makefile or Snakemake"),
+    (f"{RENDER} --spp many", "'--spp'"),
+    (f"{RENDER} --spp 1.5", "'--spp'"),
+    (f"{RENDER} -xyz", "no such option: -x"),
+    (f'{RENDER} --camera "a=1, b=2"', "a=1, b=2: a: it is not a camera parameter"),
+    (f'{RENDER} --camera ""', "it is a folder; give a file"),
+]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Work where a small capture is called x.exr."""
+    monkeypatch.chdir(tmp_path)
+    camera = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
+    write_capture("x.exr", Capture(np.ones((64, 64), np.float32), camera, wavelength=633.0))
+    return tmp_path
+
+
+@pytest.mark.needs_extension("deconvolution")
+@pytest.mark.parametrize("line", GOOD)
+def test_good_lines_run(line, folder):
+    assert main(shlex.split(line)) == 0
+
+
+@pytest.mark.needs_extension("deconvolution")
+@pytest.mark.parametrize(("line", "words"), BAD)
+def test_bad_lines_are_refused_in_one_line(line, words, folder, complaint):
+    assert words in complaint(*shlex.split(line))
+    assert [path.name for path in folder.iterdir()] == ["x.exr"]
