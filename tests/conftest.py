@@ -85,10 +85,10 @@ def trials_of_a_second(monkeypatch):
 @pytest.fixture
 def coarse_figures(monkeypatch):
     """Draw figures with a quarter of the dots to the inch, which is most of the time that they take."""
-    from mitsuba_plenoptic.report import figures, framing
+    from mitsuba_plenoptic.report import plots
 
-    monkeypatch.setattr(framing.Canvas.__init__, "__defaults__", (framing._DPI // 4,))
-    monkeypatch.setattr(figures, "_DPI", figures._DPI // 4)
+    monkeypatch.setattr(plots, "DPI", plots.DPI // 4)
+    monkeypatch.setattr(plots, "PRINT_DPI", plots.PRINT_DPI // 4)
 
 
 @pytest.fixture

@@ -40,9 +40,8 @@ from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
-from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
-from mitsuba_plenoptic.report.framing import Canvas
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
+from mitsuba_plenoptic.report.plots import Plot, annotate, bare, contact_sheet, depth_figure
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "pictures"
@@ -509,13 +508,11 @@ def particles() -> Image.Image:
     volume = pt.reconstruct_volume(
         pt.VoxelProjector(camera, grid, wavelength=550, per_lens=2, budget=3.0), captures[0], grid
     )
-    canvas, side = Canvas(WIDTH, 2.9, DPI), 2.35
-    for column, (capture, title) in enumerate(zip(captures, ("By waves", "By rays"), strict=True)):
-        axes = canvas.axes(column * (side + 0.06), 0.24, side, side)
-        axes.imshow(np.sqrt(np.maximum(capture.image, 0)), cmap="gray", vmax=0.12, interpolation="none")
-        axes.set_axis_off()
-        axes.set_title(title, size=9, loc="left", pad=3)
-    axes = canvas.axes(2 * (side + 0.06) + 0.3, 0.24, WIDTH - 2 * (side + 0.06) - 0.34, side)
+    plot = Plot(WIDTH, dpi=DPI)
+    ((*pictures, axes),) = plot.panels(1, 3)
+    for shown, capture, title in zip(pictures, captures, ("By waves", "By rays"), strict=True):
+        shown.imshow(np.sqrt(np.maximum(capture.image, 0)), cmap="gray", vmax=0.12, interpolation="none")
+        annotate(shown, title=title, size=9)
     above = volume.max("y")
     axes.pcolormesh(above["x"], above["z"], np.sqrt(above), cmap="gray")
     chosen = truth["inside"].values[0] == 1
@@ -526,7 +523,7 @@ def particles() -> Image.Image:
     axes.set_title("Volume, z over x in mm", size=9, loc="left", pad=3)
     axes.set_xticks([-0.5, 0, 0.5], ["-0.5", "0", "0.5"], fontsize=8)
     axes.set_yticks([96, 100, 104], ["96", "100", "104"], fontsize=8)
-    return drawn(canvas)
+    return drawn(plot)
 
 
 @picture
@@ -581,9 +578,9 @@ def designing() -> Image.Image:
     best = maximise(figure, camera, {"wavefront.11": (-1, 1)}).camera
     waves = np.linspace(-0.7, 0.7, 29)
     curve = [1e3 * np.mean(figure.deviations(camera.replace(wavefront=(0.0,) * 10 + (wave,)))) for wave in waves]
-    canvas = Canvas(WIDTH, 2.75, DPI)
-    axes = canvas.axes(0.55, 0.26, 2.9, 2.0)
-    axes.set_frame_on(True)
+    plot = Plot(WIDTH, 2.75, DPI)
+    left, right = plot.add_gridspec(1, 2, width_ratios=(3.4, 3.75))
+    axes = plot.add_subplot(left)
     axes.plot(waves, curve, color="#1b1f24")
     chosen = best.wavefront[10]
     axes.plot([chosen], [1e3 * np.mean(figure.deviations(best))], "o", color="#ffb000", label="found")
@@ -595,17 +592,14 @@ def designing() -> Image.Image:
     axes.set_xlabel("spherical aberration in waves", size=8)
     axes.set_title("Deviation of depth in micrometres", size=9, loc="left", pad=3)
     axes.legend(fontsize=8)
-    side = 1.17
+    panels = right.subgridspec(2, 3).subplots()
     for row, (name, one) in enumerate({"without": camera.replace(wavefront=()), "found": best}.items()):
         for column, depth in enumerate((116.0, 118.0, 122.0)):
             spread = np.asarray(mp.point_spread_function(one, (0.02, 0.01, depth), wavelength=633))
-            part = canvas.axes(3.75 + column * (side + 0.08), 0.26 + row * (side + 0.08), side, side)
-            part.imshow(np.sqrt(spread[40:90, 36:86]), cmap="gray", interpolation="none")
-            if row == 0:
-                part.set_title(f"{depth:g} mm", size=9, loc="left", pad=3)
-            if column == 0:
-                part.set_ylabel(name, size=8)
-    return drawn(canvas)
+            panel = panels[row, column]
+            bare(panel).imshow(np.sqrt(spread[40:90, 36:86]), cmap="gray", interpolation="none")
+            annotate(panel, title=f"{depth:g} mm" if row == 0 else "", side=name if column == 0 else "", size=9)
+    return drawn(plot)
 
 
 @picture

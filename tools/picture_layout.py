@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from PIL import Image
 
-from mitsuba_plenoptic.report.framing import Canvas
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
+from mitsuba_plenoptic.report.plots import Plot, annotate
 
 WIDTH, DPI, LARGEST = 7.5, 104, 150_000
 """Width of a picture in inches, its pixels per inch, and the size of its file in bytes."""
@@ -33,30 +33,22 @@ def sheet(
     """
     radiances = [image for row in rows for _, image in row if image.dtype != np.uint8]
     peak = white or (Brightness().peak(radiances) if radiances else 1.0)
-    columns, gap, title = len(rows[0]), 0.06, 0.24
-    side = (WIDTH - (columns - 1) * gap) / columns
-    tall = [side * max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
-    tops = [sum(tall[:index]) + index * (title + gap) + title for index in range(len(rows))]
-    below = tops[-1] + tall[-1]
-    canvas = Canvas(WIDTH, below + (0.6 if colours else 0), DPI)
-    if colours:
-        # Numbers at the ends of the bar need room.
-        left, narrower = (columns - 1) * (side + gap) + 0.1, side - 0.25
-        canvas.colour_bar(colours[0], left, below + 0.06, 0.1, colours[1], width=narrower, text=8)
-    for top, height, row in zip(tops, tall, rows, strict=True):
-        for index, (name, image) in enumerate(row):
-            axes = canvas.axes(index * (side + gap), top, side, height)
+    aspects = [max(image.shape[0] / image.shape[1] for _, image in row) for row in rows]
+    plot = Plot(WIDTH, dpi=DPI)
+    panels = plot.panels(len(rows), len(rows[0]), aspects)
+    for line, row in zip(panels, rows, strict=True):
+        for axes, (name, image) in zip(line, row, strict=False):
             shown = image if image.dtype == np.uint8 else to_bytes(image, peak)
             axes.imshow(shown, cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
-            axes.set_title(name, size=9, loc="left", pad=3)
-    return drawn(canvas)
+            annotate(axes, title=name, size=9)
+    if colours:
+        plot.colour_bar(colours[0], panels[-1, -1], colours[1], location="bottom")
+    return drawn(plot)
 
 
-def drawn(canvas: Canvas) -> Image.Image:
-    """Return what a canvas shows."""
-    stream = io.BytesIO()
-    canvas.figure.savefig(stream, format="png")
-    return Image.open(stream).convert("RGB")
+def drawn(plot: Plot) -> Image.Image:
+    """Return what a figure shows."""
+    return Image.open(io.BytesIO(plot.png())).convert("RGB")
 
 
 def write(path: Path, image: Image.Image) -> None:

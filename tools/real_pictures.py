@@ -17,7 +17,7 @@ from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
 from mitsuba_plenoptic.extensions.prediction.real_page import pictures, planes_of
 from mitsuba_plenoptic.extensions.prediction.study import LIGHTS, Pictures, Study
-from mitsuba_plenoptic.report.framing import Canvas, show
+from mitsuba_plenoptic.report.plots import Plot, show
 from mitsuba_plenoptic.report.stage_store import Stages
 
 FOLDER = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "")) / "antleg"
@@ -32,7 +32,7 @@ DEPTHS = -0.036, -0.027, -0.012, 0.012, 0.027
 """Depths of slices in millimetres, positive away from the objective."""
 
 
-def white() -> Canvas:
+def white() -> Plot:
     """Return the white picture beside that of the camera fitted to it."""
     light, dark = (sensor_values(FOLDER / name) for name in ("radiometry_frame.png", "dark_frame.tif"))
     found = fit_white(light, mp.PlenopticCamera.preset("lfm_water"), dark=dark, wavelength=510.0)
@@ -49,22 +49,22 @@ def study() -> Study:
     return Study(given, mp.PlenopticCamera.preset("lfm_water"), 510.0, box, Stages(STORED))
 
 
-def light_field() -> Canvas:
+def light_field() -> Plot:
     """Return the recorded light field beside those that volumes found by waves and by rays predict."""
     return pictures(study())
 
 
-def volume() -> Canvas:
+def volume() -> Plot:
     """Return slices of the volumes by waves and by rays, and, if it is stored, of pyolaf's from the same pixels."""
     volumes = {f"by {light}": planes_of(study(), light) for light in LIGHTS}
     if PEER.exists():
         with np.load(PEER) as peer:
             volumes["by pyolaf"] = dict(zip((peer["depth_um"] / 1000).tolist(), peer["volume"], strict=True))
-    canvas = Canvas(len(DEPTHS) * 2.2 + 0.2, len(volumes) * 1.95 + 0.1)
-    for row, (name, planes) in enumerate(volumes.items()):
-        for column, wanted in enumerate(DEPTHS):
+    plot = Plot(len(DEPTHS) * 2.2 + 0.2)
+    panels = plot.panels(len(volumes), len(DEPTHS), 1.6 / 2.1)
+    for row, (name, planes) in zip(panels, volumes.items(), strict=True):
+        for axes, wanted in zip(row, DEPTHS, strict=True):
             depth = min(planes, key=lambda depth, wanted=wanted: abs(depth - wanted))
             image = planes[depth]
-            axes = canvas.axes(0.1 + column * 2.2, 0.3 + row * 1.95, 2.1, 1.6)
             show(axes, image, f"{1000 * depth:+.0f} µm {name}", peak=float(np.quantile(image, 0.995)), size=8)
-    return canvas
+    return plot

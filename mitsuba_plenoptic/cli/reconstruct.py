@@ -230,7 +230,7 @@ def sheet(
         )
     read = [one for one in read if not distance or one.distance in distance]
     # Brings Matplotlib, which takes a while to load.
-    from ..report.figures import contact_sheet
+    from ..report.plots import contact_sheet
 
     contact_sheet(read, Brightness(exposure, percentile).peak([one.image for one in read])).save(output)
     methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))

@@ -11,19 +11,6 @@ import numpy as np
 
 from ..errors import refuse_if
 from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
-from .framing import (
-    ON_DETECTOR,
-    Canvas,
-    Zoom,
-    annotate,
-    brightest_zoom,
-    lit_window,
-    object_bar,
-    scale_bar,
-    show,
-    show_difference,
-    styled,
-)
 from .images import Brightness
 from .metrics import (
     capture_difference,
@@ -40,6 +27,19 @@ from .metrics import (
 )
 from .ordinary import draw_ordinary, measure_ordinary
 from .page import Report, scene_name, write_report
+from .plots import (
+    ON_DETECTOR,
+    Plot,
+    Zoom,
+    annotate,
+    brightest_zoom,
+    lit_window,
+    object_bar,
+    scale_bar,
+    show,
+    show_difference,
+    styled,
+)
 from .stage_store import StageOptions
 
 
@@ -246,20 +246,18 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
     distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
-    wide, gap, left, title, foot = 2.3, 0.1, 0.4, 0.34, 0.32
-    tall, lines = wide * window.aspect, math.ceil(len(names) / _ACROSS)
-    high = title + tall + foot
-    figure = Canvas(left + _ACROSS * (wide + gap), len(distances) * lines * high)
+    lines = math.ceil(len(names) / _ACROSS)
+    plot = Plot(10.0)
+    panels = plot.panels(len(distances) * lines, _ACROSS, window.aspect)
     for down, distance in enumerate(distances):
         for index, name in enumerate(names):
             line, across = divmod(index, _ACROSS)
-            top = (down * lines + line) * high + title
-            axes = figure.axes(left + across * (wide + gap), top, wide, tall)
+            axes = panels[down * lines + line, across]
             show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
             object_bar(axes, experiment.camera, distance, window)
             side = f"{distance:g} mm" if across == 0 else ""
             annotate(axes, title=TITLES[name], side=side, foot=notes.get((name, distance), ""))
-    figure.save_both(path)
+    plot.save_both(path)
 
 
 @styled
@@ -267,20 +265,19 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
     """Draw micro-images by rays, by waves, and their difference."""
     ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
     peak = Brightness().peak([ray[zoom.rows, zoom.columns] for zoom in zooms])
-    size, gap, left, title, foot = 2.9, 0.1, 0.45, 0.4, 0.3
-    figure = Canvas(left + 3 * (size + gap) + 0.8, title + len(zooms) * (size + foot))
-    drawn: Any = None
-    for row, zoom in enumerate(zooms):
+    plot = Plot(10.25)
+    panels = plot.panels(len(zooms), 3)
+    for row, zoom in zip(panels, zooms, strict=True):
         cuts = [image[zoom.rows, zoom.columns] for image in (ray, wave)]
-        panels = [figure.axes(left + i * (size + gap), title + row * (size + foot), size, size) for i in range(3)]
-        show(panels[0], cuts[0], "", peak=peak)
-        show(panels[1], cuts[1], "", peak=peak)
-        drawn = show_difference(panels[2], cuts[1] - cuts[0], 0.6 * peak)
-        for axes, name in zip(panels, ("By rays", "By waves", "Waves minus rays"), strict=True):
-            annotate(axes, title=name if row == 0 else "", side=zoom.title if axes is panels[0] else "")
+        show(row[0], cuts[0], "", peak=peak)
+        show(row[1], cuts[1], "", peak=peak)
+        drawn = show_difference(row[2], cuts[1] - cuts[0], 0.6 * peak)
+        for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
+            first = zoom is zooms[0]
+            annotate(axes, title=name if first else "", side=zoom.title if axes is row[0] else "")
             scale_bar(axes, cuts[0].shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
-    figure.colour_bar(drawn, left + 3 * (size + gap), title, min(3.0, size), "radiance")
-    figure.save_both(path)
+    plot.colour_bar(drawn, panels, "radiance")
+    plot.save_both(path)
 
 
 @styled
@@ -288,14 +285,12 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
     """Draw the difference of coherent methods from the limit in which no two lenses interfere."""
     window = lit_window(list(experiment.truths.values()))
     distances, names = experiment.settings.distances, ("coherent", "partial")
-    wide, gap, left, title, foot = 3.4, 0.1, 0.45, 0.4, 0.32
-    tall = wide * window.aspect
-    figure = Canvas(left + len(distances) * (wide + gap) + 0.9, title + len(names) * (tall + foot))
+    plot = Plot(3.5 * len(distances) + 1.35)
+    panels = plot.panels(len(names), len(distances), window.aspect)
     bound = 0.15 * max(float(np.nanmax(experiment.images["limit", distance])) for distance in distances)
-    drawn: Any = None
     for down, name in enumerate(names):
         for across, distance in enumerate(distances):
-            axes = figure.axes(left + across * (wide + gap), title + down * (tall + foot), wide, tall)
+            axes = panels[down, across]
             difference = experiment.images[name, distance] - experiment.images["limit", distance]
             drawn = show_difference(axes, window.of(difference), bound)
             object_bar(axes, experiment.camera, distance, window)
@@ -305,5 +300,5 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
                 side=TITLES[name] if across == 0 else "",
                 foot=notes.get((name, distance), ""),
             )
-    figure.colour_bar(drawn, left + len(distances) * (wide + gap), title, tall, "radiance beyond the limit")
-    figure.save_both(path)
+    plot.colour_bar(drawn, panels, "radiance beyond the limit")
+    plot.save_both(path)

@@ -18,7 +18,7 @@ from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
 from ..runtime.files import require_writable
-from .framing import Canvas, scale_bar, styled
+from .plots import INK, Plot, bare, scale_bar, styled
 
 _ACROSS = 201
 """Rays across the pupil."""
@@ -202,7 +202,7 @@ _LINES = {"F": (LINE_F, "#2463d6"), "d": (LINE_D, "#d9a400"), "C": (LINE_C, "#d0
 _HEIGHTS = 13
 """Field heights for which curves are computed."""
 
-_INK, _GLASS = "#1b1f24", "#dfeaf3"
+_GLASS = "#dfeaf3"
 
 
 @styled
@@ -225,14 +225,15 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     if camera.prescription is None:
         raise InputError(f"{path}: the camera has no main_lens of surfaces that could be drawn")
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
-    canvas = Canvas(10.6, 7.4)
-    _surfaces(canvas.axes(0.3, 0.5, 10.0, 3.3), camera, corner, camera.prescription.name or "main lens")
-    for index, part in enumerate(_FIELDS):
-        spots = canvas.axes(0.5 + 2.1 * index, 4.6, 1.8, 1.8)
-        _spot(spots, camera, part * corner)
-    spots.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
-    _curves(canvas.axes(7.3, 4.6, 1.1, 2.1), canvas.axes(9.1, 4.6, 1.1, 2.1), camera, corner)
-    canvas.save(path)
+    plot = Plot(10.6, 7.4)
+    rows = plot.add_gridspec(2, 1, height_ratios=(3.6, 2.8))
+    _surfaces(bare(plot.add_subplot(rows[0])), camera, corner, camera.prescription.name or "main lens")
+    *spots, light, distortion = rows[1].subgridspec(1, 5, width_ratios=(2, 2, 2, 1.6, 1.6)).subplots()
+    for axes, part in zip(spots, _FIELDS, strict=True):
+        _spot(axes, camera, part * corner)
+    spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
+    _curves(light, distortion, camera, corner)
+    plot.save(path)
 
 
 def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> None:
@@ -250,11 +251,11 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
         if given.glass is not None:
             behind, below = profiles[index + 1]
             outline = np.concatenate([z, behind[::-1]]), np.concatenate([y, below[::-1]])
-            axes.fill(*outline, facecolor=_GLASS, edgecolor=_INK, linewidth=0.8)
+            axes.fill(*outline, facecolor=_GLASS, edgecolor=INK, linewidth=0.8)
         if stop:
             edge, open_to = float(np.max(np.abs(y))), float(lens.scale * lens.stop_radius)
             for side in (-1, 1):
-                axes.plot([z[32]] * 2, [side * open_to, side * 1.15 * edge], color=_INK, linewidth=2.5)
+                axes.plot([z[32]] * 2, [side * open_to, side * 1.15 * edge], color=INK, linewidth=2.5)
     reach = 0.25 * camera.mla_distance
     for part, colour in zip(_FIELDS, _RAYS, strict=True):
         z, y = ray_paths(camera, part * corner)
@@ -265,14 +266,13 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
             np.vstack([z, [end] * z.shape[1]]), np.vstack([y, last + turned * (end - front)]), color=colour, lw=0.7
         )
     array = float(vertices[-1]) - float(lens.back_distance)
-    axes.plot([array] * 2, [-corner, corner], color=_INK, linewidth=2)
+    axes.plot([array] * 2, [-corner, corner], color=INK, linewidth=2)
     axes.invert_xaxis()
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.apply_aspect()
+    axes.set_aspect("equal")
     scale_bar(axes, abs(float(np.diff(axes.get_xlim())[0])), below=True)
     right = "microlenses" if camera.has_array else "detector"
     sizes = f"f = {camera.focal_length:.4g} mm, f/{camera.f_number:.3g}, {right} at the right"
-    axes.set_title(f"{name}: {sizes}", size=10, color=_INK, loc="left")
+    axes.set_title(f"{name}: {sizes}", size=10, color=INK, loc="left")
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
@@ -284,12 +284,12 @@ def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
         some = slice(None, None, max(1, len(x) // 600))
         axes.plot(x[some], y[some], ".", color=colour, markersize=1.2, label=line)
         largest = max([largest, *np.abs(x), *np.abs(y)])
-    axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=_INK, lw=0.6)
+    axes.plot(np.array([-1, 1, 1, -1, -1]) * cell / 2, np.array([-1, -1, 1, 1, -1]) * cell / 2, color=INK, lw=0.6)
     axes.set_xlim(-1.1 * largest, 1.1 * largest)
     axes.set_ylim(-1.1 * largest, 1.1 * largest)
-    axes.set_aspect("equal")
-    axes.set_title(f"spot at {height:.3g} mm", size=9, color=_INK, loc="left")
-    axes.set_xlabel(f"square: a {name}, {1e3 * cell:.3g} um", size=7, color=_INK)
+    bare(axes).set_aspect("equal")
+    axes.set_title(f"spot at {height:.3g} mm", size=9, color=INK, loc="left")
+    axes.set_xlabel(f"square: a {name}, {1e3 * cell:.3g} um", size=7, color=INK)
 
 
 def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float) -> None:
@@ -300,11 +300,10 @@ def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: floa
         (light, [100 * each.light for each in figures], "light, %"),
         (distortion, [100 * each.distortion for each in figures], "distortion, %"),
     ):
-        axes.set_frame_on(True)
         axes.plot(values, heights, color=_RAYS[0])
-        axes.set_title(title, size=9, color=_INK, loc="left")
-        axes.set_ylabel("mm from the axis", size=7, color=_INK)
+        axes.set_title(title, size=9, color=INK, loc="left")
+        axes.set_ylabel("mm from the axis", size=7, color=INK)
         axes.xaxis.set_major_locator(MaxNLocator(2))
         axes.yaxis.set_major_locator(MaxNLocator(4))
-        axes.tick_params(labelsize=7, color=_INK, labelcolor=_INK)
+        axes.tick_params(labelsize=7, color=INK, labelcolor=INK)
     light.set_xlim(0, max(105, *(105 * each.light for each in figures)))

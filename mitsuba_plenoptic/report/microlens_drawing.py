@@ -14,7 +14,7 @@ from ..errors import require_wavelength
 from ..optics.waves import in_millimetres, parabola
 from ..prescription.glass import LINE_D
 from ..runtime.files import require_writable
-from .framing import Canvas, styled
+from .plots import INK, Plot, styled
 
 _SAMPLES = 256
 """Samples across a lens."""
@@ -22,7 +22,7 @@ _SAMPLES = 256
 _RAYS = 15
 """Rays in the section."""
 
-_INK, _RAY = "#1b1f24", "#c1443c"
+_RAY = "#c1443c"
 
 
 @styled
@@ -51,15 +51,16 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     u, v = np.meshgrid(along, along)
     inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
     waves = _waves(camera, u, v, wavelength)
-    canvas = Canvas(11.2, 3.7)
-    axes, ends = canvas.axes(0.5, 0.6, 2.5, 2.5), (1e3 * along[0], 1e3 * along[-1])
+    plot = Plot(11.2, 3.7)
+    lens, section, light = plot.subplots(1, 3, width_ratios=(1.2, 1.2, 1))
+    ends = 1e3 * along[0], 1e3 * along[-1]
     phase = np.where(inside, waves - waves[inside].max(), np.nan)
-    drawn = axes.imshow(phase, origin="lower", extent=(*ends, *ends), cmap="viridis")
-    _frame(axes, "phase of the lens", "um from its centre")
-    canvas.colour_bar(drawn, 3.1, 0.6, 2.5, "waves")
-    _section(canvas.axes(4.3, 0.6, 3.0, 2.5), camera, wavelength)
-    _spot(canvas.axes(7.9, 0.6, 2.5, 2.5), camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
-    canvas.save(path)
+    drawn = lens.imshow(phase, origin="lower", extent=(*ends, *ends), cmap="viridis")
+    _frame(lens, "phase of the lens", "um from its centre")
+    plot.colour_bar(drawn, lens, "waves")
+    _section(section, camera, wavelength)
+    _spot(light, camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
+    plot.save(path)
 
 
 def _waves(camera: PlenopticCamera, u: NDArray, v: NDArray, wavelength: float) -> NDArray[np.float64]:
@@ -86,12 +87,12 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     ends = np.array([-0.3 * z, 0.0, 1.5 * z])
     heights = np.stack([start, start, start + slope * ends[2]])
     axes.plot(1e3 * ends, 1e3 * heights, color=_RAY, linewidth=0.7)
-    axes.plot([0, 0], [-1e3 * half, 1e3 * half], color=_INK, linewidth=2)
-    axes.axvline(1e3 * z, color=_INK, linewidth=0.8, linestyle="--")
+    axes.plot([0, 0], [-1e3 * half, 1e3 * half], color=INK, linewidth=2)
+    axes.axvline(1e3 * z, color=INK, linewidth=0.8, linestyle="--")
     axes.set_ylim(-1.1e3 * half, 1.1e3 * half)
     medium = f", in a medium of index {camera.mla_medium:g}" if camera.mla_medium != 1 else ""
     _frame(axes, f"parallel rays to the detector{medium}", "um behind the array")
-    axes.set_ylabel("um from its centre", fontsize=8, color=_INK, labelpad=2)
+    axes.set_ylabel("um from its centre", fontsize=8, color=INK, labelpad=2)
 
 
 def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np.float64], wavelength: float) -> None:
@@ -107,9 +108,8 @@ def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np
 
 
 def _frame(axes: Axes, title: str, label: str) -> None:
-    axes.set_frame_on(True)
-    axes.set_title(title, fontsize=9, color=_INK)
-    axes.set_xlabel(label, fontsize=8, color=_INK)
+    axes.set_title(title, fontsize=9, color=INK)
+    axes.set_xlabel(label, fontsize=8, color=INK)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(5))
     axes.tick_params(labelsize=7)

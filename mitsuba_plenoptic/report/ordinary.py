@@ -15,9 +15,9 @@ from scipy.ndimage import uniform_filter
 from ..errors import refusing
 from ..optics.waves import in_millimetres
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
-from .framing import ACCENT, FAINT, INK, Canvas, annotate, scale_bar, show, styled
 from .images import Brightness
 from .metrics import window_sharpness
+from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 
 _TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
 
@@ -111,13 +111,9 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     smooth = uniform_filter(pictures[ORDINARY], max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
     down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
     peak = Brightness().peak([pictures[ORDINARY]])
-    across, gap, left, title, foot = 2.3, 0.1, 0.1, 0.34, 0.32
-    tall = across * high / wide
-    figure = Canvas(left + len(pictures) * (across + gap), title + tall + foot + across + gap)
-    for index, (name, image) in enumerate(pictures.items()):
-        x = left + index * (across + gap)
-        whole = figure.axes(x, title, across, tall)
-        crop = figure.axes(x, title + tall + foot, across, across)
+    plot = Plot(2.4 * len(pictures) + 0.1)
+    panels = plot.panels(2, len(pictures), (high / wide, 1))
+    for (name, image), whole, crop in zip(pictures.items(), *panels, strict=True):
         for axes, middle, half in ((whole, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
             show(axes, image, "", peak=peak)
             _frame(axes, image.shape, pixels[name], middle, half)
@@ -126,7 +122,7 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
         corner = right - close, down - close
         whole.add_patch(Rectangle(corner, 2 * close, 2 * close, fill=False, edgecolor=ACCENT, linewidth=1))
         annotate(whole, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
-    figure.save_both(path)
+    plot.save_both(path)
 
 
 def _frame(
@@ -153,9 +149,8 @@ def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], c
 @styled
 def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
     """Draw transfer functions over the logarithm of the frequency, with the limit of the pupil."""
-    figure = Canvas(7.2, 3.6)
-    axes = figure.axes(0.7, 0.2, 6.3, 2.8)
-    axes.set_frame_on(True)
+    plot = Plot(7.2, 3.6)
+    axes = plot.subplots()
     frequency = np.array(measured["frequency_per_mm"])
     for picture in measured["pictures"]:
         transfer = np.array(picture["transfer"])
@@ -173,4 +168,4 @@ def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
     axes.set_ylabel("contrast", size=9, color=INK)
     axes.grid(linewidth=0.4, color="#d0d6dd")
     axes.legend(fontsize=8, frameon=False, loc="lower left")
-    figure.save_both(path)
+    plot.save_both(path)

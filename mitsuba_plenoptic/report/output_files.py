@@ -57,7 +57,7 @@ def write_reconstructions(
     """
     peak = drawing.brightness.peak([result.image for result in results])
     if drawing.is_figure(paths[0]):
-        report.figures.contact_sheet(results, peak).save(paths[0])
+        report.plots.contact_sheet(results, peak).save(paths[0])
         return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
@@ -80,7 +80,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
     }
     white = drawing.brightness.peak([lf.values])
     picture = view_mosaic(lf)
-    write_drawn(path, "views", lf, parts, picture, white, drawing, lambda: report.figures.views_figure(lf, white))
+    write_drawn(path, "views", lf, parts, picture, white, drawing, lambda: report.plots.views_figure(lf, white))
 
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
@@ -96,7 +96,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
         values,
         white,
         drawing,
-        lambda: report.figures.epipolar_figure(image, white),
+        lambda: report.plots.epipolar_figure(image, white),
     )
 
 
@@ -108,7 +108,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     picture = _tiled(list(images.values()))
     parts = as_parts(**images)
     write_drawn(
-        path, "focal stack", stack, parts, picture, white, drawing, lambda: report.figures.stack_figure(stack, white)
+        path, "focal stack", stack, parts, picture, white, drawing, lambda: report.plots.stack_figure(stack, white)
     )
 
 
@@ -160,7 +160,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     picture = np.concatenate(maps, axis=1)
     stored = as_parts(**parts)
-    write_drawn(path, "depth", found, stored, picture, 1.0, drawing, lambda: report.figures.depth_figure(found, white))
+    write_drawn(path, "depth", found, stored, picture, 1.0, drawing, lambda: report.plots.depth_figure(found, white))
 
 
 def write_drawn(

@@ -19,9 +19,9 @@ from ..io.checkpoints import write_json
 from ..runtime.files import write_text
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
-from .framing import Window, Zoom, lit_window
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
+from .plots import Window, Zoom, lit_window
 from .stage_store import software, time_summary
 
 _EXPLANATIONS = {

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.report.figures import contact_sheet, depth_figure
 from mitsuba_plenoptic.report.images import Brightness, shrink, to_bytes, write_png
+from mitsuba_plenoptic.report.plots import contact_sheet, depth_figure
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_the_wall_is_seen_next_to_a_lamp_in_all_figures():
     capture = mp.render_capture(scene, model="ray", spp=32)
     sheet = contact_sheet(mp.reconstruct(capture, [210, 240]))
     depth = depth_figure(mp.views.depth_map(mp.decode(capture), 200, 260, planes=16))
-    for axes in (sheet.figure.axes[0], sheet.figure.axes[1], depth.figure.axes[0]):
+    for axes in (sheet.axes[0], sheet.axes[1], depth.axes[0]):
         (image,) = axes.images
         assert np.median(np.asarray(image.get_array())) == pytest.approx(0.5, rel=0.02)
         assert image.norm(0.5) > 0.3

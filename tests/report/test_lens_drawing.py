@@ -6,8 +6,8 @@ from PIL import Image
 
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.report.framing import Canvas
 from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
+from mitsuba_plenoptic.report.plots import Plot
 
 LINE_C, LINE_F = 656.2725, 486.1327
 """Fraunhofer's lines, in nanometres."""
@@ -50,9 +50,9 @@ def test_lateral_colour_is_that_of_forward_rays():
 
 def test_the_bar_of_a_drawing_is_as_long_as_it_says(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(Canvas, "save", lambda canvas, path: drawn.append(canvas))
+    monkeypatch.setattr(Plot, "save", lambda plot, path: drawn.append(plot))
     draw_main_lens(tmp_path / "lens.png", CAMERA)
-    axes = drawn[0].figure.axes[0]
+    axes = drawn[0].axes[0]
     bar = axes.patches[-1].get_window_extent()
     glass, array = (axes.lines[index].get_xdata()[0] for index in (0, -1))
     pixels = abs(np.subtract(*axes.transData.transform([(glass, 0), (array, 0)])[:, 0]))

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
 from ...light.render_capture import render_capture
-from ...report.framing import INK, Canvas, annotate, show, show_difference, styled
+from ...report.images import data_url
 from ...report.page import template
+from ...report.plots import INK, Plot, annotate, show, show_difference, styled
 from ...runtime.backend import set_variant
 from ...runtime.files import write_text
 from .fitted_camera import stray_fraction
@@ -30,15 +32,12 @@ _LARGEST = 0.06
 _REACH = 0.6
 """Distance from a lens, in pitches, to which its profile is drawn."""
 
-_SIDE = 3.6
-"""Width in inches of a picture."""
-
 
 def write_white_report(path: Path, found: WhiteFit, summary: list[str]) -> None:
     """Write the page, for which a part of the white picture is simulated through the fitted camera."""
     light = "rays" if found.wavelength is None else f"waves of {found.wavelength:g} nm"
     page = template("white.html", _TEMPLATES).render(
-        figure=white_figure(found).data_url(), light=light, lines=summary, samples=_SAMPLES, lenses=_LENSES
+        figure=data_url("png", white_figure(found).png()), light=light, lines=summary, samples=_SAMPLES, lenses=_LENSES
     )
     write_text(path, page, ".html")
 
@@ -65,38 +64,35 @@ def side_by_side(found: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, 
 
 
 @styled
-def white_figure(found: WhiteFit) -> Canvas:
+def white_figure(found: WhiteFit) -> Plot:
     """Return a figure of recorded and simulated pixels, the mean residual, and lenses off the warped array."""
     recorded, simulated = side_by_side(found)
     peak, difference = float(np.quantile(recorded, 0.999)), recorded - simulated
-    tall = _SIDE * recorded.shape[0] / recorded.shape[1]
-    canvas = Canvas(3 * _SIDE + 1.5, tall + _SIDE + 1.2)
-    for number, (name, image) in enumerate((("Recorded", recorded), ("Simulated", simulated))):
-        show(canvas.axes(0.2 + number * (_SIDE + 0.15), 0.4, _SIDE, tall), image, name, peak=peak)
-    axes = canvas.axes(0.2 + 2 * (_SIDE + 0.15), 0.4, _SIDE, tall)
-    drawn = show_difference(axes, difference, _LARGEST)
-    annotate(axes, title=f"Difference, {np.sqrt((difference**2).mean()):.1%} RMS")
-    canvas.colour_bar(drawn, 3 * _SIDE + 0.65, 0.4, tall, "of the light in the middle")
-    low = tall + 0.9
-    axes = canvas.axes(0.2, low, _SIDE, _SIDE)
+    plot = Plot(12.3)
+    upper, lower = plot.panels(2, 3, (recorded.shape[0] / recorded.shape[1], 1))
+    show(upper[0], recorded, "Recorded", peak=peak)
+    show(upper[1], simulated, "Simulated", peak=peak)
+    drawn = show_difference(upper[2], difference, _LARGEST)
+    annotate(upper[2], title=f"Difference, {np.sqrt((difference**2).mean()):.1%} RMS")
+    plot.colour_bar(drawn, upper[2], "of the light in the middle")
     reach = found.camera.micro_image_pitch / found.camera.pixel_size
     middle, half = len(found.judgement.difference) // 2, round(reach)
     part = np.s_[middle - half : middle + half + 1, middle - half : middle + half + 1]
-    show_difference(axes, found.judgement.difference[part], _LARGEST / 2)
-    annotate(axes, title=f"Mean micro-image, {found.judgement.mean_image:.2%} RMS (colours twice as strong)")
-    _profile(canvas, found, recorded, simulated, low)
-    axes = canvas.axes(0.2 + 2 * (_SIDE + 0.15), low, _SIDE, _SIDE)
+    show_difference(lower[0], found.judgement.difference[part], _LARGEST / 2)
+    annotate(lower[0], title=f"Mean micro-image, {found.judgement.mean_image:.2%} RMS", foot="colours twice as strong")
+    _profile(lower[1], found, recorded, simulated)
     rows, columns = found.frame.light.shape
     off = np.hypot(*found.off_array.T)
     x, y = found.place.T
-    marks = axes.scatter(x, y, c=off, s=8e4 / len(off) ** 1.1, cmap="viridis", vmin=0, vmax=0.3)
-    axes.set(xlim=(0, columns), ylim=(rows, 0), aspect="equal")
-    annotate(axes, title="Lenses off the warped array")
-    canvas.colour_bar(marks, 3 * _SIDE + 0.65, low, _SIDE, "pixels")
-    return canvas
+    marks = lower[2].scatter(x, y, c=off, s=8e4 / len(off) ** 1.1, cmap="viridis", vmin=0, vmax=0.3)
+    side = max(rows, columns)
+    lower[2].set(xlim=((columns - side) / 2, (columns + side) / 2), ylim=((rows + side) / 2, (rows - side) / 2))
+    annotate(lower[2], title="Lenses off the warped array")
+    plot.colour_bar(marks, lower[2], "pixels")
+    return plot
 
 
-def _profile(canvas: Canvas, found: WhiteFit, recorded: np.ndarray, simulated: np.ndarray, low: float) -> None:
+def _profile(axes: Axes, found: WhiteFit, recorded: np.ndarray, simulated: np.ndarray) -> None:
     """Draw the light of micro-images over the distance from the lens's place."""
     rows, columns = recorded.shape
     left, top = ((full - part) // 2 for full, part in zip(found.camera.resolution, (columns, rows), strict=True))
@@ -107,7 +103,6 @@ def _profile(canvas: Canvas, found: WhiteFit, recorded: np.ndarray, simulated: n
     edges = np.arange(0, _REACH * found.camera.micro_image_pitch / found.camera.pixel_size, 0.5)
     bins = np.digitize(distance.ravel(), edges) - 1
     counts = np.maximum(np.bincount(bins, minlength=len(edges)), 1)
-    axes = canvas.axes(0.7 + _SIDE + 0.15, low, _SIDE - 0.6, _SIDE - 0.4)
     axes.set_frame_on(True)
     for image, style, name in ((recorded, "o", "recorded"), (simulated, "-", "simulated")):
         mean = np.bincount(bins, (image / bright).ravel(), minlength=len(edges)) / counts

@@ -46,8 +46,8 @@ def dual(
     import numpy as np
 
     from ...io.captures import read_capture
-    from ...report.figures import views_figure
     from ...report.output_files import as_parts, require_picture_path, write_drawn
+    from ...report.plots import views_figure
     from ...runtime.files import require_apart
     from ...views.viewpoints import view_mosaic
     from .halves import dual_pixel, photodiode_names

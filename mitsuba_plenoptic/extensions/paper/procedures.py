@@ -13,9 +13,9 @@ from ...camera import PlenopticCamera
 from ...light.walk import follow_back
 from ...optics import rays
 from ...prescription.lens_data import image_distance
-from ...report.framing import Canvas, styled
+from ...report.plots import FAINT, INK, Plot, bare, styled
 
-_INK, _FAINT, _LIGHT = "#1b1f24", "#667080", "#d08700"
+_LIGHT = "#d08700"
 _RAYS = 7
 """Rays through the pupil, or pixels of a micro-image, that are drawn."""
 
@@ -64,16 +64,17 @@ def micro_image(camera: PlenopticCamera, lens: float, count: int = _RAYS) -> np.
 def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) -> None:
     """Draw the paper's figure 1: the setup, with rays from a point of each object to the array."""
     far, b = max(objects.values()), camera.mla_distance
-    figure = Canvas(10.5, 4.7)
-    axes = _plot(figure, 0.2, 0.5, 10.1, 4.1, (-1.12 * far, 1.25 * b), 2.0 * camera.aperture_radius)
-    axes.set_title("Setup; heights are enlarged", size=10, color=_INK, loc="left", pad=6)
+    plot = Plot(10.5, 4.7)
+    axes = plot.subplots()
+    _axis(axes, (-1.12 * far, 1.25 * b), 2.0 * camera.aperture_radius)
+    axes.set_title("Setup; heights are enlarged", size=10, color=INK, loc="left", pad=6)
     pupil = np.linspace(-1, 1, _RAYS) * camera.aperture_radius
     for number, (name, distance) in enumerate(objects.items()):
         height = 0.4 * camera.aperture_radius * (1 - number)
         for path_ in light_path(camera, (height, distance), pupil):
             axes.plot(*path_.T, color=f"C{number}", linewidth=0.7, alpha=0.8)
         top = (1 + 0.3 * number) * camera.aperture_radius
-        axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=_FAINT, linewidth=1)
+        axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=FAINT, linewidth=1)
         image = image_distance(camera.focal_length, distance)
         axes.annotate(
             f"{name}, g = {distance:g} mm\nimage at {image:.4g} mm", (-distance, top), (0, 4),
@@ -82,33 +83,30 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
     _main_lens(axes, camera)
     _array(axes, camera)
     _dimension(axes, 0, b, -1.25 * camera.aperture_radius, f"b = {b:g} mm")
-    figure.save_both(path)
+    plot.save_both(path)
 
 
 @styled
 def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
     """Draw the paper's figure 3: reconstruction back to an object plane, by rays and by waves."""
-    figure = Canvas(10.5, 5.6)
-    axes = _plot(
-        figure, 0.2, 0.5, 10.1, 3.2, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius
-    )
+    plot = Plot(10.5, 5.6)
+    axes, steps = plot.subplots(2, 1, height_ratios=(3.2, 1.3))
+    _axis(axes, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius)
     axes.set_title(f"(a)  By rays: each pixel through the centre of its lens, to {distance:g} mm", size=10, loc="left")
     for number, lens in enumerate((-3.0, 0.0, 3.0)):
         centre = lens * camera.mla_pitch
         for path_ in back_path(camera, centre, micro_image(camera, centre), distance):
             axes.plot(*_stretched(path_, camera).T, color=f"C{number}", linewidth=0.7)
-    axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=_FAINT, linewidth=1)
+    axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=FAINT, linewidth=1)
     _main_lens(axes, camera)
     _array(axes, camera)
-    _waves(figure, camera, distance)
-    figure.save_both(path)
+    _waves(steps, camera, distance)
+    plot.save_both(path)
 
 
-def _waves(figure: Canvas, camera: PlenopticCamera, distance: float) -> None:
+def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
     """Draw the steps of the wave reconstruction, from the detector on the right to the object on the left."""
-    axes = figure.axes(0.2, 4.15, 10.1, 1.3)
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
+    bare(axes).set(xlim=(0, 1), ylim=(0, 1))
     axes.set_title("(b)  By waves: one field for all lenses, or one for each subset, whose intensities are added",
                    size=10, loc="left")  # fmt: skip
     steps = (
@@ -124,22 +122,18 @@ def _waves(figure: Canvas, camera: PlenopticCamera, distance: float) -> None:
     )
     places = np.linspace(0.9, 0.1, len(steps))
     for place, (name, formula, value) in zip(places, steps, strict=True):
-        box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": _FAINT}
-        axes.text(place, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=_INK, bbox=box)
+        box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": FAINT}
+        axes.text(place, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=INK, bbox=box)
     for first, second, text in zip(places, places[1:], between, strict=False):
         axes.add_patch(FancyArrowPatch((first - 0.085, 0.6), (second + 0.085, 0.6), arrowstyle="->", mutation_scale=12,
                                        color=_LIGHT))  # fmt: skip
         axes.text((first + second) / 2, 0.1, f"angular spectrum,\n{text}", ha="center", size=7.5, color=_LIGHT)
 
 
-def _plot(
-    figure: Canvas, left: float, top: float, width: float, height: float, along: tuple[float, float], across: float
-) -> Axes:
-    axes = figure.axes(left, top, width, height)
-    axes.set_xlim(*along)
-    axes.set_ylim(-across, across)
-    axes.axhline(0, color=_FAINT, linewidth=0.5, linestyle="dashdot")
-    return axes
+def _axis(axes: Axes, along: tuple[float, float], across: float) -> None:
+    """Draw the optical axis of a setup, within limits along it and across."""
+    bare(axes).set(xlim=along, ylim=(-across, across))
+    axes.axhline(0, color=FAINT, linewidth=0.5, linestyle="dashdot")
 
 
 def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
@@ -160,15 +154,15 @@ def _detector(camera: PlenopticCamera) -> float:
 def _main_lens(axes: Axes, camera: PlenopticCamera) -> None:
     radius = camera.aperture_radius
     width = 0.06 * camera.mla_distance
-    axes.add_patch(Ellipse((0, 0), width, 2 * radius, facecolor="#dbe9f6", edgecolor=_INK, linewidth=0.8))
+    axes.add_patch(Ellipse((0, 0), width, 2 * radius, facecolor="#dbe9f6", edgecolor=INK, linewidth=0.8))
     text = f"main lens\n$f_1$ = {camera.focal_length:g} mm\n$D_1$ = {2 * radius:g} mm"
-    axes.annotate(text, (0, radius), (0, 4), textcoords="offset points", ha="center", va="bottom", size=7, color=_INK)
+    axes.annotate(text, (0, radius), (0, 4), textcoords="offset points", ha="center", va="bottom", size=7, color=INK)
 
 
 def _array(axes: Axes, camera: PlenopticCamera) -> None:
     b, half = camera.mla_distance, camera.detector_width / 2
-    axes.plot([b, b], [-half, half], color=_INK, linewidth=2.5)
-    axes.plot([_detector(camera)] * 2, [-half, half], color=_INK, linewidth=1)
+    axes.plot([b, b], [-half, half], color=INK, linewidth=2.5)
+    axes.plot([_detector(camera)] * 2, [-half, half], color=INK, linewidth=1)
     columns, rows = camera.bin_count
     text = (
         f"{columns} x {rows} microlenses,\n$D_2$ = {camera.mla_pitch:g} mm, $f_2$ = {camera.mla_focal_length:g} mm;\n"
@@ -176,12 +170,12 @@ def _array(axes: Axes, camera: PlenopticCamera) -> None:
         f"{1000 * camera.pixel_size:.3g} µm"
     )
     axes.annotate(
-        text, (_detector(camera), half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=_INK
+        text, (_detector(camera), half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=INK
     )
 
 
 def _dimension(axes: Axes, first: float, last: float, height: float, text: str) -> None:
     axes.annotate(
-        "", (last, height), (first, height), arrowprops={"arrowstyle": "<->", "color": _FAINT, "linewidth": 0.8}
+        "", (last, height), (first, height), arrowprops={"arrowstyle": "<->", "color": FAINT, "linewidth": 0.8}
     )
-    axes.text((first + last) / 2, height, text, ha="center", va="bottom", size=8, color=_FAINT)
+    axes.text((first + last) / 2, height, text, ha="center", va="bottom", size=8, color=FAINT)

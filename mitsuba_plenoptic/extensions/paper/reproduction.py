@@ -21,10 +21,22 @@ from ...io.captures import read_capture
 from ...refocus import Reconstruction, reconstruct
 from ...report.comparison import draw_comparison, measure
 from ...report.experiment import METHODS, TITLES, Experiment, Images, Settings, open_store, run_experiment
-from ...report.figures import contact_sheet
-from ...report.framing import ON_DETECTOR, Canvas, Zoom, lit_window, mark, object_bar, scale_bar, show, styled, zoom_at
 from ...report.images import Brightness, shrink
 from ...report.page import Report, write_growing, write_report
+from ...report.plots import (
+    ON_DETECTOR,
+    Plot,
+    Zoom,
+    bare,
+    contact_sheet,
+    lit_window,
+    mark,
+    object_bar,
+    scale_bar,
+    show,
+    styled,
+    zoom_at,
+)
 from ...report.stage_store import StageOptions
 from ...runtime.backend import set_variant
 from .claims import check_claims, timing_table
@@ -189,11 +201,14 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     camera, wave = experiment.camera, experiment.wave.image
     window = lit_window([experiment.pinhole, *experiment.truths.values()])
     zooms = _letter_zooms(experiment, letters)
-    edge, gap, close = 0.25, 0.2, 3.3
-    half = (3 * close + gap) / 2
-    figure = Canvas(2 * half + gap + 2 * edge, 0.5 + half * window.aspect + 0.55 + close + 0.5)
-
-    axes = figure.axes(edge, 0.5, half, half * window.aspect)
+    plot = Plot(10.9, 5.4 * window.aspect + 4.4)
+    rows = plot.add_gridspec(2, 1, height_ratios=(5.4 * window.aspect, 3.5))
+    upper = rows[0].subgridspec(1, 2).subplots()
+    lower = rows[1].subgridspec(1, len(zooms)).subplots()
+    for panels, aspect in ((upper, window.aspect), (lower, 1)):
+        for axes in panels:
+            bare(axes).set_box_aspect(aspect)
+    axes = upper[0]
     seen = window.of(experiment.pinhole)
     show(axes, seen, "Object, seen from the centre of the main lens")
     in_view = (window.right - window.left) * design.field_width(camera, camera.focus_distance)
@@ -214,7 +229,7 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
             size=8,
         )
 
-    axes = figure.axes(edge + half + gap, 0.5, half, half * window.aspect)
+    axes = upper[1]
     peak = float(np.quantile(wave[wave > 0.01 * wave.max()], 0.95))
     seen = window.of(wave)
     small = shrink(seen, 1400)
@@ -222,13 +237,12 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     show(axes, small, "Detector image, by waves", peak=0.7 * peak)
     scale_bar(axes, seen.shape[1] * camera.pixel_size, ON_DETECTOR)
     corner = round(window.top * wave.shape[0]), round(window.left * wave.shape[1])
-    for index, zoom in enumerate(zooms):
-        mark(axes, zoom, corner, seen.shape[1] / small.shape[1], "abc"[index])
+    for below, letter, zoom in zip(lower, "abc", zooms, strict=True):
+        mark(axes, zoom, corner, seen.shape[1] / small.shape[1], letter)
         cut = wave[zoom.rows, zoom.columns]
-        below = figure.axes(edge + index * (close + gap), 0.5 + half * window.aspect + 0.55, close, close)
-        show(below, cut, f"({'abc'[index]})  Micro-images of {zoom.title}", peak=peak)
+        show(below, cut, f"({letter})  Micro-images of {zoom.title}", peak=peak)
         scale_bar(below, cut.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
-    figure.save_both(path)
+    plot.save_both(path)
 
 
 @styled
@@ -237,15 +251,12 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
     window = lit_window(list(experiment.truths.values()))
     images = [experiment.images[panel] for panel in panels]
     peak = Brightness().peak([window.of(image) for image in images])
-    edge, gap, title, wide = 0.2, 0.2, 0.42, 5.0
-    tall = wide * window.aspect
-    figure = Canvas(2 * wide + gap + 2 * edge, 2 * (title + tall) + edge)
-    for index, ((name, distance), image) in enumerate(zip(panels, images, strict=True)):
-        down, across = divmod(index, 2)
-        axes = figure.axes(edge + across * (wide + gap), title + down * (title + tall), wide, tall)
-        show(axes, window.of(image), f"({'abcd'[index]})  {TITLES[name]}, {distance:g} mm", peak=peak, size=11)
+    plot = Plot(10.6)
+    axes_of_all = plot.panels(2, 2, window.aspect).flat
+    for axes, letter, (name, distance), image in zip(axes_of_all, "abcd", panels, images, strict=True):
+        show(axes, window.of(image), f"({letter})  {TITLES[name]}, {distance:g} mm", peak=peak, size=11)
         object_bar(axes, experiment.camera, distance, window)
-    figure.save_both(path)
+    plot.save_both(path)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...report.framing import INK, Canvas, annotate, show, show_difference, styled
+from ...report.images import data_url
 from ...report.page import template
+from ...report.plots import INK, Plot, annotate, show, show_difference, styled
 from ...runtime.files import write_text
 from .array_part import ArrayPart
 from .study import CAMERAS, LIGHTS, Answer, Setup, Study
@@ -27,13 +28,10 @@ _STRONGEST = 0.2
 _BRIGHT = 0.998
 """Quantile of what a picture shows as white."""
 
-_SIDE = 3.4
-"""Width in inches of a picture."""
-
 
 def write_page(path: Path, study: Study, answer: Answer) -> None:
     """Write the page, with all figures in it."""
-    figures = [canvas.data_url() for canvas in (pictures(study), slices(study))]
+    figures = [data_url("png", plot.png()) for plot in (pictures(study), slices(study))]
     rows = [
         {
             "camera": camera,
@@ -51,7 +49,7 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
 
 
 @styled
-def pictures(study: Study) -> Canvas:
+def pictures(study: Study) -> Plot:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
     part = study.part(Setup("fitted", "waves"))
     recorded, predicted = _picture(study, part, study.electrons(None)), {}
@@ -60,18 +58,14 @@ def pictures(study: Study) -> Canvas:
         predicted[light] = _picture(study, part, found)
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
-    canvas = Canvas(3 * _SIDE + 1.5, 2 * _SIDE + 1.1)
-    show(canvas.axes(0.2, 0.4, _SIDE, _SIDE), recorded[rows, columns], "Recorded", peak=peak)
-    for number, light in enumerate(LIGHTS, 1):
-        axes = canvas.axes(0.2 + number * (_SIDE + 0.1), 0.4, _SIDE, _SIDE)
-        show(axes, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
-    low = _SIDE + 0.85
-    for number, light in enumerate(LIGHTS, 1):
-        axes = canvas.axes(0.2 + number * (_SIDE + 0.1), low, _SIDE, _SIDE)
-        drawn = show_difference(axes, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
-        annotate(axes, title=f"Recorded less {light}")
-    canvas.colour_bar(drawn, 3 * _SIDE + 0.55, low, _SIDE, "of bright pixels")
-    axes = canvas.axes(0.65, low, _SIDE - 0.6, _SIDE - 0.4)
+    plot = Plot(11.7)
+    (first, *above), (axes, *below) = plot.panels(2, 3)
+    show(first, recorded[rows, columns], "Recorded", peak=peak)
+    for light, simulated, difference in zip(LIGHTS, above, below, strict=True):
+        show(simulated, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
+        drawn = show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
+        annotate(difference, title=f"Recorded less {light}")
+    plot.colour_bar(drawn, below, "of bright pixels")
     axes.set_frame_on(True)
     row = (rows.start + rows.stop) // 2
     across = np.arange(columns.start, columns.stop) - columns.start
@@ -87,7 +81,7 @@ def pictures(study: Study) -> Canvas:
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
     annotate(axes, title="A line of pixels", foot="pixels")
-    return canvas
+    return plot
 
 
 def _picture(study: Study, part: ArrayPart, values: np.ndarray) -> np.ndarray:
@@ -113,21 +107,20 @@ def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
 
 
 @styled
-def slices(study: Study) -> Canvas:
+def slices(study: Study) -> Plot:
     """Return a figure of the volume's planes, by waves and by rays, from all pixels."""
     volumes = {light: planes_of(study, light) for light in LIGHTS}
     depths = sorted(volumes["waves"], key=lambda depth: -float(np.ptp(volumes["waves"][depth])))
     chosen = sorted(depths[:_SLICES])
     across, down = study.part(Setup("fitted", "waves")).lenses
-    tall = 2.1 * down / across
-    canvas = Canvas(_SLICES * 2.2 + 0.3, 2 * (tall + 0.4) + 0.2)
-    for row, light in enumerate(LIGHTS):
-        for column, depth in enumerate(chosen):
-            axes = canvas.axes(0.2 + column * 2.2, 0.35 + row * (tall + 0.4), 2.1, tall)
+    plot = Plot(2.2 * _SLICES + 0.3)
+    panels = plot.panels(len(LIGHTS), _SLICES, down / across)
+    for row, light in zip(panels, LIGHTS, strict=True):
+        for axes, depth in zip(row, chosen, strict=False):
             image = volumes[light][depth]
             peak = float(np.quantile(image, _BRIGHT))
             show(axes, image, f"{1000 * depth:+.1f} µm by {light}", peak=peak, size=8)
-    return canvas
+    return plot
 
 
 def planes_of(study: Study, light: str) -> dict[float, np.ndarray]:

@@ -15,8 +15,8 @@ from matplotlib.ticker import MaxNLocator
 
 from ...camera import PlenopticCamera
 from ...camera.plenoptic_camera import require_round
-from ...report.framing import IN_FOCUS, Canvas, scale_bar, show, styled
 from ...report.images import Brightness
+from ...report.plots import IN_FOCUS, Plot, scale_bar, show, styled
 from .preview_views import LensView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
@@ -112,22 +112,20 @@ _LONGEST_TITLE = 30
 @styled
 def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
     """Draw previews with the region in focus tinted, that within reach of refocusing outlined, and from above."""
-    canvas = Canvas(9.8, 4.9 * len(previews) + 0.1)
-    for index, (title, seen) in enumerate(previews):
-        top = 0.45 + 4.9 * index
+    plot = Plot(9.8, 4.9 * len(previews))
+    panels = plot.panels(len(previews), 2)
+    for (axes, from_above), (title, seen) in zip(panels, previews, strict=True):
         rows, columns = seen.picture.shape[:2]
-        width, height = (4.2, 4.2 * rows / columns) if rows <= columns else (4.2 * columns / rows, 4.2)
-        axes = canvas.axes(0.2, top, width, height)
         # One line of the picture's width.
         named = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 3]}..."
         heading = f"{named or 'What the main lens sees'}, {seen.view.focus_label}"
         show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
         if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
             scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
-        axes.set_frame_on(True)
+        axes.set(frame_on=True, box_aspect=rows / columns, anchor="NW")
         _outline(axes, seen)
-        _draw_from_above(canvas.axes(5.1, top, 4.2, 3.9), seen)
-    canvas.save(Path(path))
+        _draw_from_above(from_above, seen)
+    plot.save(path)
 
 
 def _outline(axes: Axes, seen: Preview) -> None:

@@ -38,7 +38,7 @@ from mitsuba_plenoptic import (
     psf_bank,
     render_capture,
 )
-from mitsuba_plenoptic.report.framing import Canvas, annotate, show
+from mitsuba_plenoptic.report.plots import Plot, annotate, show
 
 from .. import Row, at_most, case, pick
 from ..scenes.light_paths import scene_of
@@ -181,18 +181,18 @@ def light(
 def pictures(output: Path, *, names: tuple[str, ...] = (), across: int = 61) -> Iterator[Row]:
     """Draw the spreads."""
     chosen = pick(cameras(), names)
-    size, gap = 1.5, 0.3
     depths = {"2 m": 2000.0, "7 m": 7000.0}
-    canvas = Canvas(0.4 + 6 * (size + 0.1), 0.1 + len(chosen) * (size + gap))
+    plot = Plot(10.0)
+    panels = plot.panels(len(chosen), len(depths) * len(FIELDS))
     for row, (name, camera) in enumerate(chosen.items()):
         bank = psf_bank(camera, list(depths.values()), list(FIELDS.values()), wavelength=WAVELENGTH, size=across)
         for column, (depth, field) in enumerate((d, f) for d in range(2) for f in range(len(FIELDS))):
-            axes = canvas.axes(0.3 + column * (size + 0.1), gap + row * (size + gap), size, size)
+            axes = panels[row, column]
             title = f"{list(depths)[depth]}, {list(FIELDS)[field]}"
             show(axes, coloured(bank.values[depth, field, 0]), title, peak=1.0)
             annotate(axes, title=title, side="" if column else name)
         yield {"lens": name, "across": across}
-    canvas.save(output / "halves.png")
+    plot.save(output / "halves.png")
 
 
 def coloured(halves: NDArray[np.float32]) -> NDArray[np.float32]:

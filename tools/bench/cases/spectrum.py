@@ -37,7 +37,7 @@ from mitsuba_plenoptic.points.scene_points import find_points
 from mitsuba_plenoptic.points.spectral import with_enough_nodes
 from mitsuba_plenoptic.prescription import Surface, bundled_prescription, paraxial
 from mitsuba_plenoptic.prescription.glass import LINE_C, LINE_D, LINE_F
-from mitsuba_plenoptic.report.framing import Canvas, show
+from mitsuba_plenoptic.report.plots import Plot, show
 
 from .. import Row, at_most, case, figure, pick
 from ..measures import relative
@@ -346,18 +346,17 @@ def pictures(
     accuracy: float = 0.03,
 ) -> Iterator[Row]:
     """Capture, refocus and draw."""
-    size, gap = 3.0, 0.35
-    canvas = Canvas(0.2 + (size + 0.2) * 3, 0.35 + 2 * (size + gap) + size / 2)
+    chosen = cameras(names, aperture, resolution)
+    plot = Plot(9.8)
+    panels = plot.panels(4, len(chosen))
     waves = {"responses": "srgb", "nodes": nodes, "accuracy": accuracy}
-    for column, (name, camera) in enumerate(cameras(names, aperture, resolution).items()):
-        scene, left = scene_of(camera), 0.2 + (size + 0.2) * column
-        half = size / 2 - 0.05
+    for column, (name, camera) in enumerate(chosen.items()):
+        scene = scene_of(camera)
         for row, (model, options) in enumerate((("ray", {}), ("wave", waves))):
             capture, seconds, _ = once(lambda s=scene, m=model, o=options: render_capture(s, model=m, spp=spp, **o))
             picture = refocused(capture)
             title = f"{name}, f/{camera.f_number:.3g}, {model}s"
-            show(canvas.axes(left, 0.3 + row * (size + gap), size, size), picture, title, peak=1.0)
-            place = left + row * (half + 0.1), 0.3 + 2 * (size + gap)
-            show(canvas.axes(*place, half, half), picture[CLOSE], f"corner, {model}s", peak=1.0)
+            show(panels[row, column], picture, title, peak=1.0)
+            show(panels[2 + row, column], picture[CLOSE], f"corner, {model}s", peak=1.0)
             yield {"lens": name, "model": model, "seconds": seconds}
-        canvas.save(output / "lenses.png")
+    plot.save(output / "lenses.png")

@@ -1,0 +1,595 @@
+"""Figures: panels of images with scale bars and colour bars, and figures for papers of reconstructions and depth maps.
+
+Matplotlib lays them out. Figures for papers are as wide as a column or a page, with text of 7 points; NaN is hatched.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import FuncNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import Bbox, ScaledTranslation, blended_transform_factory
+
+from ..camera import PlenopticCamera, are_alike
+from ..errors import refuse_if
+from ..io.pictures import linear_of
+from ..refocus import Reconstruction
+from ..runtime.files import atomic_output
+from ..views.coordinates import camera_of
+from .experiment import Experiment
+from .images import Brightness, srgb, to_bytes
+
+INK = "#1b1f24"
+FAINT = "#667080"
+ACCENT = "#ffb000"
+"""Colours of text, of remarks and of what is marked."""
+
+DPI, PRINT_DPI = 160, 300
+"""Dots per inch of figures of reports and of papers."""
+
+_GAP = 0.05
+"""Inches around a panel."""
+
+styled = matplotlib.rc_context(
+    {name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")}
+    | {"pdf.fonttype": 42}
+)
+"""Decorator of functions that draw: settings of a user's Matplotlib do not change figures."""
+
+
+class Plot(Figure):
+    """A Matplotlib figure of a width and, unless a height is given, as high as its panels need.
+
+    Parameters
+    ----------
+    width, height : float
+        In inches.
+    dpi : int, optional
+        Dots per inch of a PNG. Default: those of reports.
+    """
+
+    def __init__(self, width: float, height: float | None = None, dpi: int | None = None) -> None:
+        self._fits_panels = height is None
+        self._engine = ConstrainedLayoutEngine(compress=self._fits_panels, w_pad=_GAP, h_pad=_GAP, wspace=0, hspace=0)
+        super().__init__((width, height or width), dpi or DPI, facecolor="white", layout=self._engine)
+        FigureCanvasAgg(self)
+
+    def panels(self, rows: int, columns: int, aspect: float | Sequence[float] = 1.0) -> np.ndarray:
+        """Return axes (rows, columns) without frame and ticks; `aspect` is height over width, of all or of each row."""
+        aspects = np.broadcast_to(aspect, rows).tolist()
+        if self._fits_panels:
+            # More than they need; saving takes off the rest.
+            self.set_figheight(sum(aspects) * self.get_figwidth() / columns + rows)
+        panels = self.subplots(rows, columns, squeeze=False, height_ratios=aspects)
+        for row, high in zip(panels, aspects, strict=True):
+            for axes in row:
+                bare(axes).set_box_aspect(high)
+        return panels
+
+    def colour_bar(
+        self,
+        drawn: Any,
+        beside: Any,
+        label: str,
+        *,
+        location: str = "right",
+        text: float = 8,
+        extend: str = "neither",
+    ) -> Any:
+        """Add a colour bar for an image beside its axes, or beside all that share its colours, and return it."""
+        rows = {axes.get_subplotspec().rowspan.start for axes in np.ravel(beside)}
+        bar = self.colorbar(drawn, ax=beside, location=location, extend=extend, aspect=24 * len(rows), pad=0.02)
+        return explained(bar, label, text)
+
+    @styled
+    def save(self, path: str | Path) -> None:
+        """Write the figure as PNG, or as PDF with text as text and lines as lines."""
+        with atomic_output(path, ".png", ".pdf") as temporary:
+            # Without the date, the same figure gives the same file.
+            dated = {"CreationDate": None} if Path(path).suffix.lower() == ".pdf" else {}
+            self._fit()
+            self.savefig(temporary, metadata=dated)
+
+    def save_both(self, path: Path) -> None:
+        """Write the figure as PNG, for a page, and as PDF of the same name, for papers."""
+        for suffix in (".png", ".pdf"):
+            self.save(path.with_suffix(suffix))
+
+    @styled
+    def png(self) -> bytes:
+        """Return the content of the figure's PNG."""
+        picture = io.BytesIO()
+        self._fit()
+        self.savefig(picture, format="png")
+        return picture.getvalue()
+
+    def _fit(self) -> None:
+        """Make the figure as high as its panels with their texts."""
+        if self._fits_panels:
+            self._engine.execute(self)
+            content = Bbox.union([axes.get_tightbbox() for axes in self.axes])
+            self.set_figheight(content.height / self.dpi + 2 * _GAP)
+
+
+def bare(axes: Axes) -> Axes:
+    """Return axes after their frame and ticks are taken off."""
+    axes.set(xticks=[], yticks=[], frame_on=False)
+    return axes
+
+
+def explained(bar: Any, label: str, size: float) -> Any:
+    """Return a colour bar after its label and look are set."""
+    bar.outline.set(linewidth=0.5, edgecolor=FAINT)
+    bar.ax.tick_params(labelsize=size, color=FAINT, labelcolor=INK)
+    bar.set_label(label, size=size, color=INK)
+    return bar
+
+
+ON_DETECTOR, IN_FOCUS = "on the detector", "in the plane in focus"
+"""Planes of scale bars, besides distances."""
+
+_LENSES = 8
+"""Microlenses across a close-up."""
+
+
+class Window(NamedTuple):
+    """Part of an image, given in fractions of its height and width."""
+
+    top: float
+    bottom: float
+    left: float
+    right: float
+    field_aspect: float = 1.0
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """Return the part of an image that the window shows."""
+        rows, columns = image.shape[:2]
+        return image[
+            round(self.top * rows) : round(self.bottom * rows), round(self.left * columns) : round(self.right * columns)
+        ]
+
+    @property
+    def aspect(self) -> float:
+        """Height of the window over its width."""
+        return self.field_aspect * (self.bottom - self.top) / (self.right - self.left)
+
+
+class Zoom(NamedTuple):
+    """A close-up of the detector: a title, and a window of whole pixels."""
+
+    title: str
+    rows: slice
+    columns: slice
+
+
+def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
+    """Return the part of the field, symmetric about its middle, that contains the light of all images."""
+    reach = []
+    for axis in (1, 0):
+        ends = []
+        for image in images:
+            lit = np.flatnonzero(image.max(axis=axis) > fraction * image.max())
+            middle = image.shape[1 - axis] / 2
+            if lit.size:
+                ends.append(max(abs(lit[0] - middle), abs(lit[-1] + 1 - middle)) / (2 * middle))
+        reach.append(min(0.5, max(ends, default=0.5) + margin))
+    rows, columns = images[0].shape[:2]
+    return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1], rows / columns)
+
+
+def brightest_zoom(experiment: Experiment) -> Zoom:
+    """Return a close-up at the place where a capture has the most contrast from lens to lens."""
+    camera = experiment.camera
+    columns, rows = camera.bin_count
+    of_lenses = experiment.ray.image
+    for axis, count in enumerate((rows, columns)):
+        of_lenses = np.stack([part.mean(axis) for part in np.array_split(of_lenses, count, axis)], axis)
+    gradient = np.hypot(*np.gradient(of_lenses))
+    half = _LENSES // 2
+    inner = gradient[half : rows - half, half : columns - half]
+    row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
+    slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.mla_pitch / camera.mla_distance
+    return zoom_at(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
+
+
+def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
+    """Return a close-up of whole micro-images around the detector point of a chief ray with slopes (x, y)."""
+    half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
+    pitch = camera.micro_image_pitch
+    spans = []
+    for axis in (1, 0):
+        at = round(slopes[axis] * camera.mla_distance / camera.mla_pitch) * pitch / camera.pixel_size
+        middle = camera.resolution[axis] / 2 + at
+        size = round(2 * half)
+        first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))
+        spans.append(slice(first, first + size))
+    return Zoom(title, spans[0], spans[1])
+
+
+def show(axes: Axes, image: np.ndarray, title: str, *, peak: float | None = None, size: float = 10) -> None:
+    """Show a linear image, whose `peak` becomes white."""
+    axes.imshow(to_bytes(image, peak), cmap="gray", vmin=0, vmax=255, interpolation="auto", aspect="auto")
+    annotate(axes, title=title, size=size)
+
+
+def show_difference(axes: Axes, difference: np.ndarray, bound: float) -> Any:
+    """Draw a difference in colours from blue at `-bound` to red at `bound`; return the artist for a colour bar."""
+    return axes.imshow(difference, cmap="RdBu_r", vmin=-bound, vmax=bound, interpolation="auto", aspect="auto")
+
+
+def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "", size: float = 10) -> None:
+    """Write texts above, beside and, smaller, below an image."""
+    axes.set_title(title, size=size, color=INK, loc="left", pad=0.5 * size)
+    axes.set_ylabel(side, size=size, color=INK, labelpad=0.5 * size)
+    axes.set_xlabel(foot, size=min(size, 8), color=FAINT, labelpad=4)
+
+
+def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
+    """Draw the frame of a close-up on the picture of the whole detector."""
+    x, y = (zoom.columns.start - corner[1]) / factor, (zoom.rows.start - corner[0]) / factor
+    width, height = (zoom.columns.stop - zoom.columns.start) / factor, (zoom.rows.stop - zoom.rows.start) / factor
+    axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=ACCENT, linewidth=1.2))
+    axes.annotate(
+        name,
+        (x, y),
+        (3, -3),
+        textcoords="offset points",
+        color=INK,
+        size=8,
+        weight="bold",
+        va="top",
+        bbox={"facecolor": ACCENT, "edgecolor": "none", "pad": 1.5},
+    )
+
+
+def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False, size: float = 8) -> None:
+    """Draw a bar of a round length into or below a picture that is `width` millimetres wide.
+
+    The label states the bar's length and the plane in which it is measured.
+    """
+    digit = 10.0 ** math.floor(math.log10(0.3 * width))
+    length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
+    fraction, label = length / width, f"{length:g} mm {plane}".strip()
+    thick = 0.045
+    left, low, colour = (0.0, -3 * thick, INK) if below else (0.04, 2.5 * thick, "white")
+    # Along the picture in fractions of its width, upwards in inches from its lower edge.
+    inches = axes.get_figure().dpi_scale_trans + ScaledTranslation(0, 0, axes.transAxes)  # type: ignore[union-attr]
+    frame: dict[str, Any] = {"transform": blended_transform_factory(axes.transAxes, inches), "clip_on": False}
+    # Bright pictures need something dark behind.
+    outline = [] if below else [withStroke(linewidth=3, foreground="black")]
+    backing = {"facecolor": "black", "edgecolor": "none", "pad": 1.5}
+    axes.add_patch(Rectangle((left, low), fraction, thick, color=colour, linewidth=0, path_effects=outline, **frame))
+    if below:
+        axes.text(left + fraction + 0.02, low + thick / 2, label, color=colour, size=size, va="center", **frame)
+    else:
+        axes.text(left, low + 2 * thick, label, color=colour, size=size, va="bottom", bbox=backing, **frame)
+
+
+def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Window) -> None:
+    """Draw a scale bar for an object plane; none for a plane at infinity, where there are no lengths."""
+    if math.isfinite(distance):
+        width = (window.right - window.left) * camera.bin_count[0] * camera.bin_size(distance)
+        scale_bar(axes, width, f"at {distance:g} mm")
+
+
+_COLUMN, _PAGE = 3.4, 7.0
+"""Widths in inches of a column and of a page of two columns."""
+
+_TEXT = 7.0
+_LINE, _SIDE, _SCALE = 0.2, 0.24, 0.6
+"""Inches of a sheet for a line of text, for labels on the left, and for a colour bar."""
+
+_BACK, _HATCH = "#eef0f3", "#9aa3ad"
+_AT_DISTANCE = "bars: lengths at the distance of each image"
+_MOST_LABELS = 9
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Image on a sheet with its title and, if known, its width in millimetres of the object."""
+
+    image: np.ndarray
+    title: str = ""
+    width: float | None = None
+
+
+def contact_sheet(results: Sequence[Reconstruction], white: float | None = None) -> Plot:
+    """Return a figure of reconstructions: a row for each method, a column for each distance, on one scale.
+
+    Parameters
+    ----------
+    results : sequence of Reconstruction
+        In any order. Of several with one method and distance the last is shown; missing images stay empty.
+    white : float, optional
+        Radiance shown white. Default: the value that 99.5 % of the bins do not exceed, or less where highlights would
+        darken images that are lit all over.
+
+    Returns
+    -------
+    Plot
+        A Matplotlib figure, whose method `save` writes PNG or PDF.
+
+    Raises
+    ------
+    InputError
+        If there is no reconstruction, or they are by several cameras.
+
+    Examples
+    --------
+    >>> import mitsuba_plenoptic as mp
+    >>> from mitsuba_plenoptic.report.plots import contact_sheet
+    >>> results = mp.reconstruct(mp.example("letters-ray"), [210, 240, 280])
+    >>> contact_sheet(results).save("refocused.pdf")
+    """
+    refuse_if(not results, "results: give at least one")
+    refuse_if(
+        not all(are_alike(one.camera, results[0].camera) for one in results), "results: they must be by one camera"
+    )
+    found = {(one.method, one.distance): one for one in results}
+    methods = list(dict.fromkeys(one.method for one in results))
+    distances = sorted({one.distance for one in results})
+
+    def panel(method: str, distance: float) -> Panel:
+        one, title = found.get((method, distance)), _distance(distance)
+        if one is None:
+            return Panel(np.zeros((0, 0)), title)
+        width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
+        return Panel(one.image, title, width)
+
+    rows = [[panel(method, distance) for distance in distances] for method in methods]
+    return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
+
+
+def stack_figure(stack: xr.DataArray, white: float | None = None) -> Plot:
+    """Return a figure of a focal stack in rows, each image with its distance.
+
+    Parameters
+    ----------
+    stack : xarray.DataArray
+        As `focal_stack` returns it: distance or disparity, t, s[, c].
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Plot
+        A Matplotlib figure, whose method `save` writes PNG or PDF.
+    """
+    if "disparity" in stack.dims:
+        panels = [Panel(np.asarray(image.values), f"disparity {float(image.disparity):g}", None) for image in stack]
+        return _sheet([panels], [], white, "lenses per view")
+    camera = camera_of(stack)
+    panels = [
+        Panel(
+            np.asarray(image.values),
+            _distance(float(image.distance)),
+            image.sizes["s"] * camera.bin_size(float(image.distance)) if np.isfinite(image.distance) else None,
+        )
+        for image in stack
+    ]
+    columns = len(panels) if len(panels) < 5 else int(np.ceil(np.sqrt(len(panels))))
+    rows = [panels[start : start + columns] for start in range(0, len(panels), columns)]
+    return _sheet(rows, [], white, _AT_DISTANCE)
+
+
+def views_figure(lf: xr.DataArray, white: float | None = None) -> Plot:
+    """Return a figure of a light field's views, arranged as they lie on the pupil and labelled by u and v.
+
+    Parameters
+    ----------
+    lf : xarray.DataArray
+        A light field, (v, u, t, s[, c]).
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Plot
+        A Matplotlib figure, whose method `save` writes PNG or PDF.
+    """
+    unit = " mm" if "camera" in lf.attrs else ""
+    across, down = (_labels(lf[name].values, name, unit) for name in ("u", "v"))
+    values = _sampled(lf)
+    rows = [
+        [
+            Panel(values[j, i], across[i] if j == 0 else "", _in_focus(lf) if i == j == 0 else None)
+            for i in range(lf.sizes["u"])
+        ]
+        for j in range(lf.sizes["v"])
+    ]
+    return _sheet(rows, down, white, f"bar: length {IN_FOCUS}, in all views")
+
+
+@styled
+def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
+    """Return a figure of an epipolar image: position on the pupil over position in the plane in focus.
+
+    Parameters
+    ----------
+    image : xarray.DataArray
+        As `epipolar_image` returns it: (u, s[, c]) or (v, t[, c]).
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Plot
+        A Matplotlib figure, whose method `save` writes PNG or PDF.
+    """
+    down, across = (str(name) for name in image.dims[:2])
+    unit = " (mm)" if "camera" in image.attrs else ""
+    values = _sampled(image)
+    plot = Plot(_COLUMN, dpi=PRINT_DPI)
+    ((axes,),) = plot.panels(1, 1, 0.55)
+    edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
+    drawn = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
+    axes.set_frame_on(True)
+    for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
+        axis.set_major_locator(MaxNLocator(5))
+        axis.set_label_text(f"{name}{unit}", size=_TEXT, color=INK)
+    axes.tick_params(labelsize=_TEXT, labelcolor=INK, color=INK, width=0.5, length=2)
+    axes.spines[:].set(linewidth=0.5, color=INK)
+    if values.ndim == 2:
+        plot.colour_bar(drawn, axes, "radiance", text=_TEXT, extend=_end(values, drawn.norm))
+    return plot
+
+
+@styled
+def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
+    """Return a figure of a depth map: the image in focus everywhere, the depth and its confidence.
+
+    Parameters
+    ----------
+    found : xarray.Dataset
+        Depth map from `depth_map`; where the depth, or without it the disparity, is unknown, the figure is hatched.
+    white : float, optional
+        As for `contact_sheet`.
+
+    Returns
+    -------
+    Plot
+        A Matplotlib figure, whose method `save` writes PNG or PDF.
+    """
+    sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "lenses per view")
+    found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
+    image, depth = np.asarray(found["image"].values), np.asarray(found["depth"].values)
+    known = depth[np.isfinite(depth)]
+    near, far = (float(known.min()), float(known.max())) if known.size else (found.attrs["near"], found.attrs["far"])
+    unknown = "" if known.size == depth.size else "; hatched: unknown"
+    maps: list[tuple[str, np.ndarray, Any, str, str]] = [
+        ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
+        (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
+        ("Confidence", np.asarray(found["confidence"].values), Normalize(0, 1), "gray", "probability"),
+    ]
+    plot = Plot(_PAGE, dpi=PRINT_DPI)
+    (panels,) = plot.panels(1, len(maps), depth.shape[0] / depth.shape[1])
+    for axes, (title, values, norm, colours, label) in zip(panels, maps, strict=True):
+        drawn = _draw(axes, values, norm, colours)
+        annotate(axes, title=title, size=_TEXT)
+        if (across := _in_focus(found)) is not None:
+            scale_bar(axes, across, IN_FOCUS, size=_TEXT)
+        if values.ndim == 3:
+            annotate(axes, title=title, foot=f"white: radiance {norm.vmax:.3g}", size=_TEXT)
+        else:
+            bar = plot.colour_bar(drawn, axes, label, location="bottom", text=_TEXT, extend=_end(values, norm))
+            bar.locator = MaxNLocator(4)
+            bar.update_ticks()
+    return plot
+
+
+@styled
+def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float | None, bars: str) -> Plot:
+    """Return a figure of panels of equal size and scale, with labels on the left and bars below."""
+    images = [panel.image for row in rows for panel in row if panel.image.size]
+    grey = images[0].ndim == 2
+    columns = max(len(row) for row in rows)
+    norm, drawn = _grey(images, white), None
+    stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
+    stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
+    # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
+    across = _COLUMN if columns < 3 else _PAGE
+    left, right = _SIDE if labels else 0.0, across - (_SCALE if grey else 0.0)
+    wide = (right - left - (columns - 1) * _GAP) / columns
+    tall = wide * images[0].shape[0] / images[0].shape[1]
+    between = _LINE if any(panel.title for row in rows[1:] for panel in row) else _GAP
+    foot = _LINE if stated else _GAP
+    height = _LINE + len(rows) * tall + (len(rows) - 1) * between + foot
+    plot = Plot(across, height, PRINT_DPI)
+    plot.set_layout_engine("none")
+    edges = {"left": left / across, "right": right / across, "top": 1 - _LINE / height, "bottom": foot / height}
+    spaces = {"wspace": _GAP / wide, "hspace": between / tall}
+    panels = plot.subplots(len(rows), columns, squeeze=False, gridspec_kw=edges | spaces)
+    for down, row in enumerate(rows):
+        for axes, panel in zip(panels[down], row, strict=False):
+            first = axes is panels[down, 0]
+            annotate(bare(axes), title=panel.title, side=labels[down] if labels and first else "", size=_TEXT)
+            if panel.image.size:
+                shown = _draw(axes, panel.image, norm)
+                drawn = drawn or shown
+                if panel.width is not None:
+                    scale_bar(axes, panel.width, size=_TEXT)
+        for axes in panels[down, len(row) :]:
+            axes.remove()
+    if stated:
+        plot.supxlabel("; ".join(stated), x=left / across, ha="left", size=_TEXT, color=INK)
+    if grey:
+        values = np.concatenate([image.ravel() for image in images])
+        where = plot.add_axes(
+            (edges["right"] + _GAP / across, edges["bottom"], 0.1 / across, edges["top"] - edges["bottom"])
+        )
+        explained(plot.colorbar(drawn, cax=where, extend=_end(values, norm)), "radiance", _TEXT)
+    return plot
+
+
+def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
+    """Return the scale of radiances from black to white, encoded in sRGB like pictures."""
+    peak = Brightness().peak(images) if white is None else white
+    return FuncNorm(
+        (lambda values: srgb(np.clip(np.asarray(values) / peak, 0, None)), lambda codes: peak * linear_of(codes)),
+        vmin=0,
+        vmax=peak,
+    )
+
+
+def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
+    """Draw an image or a map with hatched NaN; return the artist."""
+    known = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
+    if not known.all():
+        with matplotlib.rc_context({"hatch.linewidth": 0.4}):
+            back = Rectangle((0, 0), 1, 1, transform=axes.transAxes, zorder=-1, linewidth=0, hatch="/////////")
+            back.set(facecolor=_BACK, edgecolor=_HATCH)
+            axes.add_patch(back)
+    options |= {"interpolation": "none", "aspect": "auto"}
+    if values.ndim == 2:
+        return axes.imshow(np.ma.masked_where(~known, values), cmap=colours, norm=norm, **options)
+    opaque = 255 * known.astype(np.uint8)
+    return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
+
+
+def _in_focus(lf: xr.DataArray | xr.Dataset) -> float | None:
+    """Return the width in mm of images in the plane in focus, None without a camera."""
+    if "camera" not in lf.attrs or "s" not in lf.coords:
+        return None
+    return abs(float(lf.s[0] - lf.s[-1])) * lf.sizes["s"] / max(1, lf.sizes["s"] - 1)
+
+
+def _end(values: np.ndarray, norm: Normalize) -> str:
+    """Return the shape of a scale's end: an arrow if values exceed the end."""
+    return "max" if np.any(values > 1.001 * (norm.vmax or 0.0)) else "neither"
+
+
+def _sampled(lf: xr.DataArray) -> np.ndarray:
+    """Return the samples of a light field; NaN where no light comes from."""
+    return np.asarray((lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values)
+
+
+def _edges(positions: np.ndarray) -> tuple[float, float]:
+    """Return the outer edges of evenly spaced samples; a single sample is drawn 1 wide."""
+    half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
+    return float(positions[0] - half), float(positions[-1] + half)
+
+
+def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
+    """Return labels of positions, few enough not to overlap; the first names the quantity."""
+    every = -(-len(positions) // _MOST_LABELS)
+    texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
+    return [f"{name} = {texts[0]}{unit}", *texts[1:]]
+
+
+def _distance(distance: float) -> str:
+    return f"{distance:g} mm" if np.isfinite(distance) else "infinity"
