@@ -17,8 +17,8 @@ from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
 from mitsuba_plenoptic.extensions.prediction.real_page import pictures, planes_of
 from mitsuba_plenoptic.extensions.prediction.study import LIGHTS, Pictures, Study
+from mitsuba_plenoptic.io.cache import Cache
 from mitsuba_plenoptic.report.plots import Plot, show
-from mitsuba_plenoptic.report.stage_store import Stages
 
 FOLDER = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "")) / "antleg"
 PART = 0.65, 0.6, 0.95, 0.87
@@ -46,7 +46,7 @@ def study() -> Study:
     given = Pictures(*(sensor_values(FOLDER / name) for name in names))
     rows, columns = given.white.shape
     box = PART[0] * columns, PART[1] * rows, PART[2] * columns, PART[3] * rows
-    return Study(given, mp.PlenopticCamera.preset("lfm_water"), 510.0, box, Stages(STORED))
+    return Study(given, mp.PlenopticCamera.preset("lfm_water"), 510.0, box, Cache(STORED))
 
 
 def light_field() -> Plot:

@@ -16,8 +16,8 @@ from . import StoppedError
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
+    from ..io.cache import StageOptions
     from ..io.checkpoints import Checkpoint
-    from ..report.stage_store import StageOptions
 
 _log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ def resumable(progress: ProgressBar | None = None, checkpoint: Checkpoint | None
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
     """Print a line for each finished stage, and show the progress of the current one, while the context is open."""
-    from ..report.stage_store import StageOptions
+    from ..io.cache import StageOptions
 
     with moving_bar() as bar, plain_lines("starting") as line, resumable():
         tasks: dict[str, TaskID] = {}

@@ -1,10 +1,7 @@
-"""Resuming after a stop: checkpoints of unfinished computations, logs of finished steps, and locks.
+"""Resuming after a stop: checkpoints of unfinished computations, and locks.
 
 A checkpoint is a NumPy archive (``.npz``) of arrays and a ``header``, a JSON text with everything on which the run's
 bits depend; a run with a different header is refused. Checkpoints are never unpickled.
-
-A log is a JSON file beside the files of a run or an experiment. A step is finished if the log has the hash of its
-settings and of the software, and every file that the step read or wrote still has the logged digest.
 """
 
 from __future__ import annotations
@@ -17,8 +14,8 @@ import math
 import os
 import sys
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, TypeVar, get_args
@@ -26,10 +23,10 @@ from typing import Any, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, refuse_if, require_choice, require_count, require_number, warn
+from ..errors import InputError, refuse_if, require_choice, warn
 from ..runtime.backend import backend_of
 from ..runtime.batches import PartialSum, Snapshot
-from ..runtime.files import FilesUsed, atomic_output, read_text, remove_leftovers, write_text
+from ..runtime.files import atomic_output, remove_leftovers, write_text
 from ..runtime.limits import require_memory, software
 from .versions import KEY, VERSION, stamped
 
@@ -40,8 +37,6 @@ FORMAT = 2
 SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
-
-_LARGEST_HEADER = _LARGEST_LOG = 2**26
 
 INTERVAL = 10.0
 """Seconds between checkpoints, at least."""
@@ -161,15 +156,13 @@ class Checkpoint:
             If the file is damaged, is the checkpoint of another run (the message states the differences), or is used by
             another process.
         """
-        return self._begin(facts, _snapshot, {"image": shape})
+        return self._begin(facts, partial(_snapshot, shape))
 
     def begin_arrays(self, **facts: Any) -> dict[str, NDArray[Any]] | None:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
-        return self._begin(facts, _named_arrays, {})
+        return self._begin(facts, _named_arrays)
 
-    def _begin(
-        self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State], shapes: dict[str, tuple[int, ...]]
-    ) -> _State | None:
+    def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
         self._lock.close()
         try:
             self._lock.enter_context(locked(lock_of(self.path), f"{self.path}: another process is computing this"))
@@ -183,7 +176,7 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self._known_facts(), take, shapes)
+            found = _read(self.path, self._known_facts(), take)
         except InputError as error:
             if self.existing == "resume":
                 raise
@@ -266,65 +259,6 @@ def hash_of(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def step_key(settings: Any) -> str:
-    """Return a hash of a step's settings and of the software versions, but not of the files that the step reads."""
-    return hash_of({"settings": settings, "software": software()})
-
-
-def finished_step(log: Path, settings: Any) -> dict[str, Any] | None:
-    """Return the log's entry on a finished step with these settings that wrote files, otherwise None."""
-    entry = _steps(log).get(step_key(settings))
-    if not entry or not entry["written"]:
-        return None
-    files = {**entry["read"], **entry["written"]}
-    return entry if all(_digest(log.parent / name) == noted for name, noted in files.items()) else None
-
-
-def note_step(log: Path, settings: Any, used: FilesUsed, **facts: Any) -> None:
-    """Record a step's files in a log, and drop entries of earlier steps that wrote one of these files.
-
-    Files in the folder of the log are named relative to it, so that the folder can be moved.
-    """
-    folder = log.parent.absolute()
-
-    def digests(paths: set[Path]) -> dict[str, str | None]:
-        names = {path: path.relative_to(folder) if path.is_relative_to(folder) else path for path in paths}
-        return {names[path].as_posix(): _digest(path) for path in sorted(paths) if path.exists()}
-
-    entry = {"read": digests(used.read - used.written), "written": digests(used.written), **facts}
-    steps = {key: one for key, one in _steps(log).items() if not entry["written"].keys() & one["written"].keys()}
-    write_json(log, {**steps, step_key(settings): entry})
-
-
-def _steps(log: Path) -> dict[str, dict[str, Any]]:
-    """Return the entries of a log, without damaged ones."""
-    try:
-        content = json.loads(read_text(log, _LARGEST_LOG))
-    except (InputError, ValueError):
-        return {}
-    return {
-        key: entry
-        for key, entry in (content if isinstance(content, dict) else {}).items()
-        if isinstance(entry, dict) and all(isinstance(entry.get(part), dict) for part in ("read", "written"))
-    }
-
-
-def _digest(path: Path) -> str | None:
-    """Return a hash of a file, or of all files of a folder with their names, None if it does not exist."""
-    found = hashlib.sha256()
-    files = sorted(path.rglob("*")) if path.is_dir() else [path]
-    try:
-        for file in files:
-            if file != path:
-                found.update(file.relative_to(path).as_posix().encode() + b"\0")
-            if not file.is_dir():
-                with file.open("rb") as content:
-                    found.update(hashlib.file_digest(content, "sha256").digest())
-    except OSError:
-        return None
-    return found.hexdigest()[:32]
-
-
 def write_json(path: Path, content: Any) -> None:
     """Write indented JSON with sorted names, completely or not at all."""
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
@@ -334,9 +268,9 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
     arrays: dict[str, Any] = {"image": snapshot.image}
     if snapshot.partial:
-        partial = snapshot.partial
-        header |= {"batches": partial.batches, "arrived": partial.arrived}
-        arrays["partial"] = backend_of(partial.sums).to_host(partial.sums)
+        unfinished = snapshot.partial
+        header |= {"batches": unfinished.batches, "arrived": unfinished.arrived}
+        arrays["partial"] = backend_of(unfinished.sums).to_host(unfinished.sums)
     _write_archive(path, run, header, arrays)
 
 
@@ -348,98 +282,54 @@ def _write_archive(path: Path, run: dict[str, Any], header: dict[str, Any], arra
         os.fsync(file.fileno())
 
 
-def _read(
-    path: Path,
-    run: dict[str, Any],
-    take: Callable[[Any, dict[str, Any]], _State],
-    shapes: dict[str, tuple[int, ...]],
-) -> _State:
+def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State:
     """Return the state in the checkpoint of a run; refuse damaged checkpoints and checkpoints of other runs."""
     try:
-        _check_sizes(path, shapes)
+        require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["header"]))
             # Those of version 1.0 and earlier state none.
             version = {KEY: header[KEY]} if KEY in header else {}
-            there = flattened({"format": header["format"], **version, **header["run"]})
-            here = flattened({"format": FORMAT, KEY: VERSION, **run})
-            differences = [
-                f"{name} = {there.get(name, 'nothing')} there, {here.get(name, 'nothing')} here"
-                for name in {**here, **there}
-                if name not in there or name not in here or there[name] != here[name]
-            ]
-            if not differences:
+            there = {"format": header["format"], **version, **header["run"]}
+            changed = differences(there, {"format": FORMAT, KEY: VERSION, **run})
+            if not changed:
                 return take(archive, header)
     except Exception as error:
         # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None
-    shown = "; ".join(differences[:_DIFFERENCES_SHOWN])
-    more = len(differences) - _DIFFERENCES_SHOWN
+    shown = "; ".join(changed[:_DIFFERENCES_SHOWN])
+    more = len(changed) - _DIFFERENCES_SHOWN
     raise InputError(f"{path}: the checkpoint of another run: {shown}" + (f", and {more} more" if more > 0 else ""))
 
 
-def _check_sizes(path: Path, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Refuse arrays whose claimed sizes differ from their data or from the required shapes."""
-    # The list of the members is read whole, too.
-    require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
-    if not zipfile.is_zipfile(path):
-        raise ValueError("it is no archive, or cut off")
-    total = 0
-    with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            if member.compress_type != zipfile.ZIP_STORED:
-                raise ValueError(f"{member.filename} is compressed")
-            with archive.open(member) as file:
-                if np.lib.format.read_magic(file) != (1, 0):
-                    raise ValueError(f"{member.filename} has another version of NumPy's format")
-                shape, _, kind = np.lib.format.read_array_header_1_0(file)
-                if kind.hasobject:
-                    raise ValueError("Object arrays are not read")
-                claimed = math.prod(shape) * kind.itemsize
-                if file.tell() + claimed != member.file_size:
-                    raise ValueError(f"{member.filename} claims {claimed} bytes in {member.file_size}")
-            name = member.filename.removesuffix(".npy")
-            if shape != shapes.get(name, shape):
-                raise ValueError(f"{name} has the shape {shape} instead of {shapes[name]}")
-            if name == "header" and claimed > _LARGEST_HEADER:
-                raise ValueError(f"its header has {claimed} bytes: it may have at most {_LARGEST_HEADER}")
-            total += claimed
-    require_memory(total, f"its arrays of {total} bytes")
-
-
-def _snapshot(archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> Snapshot:
-    image = _array(archive, "image")
-    sums = require_count("sums", header["sums"], minimum=0)
-    if "partial" not in archive:
-        return Snapshot(sums, image, None)
-    batches = require_count("batches", header["batches"], minimum=0)
-    arrived = require_number("arrived", header["arrived"])
-    return Snapshot(sums, image, PartialSum(batches, _array(archive, "partial"), arrived))
+def _snapshot(shape: tuple[int, ...], archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> Snapshot:
+    image = archive["image"]
+    if image.shape != shape:
+        raise ValueError(f"image has the shape {image.shape} instead of {shape}")
+    unfinished = None
+    if "partial" in archive:
+        unfinished = PartialSum(int(header["batches"]), archive["partial"], float(header["arrived"]))
+    return Snapshot(int(header["sums"]), image, unfinished)
 
 
 def _named_arrays(archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    found = {name: archive[name] for name in archive if name != "header"}
-    for name, array in found.items():
-        if array.dtype not in (np.float32, np.float64):
-            raise ValueError(f"{name} is of type {array.dtype}")
-        if np.isnan(array).any():
-            raise ValueError(f"{name} holds what is no number")
-    return found
+    return {name: archive[name] for name in archive if name != "header"}
 
 
-def _array(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[np.float32]:
-    array = archive[name]
-    if array.dtype != np.float32 or array.ndim != 3:
-        raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds numbers that are not finite")
-    return array
+def differences(there: Any, here: Any) -> list[str]:
+    """Return sentences on the nested values that differ between a record on disk and that of this run."""
+    before, now = _flattened(there), _flattened(here)
+    return [
+        f"{name} = {before.get(name, 'nothing')} there, {now.get(name, 'nothing')} here"
+        for name in {**now, **before}
+        if name not in before or name not in now or before[name] != now[name]
+    ]
 
 
-def flattened(values: Any, name: str = "") -> dict[str, Any]:
+def _flattened(values: Any, name: str = "") -> dict[str, Any]:
     """Return nested values by dotted names."""
     if not isinstance(values, (Mapping, list)) or not values:
         return {name: values}
     pairs = values.items() if isinstance(values, Mapping) else enumerate(values)
-    parts = (flattened(value, f"{name}.{key}" if name else str(key)) for key, value in pairs)
-    return {key: value for part in parts for key, value in part.items()}
+    levels = (_flattened(value, f"{name}.{key}" if name else str(key)) for key, value in pairs)
+    return {key: value for level in levels for key, value in level.items()}

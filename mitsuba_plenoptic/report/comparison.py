@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import refuse_if
+from ..io.cache import StageOptions
 from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from .images import Brightness
 from .metrics import (
@@ -40,7 +41,6 @@ from .plots import (
     show_difference,
     styled,
 )
-from .stage_store import StageOptions
 
 
 def compare(

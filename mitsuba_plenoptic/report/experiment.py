@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,16 +14,16 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..capture_spec import CaptureSpec
 from ..choices import Against
 from ..errors import naming, refuse_if, require_choice
+from ..io.cache import Cache, Progress, StageOptions
 from ..io.captures import Capture
-from ..light.render_capture import pass_counts, plenoptic_sensor, quiet, render_capture
-from ..light.scene import load_scene
+from ..io.checkpoints import Checkpoint
+from ..light.render_capture import pass_counts
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
-from ..runtime.backend import DEFAULT_VARIANT, set_variant
-from .stage_store import Progress, StageOptions, Stages, scene_fingerprint
 
 _RAYS_PER_PASS = 2**24
 
@@ -141,29 +141,17 @@ _EDGE_BINS, _EDGE_PIXELS = (32, 32), (512, 128)
 
 
 @dataclass(frozen=True)
-class Settings:
-    """The settings of an experiment: scene, camera, distances and methods.
+class Settings(CaptureSpec):
+    """A capture, made by rays and by waves in a variant of one colour, and what it is refocused to and compared with.
 
-    Parameters
+    Attributes
     ----------
-    scene : str
-        A scene file or a built-in name.
     distances : tuple of float
         Distances of the figures and metrics, where all methods are used, in millimetres.
     slider : tuple of float
         Distances of the report's slider, in millimetres.
-    parameters : mapping of str to str
-        Values for the scene's ``$name`` parameters.
-    camera : mapping, optional
-        Parameters by name of the camera that replaces the scene's.
     camera_name : str, optional
-        What the command calls this camera.
-    unit : {"mm", "cm", "m"}
-        Unit of the scene's lengths.
-    wavelength : float
-        Wavelength in nanometres.
-    spp : int
-        Samples per pixel of both captures.
+        What the command calls the camera that replaces the scene's.
     points : int, optional
         Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
         Default: no such capture.
@@ -171,23 +159,16 @@ class Settings:
         Samples per pixel of the thin lens.
     noise : bool
         Whether the captures keep the noise of their samples, which takes two of each at least.
-    variant : str
-        A variant of Mitsuba in one colour channel.
     """
 
-    scene: str
-    distances: tuple[float, ...]
-    slider: tuple[float, ...] = ()
-    parameters: Mapping[str, str] = field(default_factory=dict)
-    camera: Mapping[str, Any] | None = None
-    camera_name: str | None = None
-    unit: str = "mm"
     wavelength: float = 633.0
     spp: int = 16
+    distances: tuple[float, ...] = ()
+    slider: tuple[float, ...] = ()
+    camera_name: str | None = None
     points: int | None = None
     truth_spp: int = 1024
     noise: bool = False
-    variant: str = DEFAULT_VARIANT
 
 
 @dataclass(frozen=True)
@@ -215,8 +196,6 @@ class Experiment:
     wave: Capture
     # The wave capture point by point.
     points: Capture | None
-    # Where the wave capture lies.
-    wave_file: Path
     wave_key: str
     # Thin-lens image by distance.
     truths: dict[float, np.ndarray]
@@ -237,7 +216,7 @@ class Experiment:
 
 def run_experiment(
     settings: Settings,
-    store: Stages,
+    store: Cache,
     against: str | None = None,
     first: Callable[[PlenopticCamera, Images], None] = lambda camera, images: None,
 ) -> Experiment:
@@ -251,8 +230,7 @@ def run_experiment(
         "mono" not in settings.variant,
         f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
     )
-    set_variant(settings.variant)
-    scene = load_with_sensor(settings.scene, settings.parameters, settings.camera, settings.unit)
+    scene = settings.load()
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
     camera.require_array("compare")
@@ -263,71 +241,61 @@ def run_experiment(
     require_distances(distances, camera)
     twin = None if against is None else ordinary_twin(camera, settings.distances[0])
 
-    base = {
-        "scene": scene_fingerprint(settings.scene, settings.parameters),
-        "camera": settings.camera,
-        "unit": settings.unit,
-        "variant": settings.variant,
-    }
-    ray, ray_key = store.capture(
-        "capture_ray",
-        {**base, "spp": settings.spp, "noise": settings.noise},
-        lambda progress, _: _grey(
-            render_capture(scene, model="ray", spp=settings.spp, noise=settings.noise, progress=progress)
-        ),
-    )
+    by_rays = settings.by("ray")
+    by_waves = settings.by("wave")
+    ray, ray_key = captured(store, "capture_ray", by_rays, scene, noise=settings.noise)
     refuse_if(not ray.image.any(), f"{settings.scene}: the capture is black: its camera sees no light")
     images: Images = {}
     sources = {"ray": (ray, ray_key)}
 
-    def refocus(methods: Iterable[RefocusMethod]) -> None:
-        for method in methods:
-            wanted = distances if method.name in SLIDER_METHODS else settings.distances
-            for distance in wanted:
-                name, source = f"{method.name}_{distance:g}", sources[method.source]
-                images[method.name, distance] = refocused(store, name, *source, distance, method.options)
+    def refocus(*names: str) -> None:
+        for method in (method for method in METHODS if method.name in names):
+            # Lens by lens, a plane near focus takes much less by itself than with others.
+            wanted = [distances] if method.name in SLIDER_METHODS else [[each] for each in settings.distances]
+            for together in wanted:
+                made = refocused(store, method.name, *sources[method.source], together, method.options)
+                images.update({(method.name, distance): image for distance, image in made.items()})
 
-    refocus(method for method in METHODS if method.source == "ray")
+    refocus("ray_of_ray")
     first(camera, images)
-    options = {"wavelength": settings.wavelength, "spp": settings.spp, "method": "signed_rays"}
-    wave, wave_key = by_waves(store, "capture_wave", scene, base, **options, noise=settings.noise)
+    wave, wave_key = captured(store, "capture_wave", by_waves, scene, noise=settings.noise)
     sources["wave"] = wave, wave_key
-    refocus(method for method in METHODS if method.name in SLIDER_METHODS)
+    refocus("partial")
     first(camera, images)
-    refocus(method for method in METHODS if method.source == "wave" and method.name not in SLIDER_METHODS)
+    refocus("ray_point", "ray", "coherent", "limit")
     points = None
     if settings.points is not None:
-        points, _ = by_waves(
-            store, "capture_points", scene, base, **options | {"method": "points", "spp": settings.points}
-        )
+        of_points = replace(by_waves, spp=settings.points)
+        points, _ = captured(store, "capture_points", of_points, scene, method="points")
     ordinary = None
     if twin is not None:
-        ordinary = against_ordinary(store, scene, base, camera, twin, settings.distances[0], options)
+        ordinary = against_ordinary(store, by_waves, scene, camera, twin, settings.distances[0])
     # Details much finer than the lenses are in no capture, and paths through a room of walls take long.
     columns = min(OBJECT_COLUMNS, max(_FEWEST_COLUMNS, 8 * camera.bin_count[0]))
+    seen = replace(by_rays, spp=None).fingerprint()
     pinhole, _ = store.image(
         "object",
-        {**base, "columns": columns},
+        {"scene": seen, "columns": columns},
         lambda _: (pinhole_image(scene, camera, columns, 64), {"kind": "photograph"}),
     )
-    truths = {
-        distance: store.image(
-            f"thin_lens_{distance:g}",
-            {**base, "distance": distance, "spp": settings.truth_spp},
-            lambda _, distance=distance: (  # type: ignore[misc]
-                thin_lens_image(scene, camera, distance, settings.truth_spp),
-                {"kind": "photograph", "distance": distance},
-            ),
-        )[0]
-        for distance in distances
-    }
+    truths = {}
+    for distance in distances:
+        # The slider's pictures have no numbers.
+        spp = settings.truth_spp if distance in settings.distances else settings.truth_spp // 4
+
+        def thin_lens(
+            progress: Progress, distance: float = distance, spp: int = spp
+        ) -> tuple[np.ndarray, dict[str, Any]]:
+            return thin_lens_image(scene, camera, distance, spp), {"kind": "photograph", "distance": distance}
+
+        inputs = {"scene": seen, "distance": distance, "spp": spp}
+        truths[distance], _ = store.image(f"thin_lens_{distance:g}", inputs, thin_lens)
     return Experiment(
         settings=settings,
         camera=camera,
         ray=ray,
         wave=wave,
         points=points,
-        wave_file=store.folder / "capture_wave.exr",
         wave_key=wave_key,
         truths=truths,
         images=images,
@@ -338,17 +306,19 @@ def run_experiment(
     )
 
 
-def by_waves(
-    store: Stages, name: str, scene: mi.Scene, inputs: Mapping[str, object], **options: Any
+def captured(
+    store: Cache, name: str, spec: CaptureSpec, scene: mi.Scene, seen: Any = None, **options: Any
 ) -> tuple[Capture, str]:
-    """Return a wave capture, by options of `render_capture`, as a stage, and the stage's key."""
-    return store.capture(
-        name,
-        {**inputs, **options},
-        lambda progress, checkpoint: _grey(
-            render_capture(scene, model="wave", progress=progress, checkpoint=checkpoint, **options)
-        ),
-    )
+    """Return a capture of a loaded scene as a stage, and the stage's key.
+
+    `seen` identifies a scene other than that of the specification, and `options` are further ones of `render_capture`.
+    """
+
+    def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
+        kept = {"checkpoint": checkpoint} if spec.model == "wave" else {}
+        return _grey(spec.render(scene, progress=progress, **kept, **options))
+
+    return store.capture(name, {"capture": spec.fingerprint(), "seen": seen, **options}, make)
 
 
 def ordinary_twin(camera: PlenopticCamera, distance: float) -> PlenopticCamera:
@@ -360,28 +330,26 @@ def ordinary_twin(camera: PlenopticCamera, distance: float) -> PlenopticCamera:
 
 
 def against_ordinary(
-    store: Stages,
+    store: Cache,
+    spec: CaptureSpec,
     scene: mi.Scene,
-    inputs: Mapping[str, object],
     camera: PlenopticCamera,
     twin: PlenopticCamera,
     distance: float,
-    options: Mapping[str, Any],
 ) -> Ordinary:
-    """Return what an ordinary camera is compared by: wave captures with the options of the plenoptic one, as stages."""
-    facts = {"twin": twin.to_dict()}
-    capture, _ = by_waves(store, "capture_ordinary", with_camera(scene, twin), {**inputs, **facts}, **options)
+    """Return what an ordinary camera is compared by: wave captures like the plenoptic one, as stages."""
+    capture, _ = captured(store, "capture_ordinary", spec, with_camera(scene, twin), twin.to_dict())
     lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in _EDGE_BINS)
     recorded = {}
     for name, whole, count in ((ORDINARY, twin, _EDGE_PIXELS), ("plenoptic", camera, lenses)):
         middle = whole.replace(resolution=count, detector_width=count[0] * whole.pixel_size)
         seen = {"camera": middle.to_dict(), "edge": distance}
-        recorded[name] = by_waves(store, f"edge_{name}", edge_scene(middle, distance), seen, **options)
+        recorded[name] = captured(store, f"edge_{name}", spec, edge_scene(middle, distance), seen)
     edges = {ORDINARY: recorded[ORDINARY][0].image}
     for method in METHODS:
         if method.name in SLIDER_METHODS:
-            name = f"edge_{method.name}"
-            edges[method.name] = refocused(store, name, *recorded["plenoptic"], distance, method.options)
+            found = refocused(store, f"edge_{method.name}", *recorded["plenoptic"], [distance], method.options)
+            edges[method.name] = found[distance]
     return Ordinary(capture, distance, edges)
 
 
@@ -406,41 +374,37 @@ def edge_scene(camera: PlenopticCamera, distance: float) -> mi.Scene:
     )
 
 
-def load_with_sensor(
-    name: str, parameters: Mapping[str, str], camera: Mapping[str, Any] | None = None, unit: str = "mm"
-) -> Any:
-    """Return a scene, with a given camera in place of its sensor; refuse a scene without a plenoptic sensor."""
-    # Mitsuba warns that films of colours record luminance, which the variant says.
-    with quiet() if mi.is_monochromatic else nullcontext():
-        scene = load_scene(name, parameters=parameters, unit=unit)
-    if camera is not None:
-        return with_camera(scene, PlenopticCamera.from_dict(dict(camera)))
-    with naming(name):
-        plenoptic_sensor(scene)
-    return scene
-
-
-def open_store(output: Path, stages: StageOptions | None) -> Stages:
+def open_store(output: Path, stages: StageOptions | None) -> Cache:
     """Return the store in an output folder, checked before the work and created with the first stage."""
     there = next(path for path in (output, *output.absolute().parents) if path.exists())
     refuse_if(
         not there.is_dir() or not os.access(there, os.W_OK),
         f"{output}: the folder cannot be made: {there} is not a folder that can be written to",
     )
-    return Stages(output / "data", stages)
+    return Cache(output / "data", stages)
 
 
 def refocused(
-    store: Stages, name: str, capture: Capture, key: str, distance: float, options: Mapping[str, Any]
-) -> np.ndarray:
-    """Return the reconstruction of a capture, identified by a key, by options of `reconstruct`, as a stage."""
+    store: Cache, name: str, capture: Capture, key: str, distances: Sequence[float], options: Mapping[str, Any]
+) -> dict[float, np.ndarray]:
+    """Return reconstructions by distance of a capture, identified by a key, by options of `reconstruct`, as stages.
 
-    def make(progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-        result: Reconstruction = reconstruct(capture, distance, progress=progress, **options)
-        facts = {"distance": distance, "bin_size": result.bin_size, **options}
-        return result.image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
+    The first that is missing makes all, which share the propagation to the main lens.
+    """
+    made: dict[float, Reconstruction] = {}
 
-    return store.image(name, {"capture": key, "distance": distance, **options}, make)[0]
+    def make(distance: float, progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
+        if not made:
+            together = reconstruct(capture, list(distances), progress=progress, **options)
+            made.update({result.distance: result for result in together})
+        facts = {"distance": distance, "bin_size": made[distance].bin_size, **options}
+        return made[distance].image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
+
+    images = {}
+    for distance in distances:
+        inputs = {"capture": key, "distance": distance, "together": list(distances), **options}
+        images[distance], _ = store.image(f"{name}_{distance:.12g}", inputs, partial(make, distance))
+    return images
 
 
 def _grey(capture: Capture) -> Capture:

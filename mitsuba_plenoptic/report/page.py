@@ -17,12 +17,12 @@ from PIL import Image
 from .. import design
 from ..io.checkpoints import write_json
 from ..runtime.files import write_text
+from ..runtime.limits import software
 from .design_sheet import design_sheet
 from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .plots import Window, Zoom, lit_window
-from .stage_store import software, time_summary
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",
@@ -136,6 +136,13 @@ def template(name: str, folder: Path = Path(__file__).parent / "templates") -> T
         "ssim": ssim_text,
     }
     return environment.get_template(name)
+
+
+def time_summary(seconds: dict[str, float]) -> str:
+    """Return a sentence on the total time of all stages and on the longest stage."""
+    total = sum(seconds.values())
+    longest = max(seconds, key=lambda name: seconds[name])
+    return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
 
 
 def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:

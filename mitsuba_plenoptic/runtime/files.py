@@ -14,7 +14,6 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +29,6 @@ _NO_ROOM = 2**16
 _one_at_a_time = threading.Lock()
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass
-class FilesUsed:
-    """The files that a step has read and written, by absolute path."""
-
-    read: set[Path] = field(default_factory=set)
-    written: set[Path] = field(default_factory=set)
 
 
 def require_writable(path: str | Path, *suffixes: str) -> Path:

@@ -166,8 +166,9 @@ def _gib(size: float) -> str:
     return f"{size / GIB:.0f} GiB" if size >= 10 * GIB else f"{size / GIB:.1f} GiB"
 
 
-# Parts of the package that show results and do not make them.
+# Parts of the package that show results and do not make them, and the file there that does.
 _SHOWING = {"report", "cli"}
+_MAKING = "experiment.py"
 
 
 # The versions are those of the loaded modules.
@@ -177,7 +178,7 @@ def software() -> dict[str, str]:
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
-        if not _SHOWING & set(source.relative_to(package).parts[:-1]):
+        if source.name == _MAKING or not _SHOWING & set(source.relative_to(package).parts[:-1]):
             text.update(source.read_bytes())
     versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
     return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}

@@ -140,23 +140,6 @@ def rewritten(content, change):
     return buffer.getvalue()
 
 
-def claiming(shape, kind="<f4", packed=zipfile.ZIP_STORED):
-    """Return what replaces the image of a checkpoint by an array of a shape of which there is next to nothing."""
-
-    def change(content):
-        with np.load(io.BytesIO(content)) as archive:
-            header = archive["header"]
-        buffer, header_bytes, image = io.BytesIO(), io.BytesIO(), io.BytesIO()
-        np.lib.format.write_array(header_bytes, header)
-        np.lib.format.write_array_header_1_0(image, {"descr": kind, "fortran_order": False, "shape": shape})
-        with zipfile.ZipFile(buffer, "w", packed) as archive:
-            archive.writestr("header.npy", header_bytes.getvalue())
-            archive.writestr("image.npy", image.getvalue() + bytes(100))
-        return buffer.getvalue()
-
-    return change
-
-
 def version_0_1(content):
     """Return an archive as version 0.1 wrote it."""
     buffer = io.BytesIO()
@@ -175,11 +158,8 @@ def version_0_1(content):
             "software.mitsuba_plenoptic = 0123 there",
         ),
         (lambda header, _: header.update(batches=10**6), "1000000 batches"),
-        (lambda header, _: header.update(sums=-1), "is damaged: sums = -1"),
         (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1) instead of (128, 12"),
         (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4), np.float32)), "batches of shape"),
-        (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4))), "partial is of type float64"),
-        (lambda _, arrays: arrays["partial"].fill(np.nan), "partial holds numbers that are not finite"),
         (lambda _, arrays: arrays.pop("image"), "is damaged"),
         (lambda _, arrays: arrays.update(image=np.array([Trap()], dtype=object)), "is damaged: Object arrays"),
     ],
@@ -196,12 +176,8 @@ def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
         (lambda content: content[:999] + bytes([content[999] ^ 1]) + content[1000:], "Bad CRC-32"),
         (lambda content: pickle.dumps(Trap()), "is not a checkpoint of this version"),
         (lambda content: b"", "is not a checkpoint of this version"),
-        (lambda content: b"text", "is damaged: it is no archive, or cut off"),
+        (lambda content: b"text", "is not a checkpoint of this version, or is damaged"),
         (version_0_1, "is not a checkpoint of this version"),
-        # 2.5 GiB, for which room was made before anything was read.
-        (claiming((25905, 25905, 1)), "image.npy claims 2684276100 bytes in 228"),
-        (claiming((5, 5, 1)), "image has the shape (5, 5, 1) instead of (128, 128, 1)"),
-        (claiming((5, 5, 1), packed=zipfile.ZIP_DEFLATED), "header.npy is compressed"),
     ],
 )
 def test_other_files_are_refused(tmp_path, stopped, damage, words):

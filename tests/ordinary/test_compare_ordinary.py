@@ -7,7 +7,7 @@ import pytest
 from scene_cases import definitions, letters
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic import InputError
+from mitsuba_plenoptic import InputError, capture_spec
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.report import experiment
 from mitsuba_plenoptic.report.comparison import compare
@@ -99,7 +99,7 @@ def test_the_array_costs_sharpness(found):
 
 def test_a_second_run_takes_up_what_is_there(folder, capsys, monkeypatch):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
-    monkeypatch.setattr(experiment, "render_capture", None)
+    monkeypatch.setattr(capture_spec, "render_capture", None)
     before = (folder / "results.json").read_bytes()
     assert main([*WORDS, "-o", str(folder)]) == 0
     assert (folder / "results.json").read_bytes() == before
@@ -137,6 +137,6 @@ def test_what_has_no_ordinary_twin_is_refused(changes, rule, tmp_path):
 
 def test_other_words_are_refused(tmp_path, capsys):
     with pytest.raises(InputError, match=r"^against = 'phone': it must be one of ordinary"):
-        compare(Settings("letters", (DISTANCE,)), tmp_path / "out", against="phone")
+        compare(Settings("letters", distances=(DISTANCE,)), tmp_path / "out", against="phone")
     assert main([*WORDS[:6], "--against", "phone", "-o", str(tmp_path / "out")]) == 2
     assert "against = 'phone': it must be one of ordinary" in capsys.readouterr().err

@@ -116,7 +116,6 @@ _ATTRIBUTES = ("channels", "compression", "dataWindow", "displayWindow", "lineOr
 _TEXTS = (
     "camera.json", "lens.yaml", "lens.json", "design.zmx", "design.seq", "screen.json", "aperture.json", "shape.json",
     "response.json", "responses.csv", "centres.csv", "centres.json", "recipe.yaml", "varied.yaml", "dataset.json",
-    "checksums.sha256",
 )  # fmt: skip
 
 PARTS: dict[str, Code] = {

@@ -15,7 +15,7 @@ from mitsuba_plenoptic.camera.aperture import known_image
 from mitsuba_plenoptic.camera.phase_screen import known_screen
 from mitsuba_plenoptic.dataset import read_recipe
 from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
-from mitsuba_plenoptic.extensions.data.shards import read_manifest, recorded_checksums
+from mitsuba_plenoptic.extensions.data.shards import read_manifest
 from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response
 from mitsuba_plenoptic.extensions.raw.hci import read_hci
 from mitsuba_plenoptic.extensions.studio.sweep import read_grid
@@ -126,7 +126,9 @@ TEXTS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "recipe.yaml": (RECIPE, read_recipe),
     "varied.yaml": ("samples: [1, 2]\ndistance: [210.0, 2.8e2]\n", lambda path: read_grid(Path(path))),
     "parameters.cfg": (HCI, read_views),
-    "dataset.json": (json.dumps({"count": 2, "samples_per_shard": 1}), lambda path: read_manifest(Path(path).parent)),
-    "checksums.sha256": ("0" * 64 + "  README.md\n", lambda path: recorded_checksums(Path(path).parent)),
+    "dataset.json": (
+        json.dumps({"count": 2, "samples_per_shard": 1, "recipe": {}}),
+        lambda path: read_manifest(Path(path).parent),
+    ),
 }
 """Contents and readers by the names of files."""

@@ -23,7 +23,7 @@ def dataset(
 
     Run it again to resume after it was stopped, or to let it grow to a larger
     count: the files have the same bits. The folder holds shards (HDF5), a data
-    card (README.md), a preview, and checksums.
+    card (README.md) and a preview.
 
     [bold]Example:[/bold]
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import logging
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -24,22 +22,16 @@ from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (
     CARD,
-    CHECKSUMS,
     LOCK,
-    MANIFEST,
     PREVIEW,
     DataFolder,
     DataSet,
-    checksum,
     claim,
     open_shard,
     read_sample,
-    recorded_checksums,
-    whole_samples,
+    samples_in,
     write_samples,
 )
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -72,8 +64,7 @@ def make_dataset(
 
     Each sample has a file until all samples of its shard exist. A run that was killed at any moment can be started
     again and ends with the same bytes as an uninterrupted run. A data set of the same recipe with a smaller count
-    grows. Existing samples are first compared with their digests; damaged ones are named in the log and rendered again.
-    Only one process at a time may make a data set.
+    grows. Only one process at a time may make a data set.
 
     Parameters
     ----------
@@ -105,56 +96,47 @@ def make_dataset(
         made = DataSet(folder)
         write_preview(folder / PREVIEW, made)
         write_card(folder / CARD, recipe, made)
-        write_checksums(folder / CHECKSUMS, layout)
     return DataSet(folder)
 
 
 def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, progress: Progress | None) -> None:
-    # Whatever is there is compared with its digests before anything of it is dropped.
-    finished = {
-        number: whole_samples(layout.shard(number)).intersection(layout.members(number))
-        for number in range(layout.shards)
-    }
-    recorded = recorded_checksums(layout.folder)
-    unchanged = {number for number in finished if _as_recorded(layout, number, recorded)}
-    missing = []
-    for number, there in finished.items():
-        for index in layout.members(number):
-            if index not in there and index not in whole_samples(layout.sample(index)):
-                layout.sample(index).unlink(missing_ok=True)
-                missing.append(index)
-    _clear(layout, finished)
-    done = recipe.count - len(missing)
-    tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
-    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
+    """Render the samples that are in no file, and write each shard when its last sample is there."""
+    for path in (layout.sample(0).parent, layout.shard(0).parent):
+        for leftover in path.glob(".*"):
+            shutil.rmtree(leftover, ignore_errors=True)
+    for name in (CARD, PREVIEW):
+        remove_leftovers(layout.folder / name)
+        # They describe a complete data set.
+        (layout.folder / name).unlink(missing_ok=True)
+    packed = set().union(*(samples_in(layout.shard(number)) for number in range(layout.shards)))
+    missing = [index for index in range(recipe.count) if index not in packed and not layout.sample(index).exists()]
     waiting = set(missing)
 
-    def pack() -> None:
-        for number in [number for number in finished if not waiting.intersection(layout.members(number))]:
-            there = finished.pop(number)
-            if there != set(layout.members(number)) or number not in unchanged:
-                _pack(layout, number, there)
+    def pack(number: int) -> None:
+        members = layout.members(number)
+        if waiting.isdisjoint(members) and not packed.issuperset(members):
+            write_samples(layout.shard(number), (read(index) for index in members))
+            for index in members:
+                layout.sample(index).unlink(missing_ok=True)
 
-    pack()
+    def read(index: int) -> Sample:
+        number = index // layout.samples_per_shard
+        path = layout.shard(number) if index in packed else layout.sample(index)
+        with open_shard(path) as file:
+            return read_sample(file, path, index)
+
+    tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
+    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
+    for number in range(layout.shards):
+        pack(number)
     if progress:
-        progress(done, recipe.count)
+        progress(recipe.count - len(waiting), recipe.count)
     for index in results:
         waiting.discard(index)
-        done += 1
-        pack()
+        pack(index // layout.samples_per_shard)
         if progress:
-            progress(done, recipe.count)
+            progress(recipe.count - len(waiting), recipe.count)
     shutil.rmtree(layout.sample(0).parent)
-
-
-def _as_recorded(layout: DataFolder, number: int, recorded: Mapping[str, str]) -> bool:
-    """Return whether a shard has its checksum of an earlier run; False if none was written."""
-    path = layout.shard(number)
-    expected = recorded.get(path.relative_to(layout.folder).as_posix())
-    if expected is None or not path.exists() or checksum(path) == expected:
-        return True
-    _log.warning("%s: its checksum differs from the recorded one; it is written again from its undamaged samples", path)
-    return False
 
 
 def _make(recipe: Recipe, index: int, path: Path) -> int:
@@ -173,35 +155,6 @@ def _try_scenes(recipe: Recipe) -> None:
             open_sample(recipe, plan)
         if not left:
             return
-
-
-def _clear(layout: DataFolder, finished: Mapping[int, set[int]]) -> None:
-    """Remove files of killed processes, and files of samples that shards already contain."""
-    for path in (layout.sample(0).parent, layout.shard(0).parent):
-        for leftover in path.glob(".*"):
-            shutil.rmtree(leftover, ignore_errors=True)
-    for name in (CARD, PREVIEW, CHECKSUMS):
-        remove_leftovers(layout.folder / name)
-        # They describe a complete data set.
-        (layout.folder / name).unlink(missing_ok=True)
-    for index in set().union(*finished.values()):
-        layout.sample(index).unlink(missing_ok=True)
-
-
-def _pack(layout: DataFolder, number: int, there: set[int]) -> None:
-    """Write the finished samples of a shard into one file, together with the samples already there."""
-    path = layout.shard(number)
-
-    def samples() -> Iterator[Sample]:
-        for index in layout.members(number):
-            source = path if index in there else layout.sample(index)
-            file: Any
-            with open_shard(source) as file:
-                yield read_sample(file, source, index)
-
-    write_samples(path, samples())
-    for index in layout.members(number):
-        layout.sample(index).unlink(missing_ok=True)
 
 
 _MEANINGS = {
@@ -233,10 +186,10 @@ Sample k depends on the seed and k alone: the same recipe and software make the 
 
 {table}
 
-and `facts`, UTF-8 JSON: the camera, all that was drawn, names of the shapes, and how each capture was made; and
-`digests` of all these, which are compared when they are read. Pixels are
-radiance, averaged over the lens. What is unknown is NaN, the depth of nothing infinite. Arrays `views_...` are ground
-truth of the decoded views (v, u, t, s), of the rays that `decode` makes samples of.
+and `facts`, UTF-8 JSON: the camera, all that was drawn, names of the shapes, and how each capture was made. HDF5 keeps
+checksums of all these, which are compared when they are read. Pixels are radiance, averaged over the lens. What is
+unknown is NaN, the depth of nothing infinite. Arrays `views_...` are ground truth of the decoded views (v, u, t, s), of
+the rays that `decode` makes samples of.
 
 ## Reading
 
@@ -248,8 +201,6 @@ sample = DataSet("{folder}")[0]
 light_field = mitsuba_plenoptic.decode(sample.capture("{model}"), truth=sample.truth)
 loader = torch.utils.data.DataLoader(TorchDataset("{folder}", {arrays}), batch_size=8, shuffle=True)
 ```
-
-`sha256sum -c checksums.sha256` finds damaged files.
 
 ## What it is good for, and what not
 
@@ -298,14 +249,6 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
         software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
     )
     write_text(path, text)
-
-
-def write_checksums(path: Path, layout: DataFolder) -> None:
-    """Write the SHA-256 of every file of a data set, in the form that ``sha256sum -c`` reads."""
-    files = [layout.folder / name for name in (MANIFEST, CARD, PREVIEW)]
-    files += [layout.shard(index) for index in range(layout.shards)]
-    lines = [f"{checksum(file)}  {file.relative_to(layout.folder).as_posix()}\n" for file in files]
-    write_text(path, "".join(lines))
 
 
 _ROWS, _WIDTH = 8, 256

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
+from ...capture_spec import CaptureSpec
 from ...io.captures import Capture
 from ...io.truth_files import GroundTruth
 from ...io.versions import camera_of_waves, is_of_1_0, stamped
@@ -95,9 +96,9 @@ def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
         random = random_of_scene(recipe, plan)
         scene = load_scene(plan.maker.scene(plan.camera, plan.light, random), variant=recipe.variant)
         scene.set_id(str(source.generator))
-    else:
-        scene = load_scene(str(source.scene), variant=recipe.variant, parameters=plan.parameters, unit=source.unit)
-    return with_camera(scene, plan.camera)
+        return with_camera(scene, plan.camera)
+    camera = plan.camera.to_dict()
+    return CaptureSpec(str(source.scene), plan.parameters, camera, source.unit, variant=recipe.variant).load()
 
 
 def random_of_scene(recipe: Recipe, plan: SamplePlan) -> np.random.Generator:

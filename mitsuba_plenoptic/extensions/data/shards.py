@@ -1,13 +1,11 @@
 """The folder of a data set: its layout, the recipe that made it, and its samples in HDF5 files.
 
-A file has a group for each sample, named by the index in six digits, with the sample's arrays and facts. Its
-``digests``, in JSON by array name, are compared whenever an array is read, so that a damaged sample is detected. The
-same samples give the same bytes.
+A file has a group for each sample, named by the index in six digits, with the sample's arrays and facts. HDF5 keeps a
+checksum with each, so that a damaged sample is refused when it is read. The same samples give the same bytes.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 import os
@@ -17,27 +15,25 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...capture_spec import scene_fingerprint
 from ...choices import MODELS
-from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr, warn
-from ...io.checkpoints import digest, flattened, write_json
-from ...io.versions import KEY, is_of_1_0, stamped
-from ...report.stage_store import scene_fingerprint
+from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
+from ...io.checkpoints import differences, write_json
+from ...io.versions import is_of_1_0, stamped
 from ...runtime.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
 from ...runtime.limits import require_memory, software
 from .recipe import Recipe
 from .sample import Sample
 
-MANIFEST, CARD, PREVIEW, CHECKSUMS = "dataset.json", "README.md", "preview.png", "checksums.sha256"
+MANIFEST, CARD, PREVIEW = "dataset.json", "README.md", "preview.png"
 
-LARGEST_LIST = 2**27
-"""Bytes of the manifest or of the checksums, at most: of a million shards."""
+_LARGEST_MANIFEST = 2**27
 
 LOCK = ".lock"
 
-_FREE = {"recipe.count", "recipe.name"}
-"""Entries that may differ: the count may grow, and the name, which is that of the file, changes no bits."""
+_FREE = {"count", "name"}
+"""Entries of a recipe that may differ: the count may grow, and the name, which is that of the file, changes no bits."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +70,18 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
         for index, source in enumerate(recipe.scenes)
         if source.scene
     }
-    facts = {"recipe": dict(recipe.content), "files": scenes, "software": software()}
-    return dict(json.loads(json.dumps(stamped(facts))))
+    facts = {**stamped({}), "software": software(), "recipe": dict(recipe.content), "files": scenes}
+    return dict(json.loads(json.dumps(facts)))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
-    text = read_text(path, LARGEST_LIST)
+    text = read_text(path, _LARGEST_MANIFEST)
     with refusing(f"{path}: it is not the manifest of a data set", *NO_RECORD):
         content = json.loads(text)
         numbers = [content["count"], content["samples_per_shard"]]
+        content["recipe"] = dict(content["recipe"])
     refuse_if(
         not all(isinstance(number, int) and number > 0 for number in numbers),
         f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0",
@@ -93,23 +90,20 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def claim(folder: Path, recipe: Recipe) -> DataFolder:
-    """Return the folder of a data set after writing its manifest; refuse a folder of another recipe."""
+    """Return the folder of a data set after writing its manifest; refuse a folder of another recipe or software."""
+
+    def fixed(record: dict[str, Any]) -> dict[str, Any]:
+        entries = {name: value for name, value in record["recipe"].items() if name not in _FREE}
+        return {**{name: record[name] for name in facts if name in record}, "recipe": entries}
+
     facts = facts_of(recipe)
     if (folder / MANIFEST).exists():
-        found = read_manifest(folder)
-        before, now = flattened(found), flattened(facts)
-        names = {*now, *(key for key in before if key.partition(".")[0] in facts)}
-        # Another version comes with other scenes and software.
-        for name in [KEY, *sorted(names - {KEY})]:
-            if before.get(name) != now.get(name) and name not in _FREE:
-                kind = "made by other software" if name.startswith(("software.", KEY)) else "of another recipe"
-                raise InputError(
-                    f"{folder}: it holds samples {kind}: {name} was {short_repr(before.get(name))}, is "
-                    f"{short_repr(now.get(name))}; choose another folder"
-                )
+        manifest = read_manifest(folder)
+        changed = differences(fixed(manifest), fixed(facts))
+        refuse_if(changed, f"{folder}: it holds other samples: {''.join(changed[:1])}; choose another folder")
         refuse_if(
-            found["count"] > recipe.count,
-            f"count = {recipe.count}: {folder} holds {found['count']} samples; it may only grow",
+            manifest["count"] > recipe.count,
+            f"count = {recipe.count}: {folder} holds {manifest['count']} samples; it may only grow",
         )
     elif any(path.name != LOCK for path in folder.iterdir()):
         raise InputError(f"{folder}: it holds something else; choose an empty folder, or one that is not there")
@@ -121,26 +115,8 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
     return layout
 
 
-def recorded_checksums(folder: Path) -> dict[str, str]:
-    """Return the checksums of a data set by file, as written with it; empty if there are none."""
-    try:
-        return _checksums(folder)
-    except InputError:
-        return {}
-
-
-def _checksums(folder: Path) -> dict[str, str]:
-    pairs = [line.partition("  ") for line in read_text(folder / CHECKSUMS, LARGEST_LIST).splitlines()]
-    return {name: expected for expected, _, name in pairs}
-
-
-def checksum(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 _FACTS, _DIGESTS = "facts", "digests"
+"""Names of arrays that no sample has; files up to version 1.0 have both."""
 
 _MOST_OPEN = 32
 """Files that a data set keeps open: systems allow a process a few hundred, and large data sets have thousands."""
@@ -159,19 +135,15 @@ def write_samples(path: Path, samples: Iterable[Sample]) -> None:
     with atomic_output(path) as temporary, Sink(temporary, "w+") as sink:
         with h5py.File(sink, "w") as file:
             for sample in samples:
-                arrays: dict[str, Any] = {name: np.asarray(array, np.float32) for name, array in sample.arrays.items()}
-                arrays[_FACTS] = _as_bytes(sample.facts)
-                arrays[_DIGESTS] = _as_bytes({name: digest(array) for name, array in arrays.items()})
                 group = file.create_group(group_name(sample.index))
-                for name, array in arrays.items():
-                    group.create_dataset(name, data=array)
+                # An array of bytes, since HDF5's attributes hold at most 64 KiB.
+                facts = np.frombuffer(json.dumps(sample.facts, sort_keys=True).encode(), np.uint8)
+                for name, array in {**sample.arrays, _FACTS: facts}.items():
+                    data = array if name == _FACTS else np.asarray(array, np.float32)
+                    checked = {"chunks": data.shape, "fletcher32": True} if data.size else {}
+                    group.create_dataset(name, data=data, **checked)
                 sink.check(path)
         sink.check(path)
-
-
-def _as_bytes(values: dict[str, Any]) -> NDArray[np.uint8]:
-    """Return a text as an array of bytes, since HDF5 attributes hold at most 64 KiB."""
-    return np.frombuffer(json.dumps(values, sort_keys=True).encode(), np.uint8)
 
 
 def open_shard(path: Path) -> Any:
@@ -181,54 +153,31 @@ def open_shard(path: Path) -> Any:
         return h5py.File(require_file(path), "r")
 
 
-def read_sample(
-    file: Any, path: Path, index: int, names: Collection[str] | None = None, *, with_digests: bool = True
-) -> Sample:
-    """Read a sample from an open file and compare its digests, which may be missing unless `with_digests`.
+def samples_in(path: Path) -> set[int]:
+    """Return the indices of the samples in a file, which may be missing; log that a file is damaged."""
+    try:
+        with open_shard(path) as file:
+            return {int(name) for name in file}
+    except InputError as error:
+        if path.exists():
+            _log.warning("%s; its samples are rendered again", error)
+        return set()
 
-    Data sets of version 0.2.0 have no digests.
-    """
+
+def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None = None) -> Sample:
+    """Read a sample, or those of its arrays that are named, from an open file."""
     damaged = OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, RecursionError
     with naming(path), refusing(f"sample {index} is damaged:", *damaged):
         refuse_if(group_name(index) not in file, f"it has no sample {index}")
         group = file[group_name(index)]
-
-        def read(name: str) -> NDArray[Any]:
+        arrays = {}
+        for name in sorted(set(group) - {_DIGESTS}) if names is None else [*names, _FACTS]:
             stored = stored_array(group, name)
             refuse_if(stored is None, f"sample {index}: it has no {name}; it has {', '.join(group)}")
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")
-            return np.asarray(stored[()])
-
-        compared = with_digests or _DIGESTS in group
-        digests, arrays = json.loads(read(_DIGESTS).tobytes()) if compared else {}, {}
-        if not compared:
-            warn(
-                f"{path.parent.parent}: its samples have no digests, as those of version 0.2.0: what is damaged in "
-                f"them is not noticed, other than by DataSet.damaged()"
-            )
-        for name in (digests or set(group) - {_DIGESTS}) if names is None else [*names, _FACTS]:
-            arrays[name] = read(name)
-            if compared and digest(arrays[name]) != digests[name]:
-                raise ValueError(f"{name} is not what was written")
+            arrays[name] = np.asarray(stored[()])
         facts = json.loads(arrays.pop(_FACTS).tobytes())
     return Sample(index, arrays, facts)
-
-
-def whole_samples(path: Path) -> set[int]:
-    """Return the indices of undamaged samples in a file, if the file exists, and log the damaged ones."""
-    if not path.exists():
-        return set()
-    found = set()
-    try:
-        with open_shard(path) as file:
-            for name in file:
-                try:
-                    found.add(read_sample(file, path, int(name)).index)
-                except (InputError, ValueError) as error:
-                    _log.warning("%s; it is rendered again", error)
-    except (InputError, RuntimeError) as error:
-        _log.warning("%s; its samples are rendered again", error)
-    return found
 
 
 def _remark(folder: Path, manifest: dict[str, Any]) -> None:
@@ -290,7 +239,7 @@ class DataSet:
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)
         number = index // self._layout.samples_per_shard
-        return read_sample(self._open(number), self._layout.shard(number), index, self.fields, with_digests=False)
+        return read_sample(self._open(number), self._layout.shard(number), index, self.fields)
 
     def __iter__(self) -> Iterator[Sample]:
         for index in range(len(self)):
@@ -298,23 +247,6 @@ class DataSet:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_files": {}}
-
-    def damaged(self) -> list[str]:
-        """Return the names of files that are missing or differ from their checksums.
-
-        Raises
-        ------
-        InputError
-            If there are no checksums.
-        """
-        found = []
-        for name, expected in _checksums(self.folder).items():
-            # No name in the file leads out of the folder.
-            path = self.folder / name
-            inside = path.resolve().is_relative_to(self.folder.resolve())
-            if not inside or not path.is_file() or checksum(path) != expected:
-                found.append(name)
-        return found
 
     def _open(self, number: int) -> Any:
         if self._process != os.getpid():

@@ -19,7 +19,7 @@ from ...camera import PlenopticCamera
 from ...prescription.lens_data import image_distance
 from ...refocus.ray_sums import pupil_radius, ray_sums
 from ...report.page import Claim
-from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY
+from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, verdict
 
 VIRTUAL_DEPTHS = (3.0, 4.0, 6.0, 8.0)
 """Distances of the main lens's image before the array of focused cameras, over that of the detector behind it."""
@@ -76,23 +76,41 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
 
 def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: float, ray_seconds: float) -> list[Claim]:
     """Return verdicts on limits, from the camera and from seconds of a plain loop and of the ray method on one core."""
+    distance, fraction = deconvolved_fraction(camera, wavelength)
+    paper = PAPER_SECONDS["ray"]
+    theirs, ours = (f"{columns} x {rows}" for columns, rows in (PAPER_RESOLUTION, camera.resolution))
     return [
-        _pixels_against_range(focused_cameras(camera, wavelength)),
-        _deconvolution(camera, wavelength),
-        _plain_program(plain_seconds, ray_seconds, camera),
+        pixels_against_range(focused_cameras(camera, wavelength)),
+        Claim(
+            "Out of focus, deconvolution brings back almost the resolution of the sensor.",
+            f"At best {fraction:.0%} of it, at {distance:.0f} mm. In focus {1 / camera.pixels_per_lens:.0%}, one "
+            "sample per lens.",
+            CONFIRMED if fraction >= _ALMOST else PARTLY if fraction >= _HALF else DIFFERS,
+            f"Almost is at least {_ALMOST:.0%} of the lines that the pixels would resolve without microlenses. In "
+            "focus a lens sums the light of one bin, whose details cannot be separated. Between the stated plane and "
+            "focus lenses see nearly the same; beyond it, diffraction by the microlenses and the pixels limit what is "
+            "resolved.",
+        ),
+        Claim(
+            f"Without special optimization, reconstruction by rays takes {paper:.0f} s.",
+            f"A loop over {theirs} pixels in Python takes {plain_seconds:.2g} s on one core. Our reconstruction of "
+            f"{ours} pixels takes {ray_seconds:.2g} s.",
+            CONFIRMED if plain_seconds * _OLD >= paper else DIFFERS,
+            f"Confirmed if the loop, on a core of about 2012, which counts as {_OLD:g} times slower, takes as long. It "
+            "follows one ray per pixel and gives the sums of our reconstruction. It is timed on the pixels of some "
+            "rows.",
+        ),
     ]
 
 
-def _pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
-    narrower = [fine.range < coarse.range for fine, coarse in itertools.pairwise(cameras)]
-    text = "; ".join(
-        f"{each.pixels:.0f} from {each.near:.0f} to " + ("infinity" if math.isinf(each.far) else f"{each.far:.0f} mm")
-        for each in cameras
-    )
+def pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
+    """Return the verdict on the price of more pixels, from cameras in the order of their pixels."""
+    ends = ["infinity" if math.isinf(each.far) else f"{each.far:.0f} mm" for each in cameras]
+    reached = [f"{each.pixels:.0f} from {each.near:.0f} to {end}" for each, end in zip(cameras, ends, strict=True)]
     return Claim(
         "Focused cameras refocus to more pixels than lenses, at the price of the range of distances.",
-        f"Pixels across, and where they are reached: {text}.",
-        CONFIRMED if all(narrower) else PARTLY if any(narrower) else DIFFERS,
+        f"Pixels across, and where they are reached: {'; '.join(reached)}.",
+        verdict([fine.range < coarse.range for fine, coarse in itertools.pairwise(cameras)]),
         "Cameras of this main lens, array and detector, focused on the same plane, with virtual depths of "
         f"{', '.join(f'{each.virtual_depth:g}' for each in cameras[:-1])}; the last is the unfocused one, with a "
         "pixel per lens. The price is paid if each finer camera has the narrower range, in dioptres.",
@@ -101,39 +119,12 @@ def _pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
 
 def deconvolved_fraction(camera: PlenopticCamera, wavelength: float) -> tuple[float, float]:
     """Return the distance at which deconvolution resolves most of the bare sensor's lines, and their fraction."""
-    found = []
+    fractions = {}
     for distance in np.geomspace(0.6 * camera.focus_distance, 3 * camera.focus_distance, 800).tolist():
         limit = design.resolution_limit(camera, distance, wavelength)
         sensor = camera.mla_distance / (2 * camera.pixel_size * distance)
-        found.append((0.0 if limit.in_focus else limit.frequency / sensor, distance))
-    fraction, best = max(found)
-    return best, fraction
-
-
-def _deconvolution(camera: PlenopticCamera, wavelength: float) -> Claim:
-    distance, fraction = deconvolved_fraction(camera, wavelength)
-    lenses = 1 / camera.pixels_per_lens
-    return Claim(
-        "Out of focus, deconvolution brings back almost the resolution of the sensor.",
-        f"At best {fraction:.0%} of it, at {distance:.0f} mm. In focus {lenses:.0%}, one sample per lens.",
-        CONFIRMED if fraction >= _ALMOST else PARTLY if fraction >= _HALF else DIFFERS,
-        f"Almost is at least {_ALMOST:.0%} of the lines that the pixels would resolve without microlenses. In focus a "
-        "lens sums the light of one bin, whose details cannot be separated. Between the stated plane and focus lenses "
-        "see nearly the same; beyond it, diffraction by the microlenses and the pixels limit what is resolved.",
-    )
-
-
-def _plain_program(plain_seconds: float, ray_seconds: float, camera: PlenopticCamera) -> Claim:
-    paper = PAPER_SECONDS["ray"]
-    theirs, ours = (f"{columns} x {rows}" for columns, rows in (PAPER_RESOLUTION, camera.resolution))
-    return Claim(
-        f"Without special optimization, reconstruction by rays takes {paper:.0f} s.",
-        f"A loop over {theirs} pixels in Python takes {plain_seconds:.2g} s on one core. Our reconstruction of {ours} "
-        f"pixels takes {ray_seconds:.2g} s.",
-        CONFIRMED if plain_seconds * _OLD >= paper else DIFFERS,
-        f"Confirmed if the loop, on a core of about 2012, which counts as {_OLD:g} times slower, takes as long. It "
-        "follows one ray per pixel and gives the sums of our reconstruction. It is timed on the pixels of some rows.",
-    )
+        fractions[distance] = 0.0 if limit.in_focus else limit.frequency / sensor
+    return max(fractions.items(), key=lambda pair: pair[1])
 
 
 def plain_seconds(camera: PlenopticCamera, distance: float) -> float:

@@ -1,63 +1,170 @@
-"""Interference by each reading of ambiguous statements in the paper: the four subsets, and the microlens phase."""
+"""Interference by each reading of ambiguous statements in the paper: the four subsets, and the microlens phase.
+
+The subsets of lenses are labels of the pixels of a square array whose lenses are one bin wide.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from ...camera import PlenopticCamera
 from ...errors import InputError
+from ...io.cache import Cache
+from ...io.captures import Capture
+from ...light.walk import follow_back
+from ...optics import rays
 from ...refocus import reconstruct
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
-from ...report.stage_store import Stages
-from .partitions import blocks, coloured, refocused, sublattice
+
+_OVERLAP = 0.01
+"""Overlap of two lenses' light (the coefficient of Bhattacharyya) up to which their images count as separate."""
+
+_LIT = 1e-3
+"""Light of a lens over that of the brightest from which on it is coloured."""
+
+_AROUND = 4
+"""Lenses around a letter whose light its blurred image needs besides half the blur, for diffraction."""
 
 
-def measure_readings(experiment: Experiment, store: Stages, near: str, far: str) -> list[dict[str, Any]]:
+def quarters(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
+    """Return the quarter of the array, counted from 0, of the lenses with given indices."""
+    return (i >= 0) + 2 * (j >= 0)
+
+
+def diagonals(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
+    """Return the subset, from 0 to 3, of lenses on every fourth diagonal.
+
+    Of the regular subsets of one lens in four they interfere least: neighbours are a diagonal apart, and a bin averages
+    their fringes along both axes.
+    """
+    return (i + j) % 4
+
+
+def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) -> list[dict[str, Any]]:
     """Return the interference in images of the shapes `near` and `far`, each refocused to the distance of the other.
 
-    Each row has the interference with four subsets, the quarters of the array or the best sublattice; the number of
-    subsets in which no images of lit lenses overlap; the interference without the second microlens phase (`literal`);
-    and the difference from the ray image of the coherent image and of its part without interference.
+    Each row has the interference with four subsets, the quarters of the array or the diagonals; the number of subsets
+    in which no images of lit lenses overlap; the interference without the second microlens phase (`literal`); and the
+    difference from the ray image of the coherent image and of its part without interference.
     """
-    distances = experiment.settings.distances
-    blurred = [(near, distances[-1]), (far, distances[0])]
-    found = store.facts(
-        "readings",
-        {"capture": experiment.wave_key, "blurred": blurred},
-        lambda progress: {"rows": _rows(experiment, blurred)},
+    first, *_, last = experiment.settings.distances
+    blurred = [(near, last), (far, first)]
+
+    def measure(progress: Callable[[int, int], None]) -> dict[str, Any]:
+        return {"rows": [_row(experiment, shape, distance) for shape, distance in blurred]}
+
+    return list(store.facts("readings", {"capture": experiment.wave_key, "blurred": blurred}, measure)["rows"])
+
+
+def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
+    camera = experiment.camera
+    window = shape_window(camera, *experiment.boxes[shape])
+    if window is None:
+        raise InputError(f"{shape}: it is not in the camera's view")
+    capture = surroundings(experiment.wave, window, distance)
+
+    def literal(method: str, **options: Any) -> NDArray[Any]:
+        return reconstruct(capture, distance, method=method, relay=False, **options).image
+
+    rays_alone, limit = experiment.images["ray", distance], experiment.images["limit", distance]
+    literal_limit = literal("partial", interleave="auto")
+    compared = {
+        "quarters": (of_subsets(capture, distance, quarters), limit),
+        "sublattice": (of_subsets(capture, distance, diagonals), limit),
+        "literal_coherent": (literal("coherent"), literal_limit),
+        "literal_partial": (literal("partial", interleave=2), literal_limit),
+        "coherent_from_rays": (experiment.images["coherent", distance], rays_alone),
+        "limit_from_rays": (limit, rays_alone),
+    }
+    values = {name: round(interference(*pair, window), 5) for name, pair in compared.items()}
+    return {"shape": shape, "distance": distance, "colours": colour_count(experiment.wave, distance), **values}
+
+
+def surroundings(capture: Capture, window: tuple[slice, slice], distance: float) -> Capture:
+    """Return a capture with the light of those lenses alone that reaches a window of bins at a distance."""
+    camera, cut = capture.camera, np.zeros_like(capture.image)
+    margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + _AROUND
+    pixels = []
+    for bins, indices, count in zip(window, _lens_indices(camera), camera.bin_count[::-1], strict=True):
+        first, end = (place - count // 2 for place in (bins.start - margin, bins.stop + margin))
+        pixels.append(np.flatnonzero((indices >= first) & (indices < end)))
+    at = np.ix_(*pixels)
+    cut[at] = capture.image[at]
+    return replace(capture, image=cut)
+
+
+def of_subsets(
+    capture: Capture, distance: float, label: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+) -> NDArray[Any]:
+    """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
+    j, i = _lens_indices(capture.camera)
+    labels = label(i, j[:, None])
+    parts = [replace(capture, image=np.where(labels == k, capture.image, np.float32(0))) for k in range(4)]
+    return np.sum([reconstruct(part, distance, method="coherent").image for part in parts], axis=0)
+
+
+def colour_count(capture: Capture, distance: float) -> int:
+    """Return the number of subsets of lit lenses in which no two images overlap at a distance.
+
+    Two lenses' images overlap where their pixels, followed back by rays, come to the same bins; an image is enlarged by
+    one bin on each side, for the width of the lens and for diffraction. Lenses are coloured one by one, from the middle
+    outwards, which takes fewer colours than row by row, each with the first free colour.
+    """
+    camera = capture.camera
+    (row, v, down), (column, u, across) = (_followed(camera, axis, distance) for axis in (1, 0))
+    passes = down[:, None] ** 2 + across**2 <= camera.lit_radius**2
+    y, x = np.nonzero(passes & (capture.image > 0))
+    lenses, width = int(column.max()) + 1, int(u.max()) + 2
+    shape = (int(row.max()) + 1) * lenses, (int(v.max()) + 2) * width
+    light = csr_matrix(
+        (capture.image[y, x].astype(np.float64), (row[y] * lenses + column[x], v[y] * width + u[x])), shape
     )
-    return list(found["rows"])
+    narrow = light.tocoo()
+    around = [dv * width + du for dv in (-1, 0, 1) for du in (-1, 0, 1)]
+    bins = np.concatenate([narrow.col + step for step in around])
+    root = csr_matrix((np.tile(narrow.data / 9, 9), (np.tile(narrow.row, 9), bins)), shape).sqrt()
+    common, scale = (root @ root.T).tocsr(), np.sqrt(np.asarray(light.sum(1)).ravel())
+    lit = np.flatnonzero(scale**2 >= max(_LIT * float(scale.max()) ** 2, np.finfo(float).tiny))
+    places = np.stack([lit // lenses, lit % lenses])
+    away = np.hypot(*(places - places.mean(axis=1, keepdims=True)))
+    colours = np.full(len(scale), -1)
+    for lens in lit[np.argsort(away, kind="stable")]:
+        entries = slice(*common.indptr[lens : lens + 2])
+        others = common.indices[entries]
+        overlapping = common.data[entries] > _OVERLAP * scale[lens] * scale[others]
+        taken = set(colours[others[overlapping]].tolist())
+        colours[lens] = next(colour for colour in itertools.count() if colour not in taken)
+    return int(colours.max()) + 1
 
 
-def _rows(experiment: Experiment, blurred: list[tuple[str, float]]) -> list[dict[str, Any]]:
-    """Return measurements of shapes at their distances, refocused to all distances at once where possible."""
-    capture, camera = experiment.wave, experiment.camera
+def _followed(camera: PlenopticCamera, axis: int, distance: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return lens and bin of each row (axis 1) or column of pixels, counted from the first, and the point of the pupil.
 
-    def images(distances: list[float], **options: Any) -> dict[float, Any]:
-        return {result.distance: result.image for result in reconstruct(capture, distances, **options)}
+    Rays go through the centres of the lenses, so that both axes are independent of each other.
+    """
+    lens = _lens_indices(camera)[1 - axis]
+    centre = camera.lattice.axis_centre(lens, axis)
+    pupil, place = follow_back(camera.pixel_coordinates(axis), centre, centre, distance, camera)
+    bins = np.floor(place / camera.mla_pitch).astype(np.int64)
+    return lens - lens.min(), bins - bins.min() + 1, pupil
 
-    distances = [distance for _, distance in blurred]
-    quarters = refocused(capture, distances, blocks(camera, 2))
-    coherent = images(distances, method="coherent", relay=False)
-    partial = images(distances, method="partial", interleave=2, relay=False)
-    literal = images(distances, method="partial", interleave="auto", relay=False)
-    rows = []
-    for shape, distance in blurred:
-        window = shape_window(camera, *experiment.boxes[shape])
-        if window is None:
-            raise InputError(f"{shape}: it is not in the camera's view")
-        labels = sublattice(camera, distance, 4, experiment.settings.wavelength)
-        best = refocused(capture, [distance], labels)[distance]
-        known = {name: experiment.images[name, distance] for name in ("ray", "coherent", "limit")}
-        compared = {
-            "quarters": (quarters[distance], known["limit"]),
-            "sublattice": (best, known["limit"]),
-            "literal_coherent": (coherent[distance], literal[distance]),
-            "literal_partial": (partial[distance], literal[distance]),
-            "coherent_from_rays": (known["coherent"], known["ray"]),
-            "limit_from_rays": (known["limit"], known["ray"]),
-        }
-        values = {name: round(interference(*pair, window), 5) for name, pair in compared.items()}
-        colours = int(coloured(capture, distance).max()) + 1
-        rows.append({"shape": shape, "distance": distance, "colours": colours, **values})
-    return rows
+
+def _lens_indices(camera: PlenopticCamera) -> list[NDArray[Any]]:
+    """Return the index of the lens of each row of pixels, and of each column, counted from the axis."""
+    return [
+        np.asarray(
+            camera.lattice.axis_cell(
+                rays.chief_point(camera.pixel_coordinates(axis), camera.pupil_distance, camera.reduced_distance), axis
+            )
+        ).astype(np.int64)
+        for axis in (1, 0)
+    ]

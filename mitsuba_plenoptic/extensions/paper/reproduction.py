@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,8 +12,9 @@ import numpy as np
 
 from ... import design
 from ...camera import PlenopticCamera
-from ...errors import InputError, require_choice
-from ...io.captures import read_capture
+from ...errors import require_choice
+from ...io.cache import StageOptions
+from ...io.captures import Capture
 from ...refocus import Reconstruction, reconstruct
 from ...report.comparison import draw_comparison, measure
 from ...report.experiment import METHODS, TITLES, Experiment, Images, Settings, open_store, run_experiment
@@ -37,9 +34,7 @@ from ...report.plots import (
     styled,
     zoom_at,
 )
-from ...report.stage_store import StageOptions
-from ...runtime.backend import set_variant
-from .claims import check_claims, timing_table
+from .claims import PAPER_SECONDS, check_claims, timing_table
 from .paper_limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
 from .readings import measure_readings
@@ -100,8 +95,11 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
             if (name, distance) in images
         ]
         contact_sheet(shown).save_both(output / "first.png")
-        figure_1(output / "fig1.png", camera, objects)
-        write_growing(output, {name: _PLATES[name] for name in ("first.png", "fig1.png")})
+        there = ["first.png"]
+        if len(shown) > len(settings.distances):
+            figure_1(output / "fig1.png", camera, objects)
+            there.append("fig1.png")
+        write_growing(output, {name: _PLATES[name] for name in there})
 
     experiment = run_experiment(settings, store, first=first)
     zooms, last = _letter_zooms(experiment, _LETTERS), settings.distances[-1]
@@ -112,9 +110,9 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     write_growing(output, _PLATES)
     measured = measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
     seconds = store.facts(
-        "seconds_on_one_core",
+        "seconds_of_processor",
         {"capture": experiment.wave_key, "distance": last},
-        lambda _: seconds_on_one_core(experiment.wave_file, last),
+        lambda _: processor_seconds(experiment.wave, last),
     )
     plain = store.facts(
         "seconds_of_plain_loop",
@@ -142,48 +140,21 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     return write_report(output, report)
 
 
-# The methods of the paper's comparison.
-TIMED = ("ray", "coherent", "partial")
-_REPEATS = 3
+def processor_seconds(capture: Capture, distance: float) -> dict[str, float]:
+    """Return seconds of processor time, by method of the paper's comparison, for a reconstruction at a distance.
 
-
-def seconds_on_one_core(capture: Path, distance: float) -> dict[str, float]:
-    """Return seconds of processor time on one core, by method, for a reconstruction of a capture at a distance.
-
-    Processor time does not grow with other work on the machine. The shortest of several runs counts, with compiled
-    kernels. Where the system allows it (Linux does), the process is held to one core.
+    Processor time does not grow with other work on the machine. The shorter of two runs counts, with compiled kernels.
     """
-
-    def hold() -> None:
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-
-    answer = subprocess.run(
-        [sys.executable, "-m", __name__, str(capture), f"{distance!r}"],
-        env={**os.environ, "DRJIT_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        preexec_fn=hold if os.name == "posix" else None,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if answer.returncode:
-        raise InputError(f"timing of {capture}: {answer.stderr.strip().splitlines()[-1]}")
-    return dict(json.loads(answer.stdout))
-
-
-def _main() -> None:
-    set_variant(None)
-    capture, distance = read_capture(sys.argv[1]), float(sys.argv[2])
-    found = {}
+    seconds = {}
     for method in METHODS:
-        if method.name in TIMED:
+        if method.name in PAPER_SECONDS:
             runs = []
-            for _ in range(_REPEATS):
+            for _ in range(2):
                 start = time.process_time()
                 reconstruct(capture, distance, **method.options)
                 runs.append(time.process_time() - start)
-            found[method.name] = round(min(runs), 3)
-    print(json.dumps(found))
+            seconds[method.name] = round(min(runs), 3)
+    return seconds
 
 
 def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zoom]:
@@ -257,7 +228,3 @@ def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, flo
         show(axes, window.of(image), f"({letter})  {TITLES[name]}, {distance:g} mm", peak=peak, size=11)
         object_bar(axes, experiment.camera, distance, window)
     plot.save_both(path)
-
-
-if __name__ == "__main__":
-    _main()

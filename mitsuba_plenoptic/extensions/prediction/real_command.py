@@ -8,8 +8,8 @@ import typer
 
 from ...camera import PlenopticCamera
 from ...errors import naming, refuse_if, refusing
+from ...io.cache import Cache, StageOptions
 from ...io.checkpoints import write_json
-from ...report.stage_store import StageOptions, Stages
 from ..calibrate.white_command import sensor_values
 from .real_page import write_page
 from .study import LIGHTS, Pictures, Study
@@ -36,7 +36,7 @@ def compare_real(
     rows, columns = pictures.white.shape[:2]
     box = tuple(corner * size for corner, size in zip(corners, (columns, rows) * 2, strict=True))
     with naming(light_field):
-        study = Study(pictures, camera, wavelength, box, Stages(folder, options))
+        study = Study(pictures, camera, wavelength, box, Cache(folder, options))
         answer = study.answer()
     write_json(folder / "results.json", answer.to_plain())
     write_page(folder / "report.html", study, answer)

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_wavelength
+from ...io.cache import Cache, Progress
 from ...io.checkpoints import digest
-from ...report.stage_store import Progress, Stages
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, single_channel
@@ -149,7 +149,7 @@ class Study:
         Wavelength in nanometres, 15 nm or more within the range of wavelengths.
     box : (float, float, float, float)
         Left, top, right and bottom of the part of the picture, in pixels.
-    stages : Stages
+    stages : Cache
         Where runs are stored.
     """
 
@@ -159,7 +159,7 @@ class Study:
         camera: PlenopticCamera,
         wavelength: float,
         box: tuple[float, float, float, float],
-        stages: Stages,
+        stages: Cache,
     ) -> None:
         for side in (-BAND, BAND):
             require_wavelength(wavelength + side, f"wavelength = {wavelength:g}, which is also tried {side:+g} nm off")

@@ -8,7 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...camera.matched import MATCHED, sheet_of
 from ...camera.parameters import PARAMETERS
+from ...capture_spec import CaptureSpec
 from ...errors import (
     InputError,
     argument,
@@ -26,20 +27,20 @@ from ...errors import (
     require_number,
     require_wavelength,
 )
+from ...io.cache import Cache, Progress, StageOptions
 from ...io.captures import Capture
 from ...io.checkpoints import Checkpoint
-from ...light.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays, render_capture
+from ...light.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays
 from ...light.scene import check_scene_file, scene_defaults
 from ...prescription.lens_data import image_distance
 from ...refocus.methods import registered
-from ...report.experiment import load_with_sensor, refocused
-from ...report.stage_store import Progress, StageOptions, Stages, scene_fingerprint, software
-from ...runtime.backend import DEFAULT_VARIANT, set_variant
+from ...report.experiment import refocused
 from ...runtime.batches import BatchMap
 from ...runtime.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
+from ...runtime.limits import software
 from ...scene_files import scene_path
 
-__all__ = ["SweepSettings", "check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
+__all__ = ["check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
 
 # Names that are not parameters of the scene.
 WAVELENGTH, DISTANCE = "wavelength", "distance"
@@ -104,95 +105,56 @@ def _number(name: str, value: Any) -> float:
     return require_number(f"grid: {name}", value)
 
 
-@dataclass(frozen=True)
-class SweepSettings:
-    """Settings shared by all points of a sweep.
-
-    Attributes
-    ----------
-    scene : str
-        A scene file or a built-in name.
-    parameters : mapping
-        Values for the scene's ``$name`` parameters that do not vary.
-    camera : mapping, optional
-        Parameters by name of the camera that replaces the scene's, as `PlenopticCamera.to_dict` has them.
-    unit : str
-        Unit of the scene's lengths, as for `load_scene`.
-    model, spp, seed
-        As for `render_capture`; by model "wave" captures are made from signed rays.
-    method : str
-        Method of the reconstructions.
-    variant : str
-        Mitsuba variant.
-    """
-
-    scene: str
-    parameters: Mapping[str, str] = field(default_factory=dict)
-    camera: Mapping[str, Any] | None = None
-    unit: str = "mm"
-    model: str | None = None
-    spp: int | None = None
-    seed: int = 0
-    method: str = "ray"
-    variant: str = DEFAULT_VARIANT
-
-
 class Points:
     """The points of a grid, each with a capture and its reconstructions."""
 
-    def __init__(self, settings: SweepSettings, grid: Grid, store: Stages) -> None:
-        self.settings, self.store = settings, store
+    def __init__(self, spec: CaptureSpec, grid: Grid, method: str, store: Cache) -> None:
+        self._spec, self._method, self._store = spec, method, store
         self._base: PlenopticCamera | None = None
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
-        scene = Path(settings.scene)
-        roots = check_scene_file(scene if scene.is_file() else scene_path(settings.scene), settings.parameters)
+        scene = Path(spec.scene)
+        roots = check_scene_file(scene if scene.is_file() else scene_path(spec.scene), spec.parameters)
         # The scene's own parameters come first, unless another camera takes the place of its camera.
-        own = scene_defaults(roots) if settings.camera is None else {}
-        self._of_camera = [name for name in self.axes if name in (*PARAMETERS, *MATCHED) and name not in own]
+        defaults = scene_defaults(roots) if spec.camera is None else {}
+        self._of_camera = [name for name in self.axes if name in (*PARAMETERS, *MATCHED) and name not in defaults]
 
     def __iter__(self) -> Iterator[dict[str, float]]:
         for values in itertools.product(*self.axes.values()):
             yield dict(zip(self.axes, values, strict=True))
 
-    def parameters(self, point: dict[str, float]) -> dict[str, str]:
-        """Return the scene parameters of a grid point as texts."""
+    def spec(self, point: dict[str, float]) -> CaptureSpec:
+        """Return the specification of the capture at a grid point."""
         others = (WAVELENGTH, *self._of_camera)
         varied = {name: _text(value) for name, value in point.items() if name not in others}
         for name in varied:
-            refuse_if(
-                name in self.settings.parameters, f"grid: {name} varies and is set by {argument('parameters')} too"
-            )
-        return {**self.settings.parameters, **varied}
-
-    def camera(self, point: dict[str, float]) -> Mapping[str, Any] | None:
-        """Return the parameters of the camera at a grid point, None where it is the scene's as it stands."""
+            refuse_if(name in self._spec.parameters, f"grid: {name} varies and is set by {argument('parameters')} too")
+        spec = replace(self._spec, parameters={**self._spec.parameters, **varied}, wavelength=point.get(WAVELENGTH))
         if not self._of_camera:
-            return self.settings.camera
+            return spec
         if self._base is None:
-            scene = self._load(self.parameters(point), self.settings.camera)
-            self._base = PlenopticCamera.from_sensor(plenoptic_sensor(scene))
+            self._base = PlenopticCamera.from_sensor(plenoptic_sensor(spec.load()))
         changes = {name: _whole(point[name]) for name in self._of_camera}
         sheet = sheet_of(self._base) if set(changes) & set(MATCHED) else {}
         camera = PlenopticCamera.matched(**sheet | changes) if sheet else self._base.replace(**changes)
-        return camera.to_dict()
+        return replace(spec, camera=camera.to_dict())
 
     def check(self, **for_waves: Any) -> None:
         """Construct every camera once before the work starts; refuse cameras whose images differ in size.
 
         `for_waves` are options that ray captures refuse; None means not given.
         """
-        registered(self.settings.method)
+        registered(self._method)
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_wavelength(wavelength)
         sizes: dict[str, tuple[int, ...]] = {}
         for point in self:
-            parameters, other = self.parameters(point), self.camera(point)
-            if (key := repr((parameters, other))) in sizes:
+            spec = self.spec(point)
+            if (key := repr((spec.parameters, spec.camera))) in sizes:
                 continue
-            scene = self._load(parameters, other)
-            if not is_wave_capture(scene, self.settings.model):
-                refuse_by_rays(resume=self.store.resume or None, **for_waves)
+            scene = spec.load()
+            if not is_wave_capture(scene, spec.model):
+                refuse_by_rays(resume=self._store.resume or None, **for_waves)
             camera = PlenopticCamera.from_sensor(scene.sensors()[0])
             sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
             for distance in self.distances:
@@ -207,36 +169,21 @@ class Points:
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[np.ndarray]]]:
         """Yield each capture with its reconstructions, read from the store if they exist there."""
-        method = {"method": self.settings.method}
+        method = {"method": self._method}
         for point in self:
             capture, key = self._capture(point, batch_map)
-            names = {distance: f"refocused{_name({**point, DISTANCE: distance})}" for distance in self.distances}
-            yield capture, [refocused(self.store, name, capture, key, at, method) for at, name in names.items()]
-
-    def _load(self, parameters: dict[str, str], camera: Mapping[str, Any] | None) -> Any:
-        return load_with_sensor(self.settings.scene, parameters, camera, self.settings.unit)
+            name = f"refocused{_name(point)}"
+            yield capture, [refocused(self._store, name, capture, key, [at], method)[at] for at in self.distances]
 
     def _capture(self, point: dict[str, float], batch_map: BatchMap | None) -> tuple[Capture, str]:
-        settings, parameters, camera = self.settings, self.parameters(point), self.camera(point)
-        options: dict[str, Any] = {"model": settings.model, "spp": settings.spp, "seed": settings.seed}
-        if WAVELENGTH in point:
-            options["wavelength"] = point[WAVELENGTH]
-        if settings.model == "wave":
-            options["method"] = "signed_rays"
-        inputs = {
-            "scene": scene_fingerprint(settings.scene, parameters),
-            "camera": camera,
-            "unit": settings.unit,
-            "variant": settings.variant,
-            **options,
-        }
+        spec = self.spec(point)
 
         def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
-            scene = self._load(parameters, camera)
-            keeper = checkpoint if is_wave_capture(scene, settings.model) else None
-            return render_capture(scene, progress=progress, checkpoint=keeper, batch_map=batch_map, **options)
+            scene = spec.load()
+            keeper = checkpoint if is_wave_capture(scene, spec.model) else None
+            return spec.render(scene, progress=progress, checkpoint=keeper, batch_map=batch_map)
 
-        return self.store.capture(f"capture{_name(point)}", inputs, make)
+        return self._store.capture(f"capture{_name(point)}", spec.fingerprint(), make)
 
 
 def _size(size: tuple[int, ...]) -> str:
@@ -265,7 +212,7 @@ _UNITS = {WAVELENGTH: "nm", DISTANCE: "mm", "focus_distance": "mm"} | dict.fromk
 class SweepFile:
     """The dataset of a sweep in a file, written image by image."""
 
-    def __init__(self, file: Any, settings: SweepSettings, grid: Grid, first: Capture) -> None:
+    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture) -> None:
         self.variables = file.variables
         axes = [name for name in grid if name != DISTANCE]
         self.shape = tuple(len(grid[name]) for name in axes) or (1,)
@@ -298,9 +245,9 @@ class SweepFile:
             add("bin_size", over, {"units": "mm", "long_name": "width of a bin in the object plane"}, image=False)
         file.attrs.update(
             {
-                "title": f"Sweep of the scene {Path(settings.scene).stem}",
+                "title": f"Sweep of the scene {Path(spec.scene).stem}",
                 "model": first.model,
-                "settings": json.dumps(asdict(settings), sort_keys=True),
+                "settings": json.dumps({**asdict(spec), "method": method}, sort_keys=True),
                 "software": json.dumps(software(), sort_keys=True),
             }
         )
@@ -317,10 +264,11 @@ class SweepFile:
 
 
 def sweep(
-    settings: SweepSettings,
+    spec: CaptureSpec,
     grid: Grid,
     output: Path,
     *,
+    method: str = "ray",
     batch_map: BatchMap | None = None,
     stages: StageOptions | None = None,
 ) -> xr.Dataset:
@@ -332,14 +280,16 @@ def sweep(
 
     Parameters
     ----------
-    settings : SweepSettings
-        The settings that do not vary.
+    spec : CaptureSpec
+        What does not vary.
     grid : mapping of names to numbers
         The settings that vary: parameters of the scene; parameters of the camera and, of a camera whose micro-images
         touch, arguments of `PlenopticCamera.matched`; ``wavelength`` of wave captures in nanometres; ``distance``, to
         which each capture is refocused.
     output : path
         NetCDF-4 file to write, which ends in ``.nc``.
+    method : str
+        Method of the reconstructions.
     batch_map : callable, optional
         For wave captures: computes the sums, for example `Cluster`.
     stages : StageOptions, optional
@@ -358,11 +308,11 @@ def sweep(
         If the grid has an unknown name, a value that is no number or twice the same, or none at all; if its images
         differ in size; or if the scene, a camera or a distance is refused.
     """
-    return prepare(settings, grid, output, stages, batch_map=batch_map)(batch_map)
+    return prepare(spec, grid, output, method, stages, batch_map=batch_map)(batch_map)
 
 
 def prepare(
-    settings: SweepSettings, grid: Grid, output: Path, stages: StageOptions | None, **for_waves: Any
+    spec: CaptureSpec, grid: Grid, output: Path, method: str, stages: StageOptions | None, **for_waves: Any
 ) -> Callable[[BatchMap | None], xr.Dataset]:
     """Check a sweep before workers start, and return the function that computes it on workers.
 
@@ -371,9 +321,8 @@ def prepare(
     h5netcdf = require_module("h5netcdf", "sweep: datasets need h5netcdf: pip install h5netcdf h5py")
     output = require_writable(output, ".nc")
     grid = check_grid(grid)
-    set_variant(settings.variant)
-    store = Stages(output.with_suffix(".points"), stages)
-    points = Points(settings, grid, store)
+    store = Cache(output.with_suffix(".points"), stages)
+    points = Points(spec, grid, method, store)
     points.check(**for_waves)
 
     def compute(batch_map: BatchMap | None) -> xr.Dataset:
@@ -382,7 +331,7 @@ def prepare(
             with h5netcdf.File(sink, "w") as file:
                 for index, (capture, images) in enumerate(points.compute(batch_map)):
                     if not index:
-                        sweep_file = SweepFile(file, settings, grid, capture)
+                        sweep_file = SweepFile(file, spec, grid, method, capture)
                     sweep_file.put(np.unravel_index(index, sweep_file.shape), capture, images)
                     sink.check(output)
                     store.notify("points", index + 1, math.prod(sweep_file.shape))

@@ -72,8 +72,9 @@ def sweep(
     # Datasets need libraries that take a second to load, which other commands need not wait for.
     from ...camera.matched import MATCHED
     from ...camera.parameters import PARAMETERS
+    from ...capture_spec import CaptureSpec
     from ...runtime.backend import DEFAULT_VARIANT
-    from .sweep import SweepSettings, check_grid, merge_grids, parse_grid, prepare, read_grid
+    from .sweep import check_grid, merge_grids, parse_grid, prepare, read_grid
 
     wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
     refuse_if(
@@ -81,7 +82,7 @@ def sweep(
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",
     )
     parameters = parse_definitions(define)
-    settings = SweepSettings(
+    spec = CaptureSpec(
         scene=scene,
         unit=unit,
         parameters=parameters,
@@ -94,11 +95,10 @@ def sweep(
         model=model,
         spp=spp,
         seed=seed,
-        method=method or "ray",
         variant=variant or DEFAULT_VARIANT,
     )
     with stage_lines(resume) as stages:
-        compute = prepare(settings, wanted, output, stages, workers=workers, scheduler=scheduler)
+        compute = prepare(spec, wanted, output, method or "ray", stages, workers=workers, scheduler=scheduler)
         with batches_on(workers, scheduler) as batch_map:
             dataset = compute(batch_map)
     axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())

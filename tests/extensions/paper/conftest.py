@@ -8,7 +8,7 @@ import pytest
 from scene_cases import letters
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture
+from mitsuba_plenoptic import Capture, capture_spec
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.experiment import Settings
@@ -18,13 +18,13 @@ from mitsuba_plenoptic.report.experiment import Settings
 def tiny():
     """Settings of the letters on 16 x 16 lenses."""
     small = letters(16) | {"lens_model": "parabolic"}
-    return Settings("letters", (210.0, 240.0, 280.0), slider=(225.0,), parameters=small, spp=4, truth_spp=64)
+    return Settings("letters", small, spp=4, distances=(210.0, 240.0, 280.0), slider=(225.0,), truth_spp=64)
 
 
 @pytest.fixture
 def quick_waves(monkeypatch, tiny):
     """Stand in for the wave steps, which take long, by blurred rays; lists which stages were computed."""
-    render, refocus = experiments.render_capture, experiments.reconstruct
+    render, refocus = capture_spec.render_capture, experiments.reconstruct
     calls = []
 
     def render_capture(scene, *, model, spp, progress=None, **wave):
@@ -35,7 +35,10 @@ def quick_waves(monkeypatch, tiny):
         blurred = gaussian_filter(capture.image, 1.0)
         return Capture(blurred, capture.camera, wave["wavelength"], "wave", capture.metadata)
 
-    def reconstruct(capture, distance, *, method, footprint="lens", interleave=None, progress=None):
+    def reconstruct(capture, distances, **options):
+        return [refocused(capture, distance, **options) for distance in distances]
+
+    def refocused(capture, distance, *, method, footprint="lens", interleave=None, progress=None):
         calls.append(f"{method}_{distance:g}")
         smooth = refocus(capture, distance, method="ray", footprint=footprint)
         if method == "ray" or interleave == "auto":
@@ -44,10 +47,10 @@ def quick_waves(monkeypatch, tiny):
         mesh = 1.0 if method == "coherent" else 0.25
         return dataclasses.replace(smooth, image=smooth.image + mesh * (point.image - smooth.image))
 
-    monkeypatch.setattr(experiments, "render_capture", render_capture)
+    monkeypatch.setattr(capture_spec, "render_capture", render_capture)
     monkeypatch.setattr(experiments, "reconstruct", reconstruct)
     seconds = {"ray": 0.5, "coherent": 5.0, "partial": 15.0}
-    monkeypatch.setattr(reproductions, "seconds_on_one_core", lambda capture, distance: seconds)
+    monkeypatch.setattr(reproductions, "processor_seconds", lambda capture, distance: seconds)
     monkeypatch.setattr(reproductions, "plain_seconds", lambda camera, distance: 20.0)
     monkeypatch.setitem(reproductions.PRESETS, "quick", dataclasses.replace(tiny, points=4))
     return calls

@@ -14,6 +14,7 @@ from mitsuba_plenoptic.extensions.paper.paper_limits import (
     check_limits,
     deconvolved_fraction,
     focused_cameras,
+    pixels_against_range,
     run_plain_sums,
 )
 from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
@@ -94,5 +95,5 @@ def test_focused_cameras_keep_the_plane_in_focus_and_their_range():
 def test_pixels_against_range(ranges, verdict):
     cameras = [FocusedCamera(PAPER, 3.0, 500.0, 240.0, 1 / (1 / 240 - 1e-3 * width)) for width in ranges]
     assert [each.range for each in cameras] == pytest.approx(ranges)
-    assert limits._pixels_against_range(cameras).verdict == verdict
-    assert "infinity" in limits._pixels_against_range([FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)]).measured
+    assert pixels_against_range(cameras).verdict == verdict
+    assert "infinity" in pixels_against_range([FocusedCamera(PAPER, 3.0, 500.0, 200.0, math.inf)]).measured

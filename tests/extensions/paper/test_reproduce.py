@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-import threading
 
 import numpy as np
 import pytest
@@ -19,17 +18,16 @@ from mitsuba_plenoptic import (
     render_capture,
     scene_path,
     with_camera,
-    write_capture,
 )
+from mitsuba_plenoptic.capture_spec import scene_fingerprint
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
-from mitsuba_plenoptic.extensions.paper.reproduction import reproduce, seconds_on_one_core
-from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.extensions.paper.reproduction import processor_seconds, reproduce
+from mitsuba_plenoptic.io.cache import Cache, StageOptions
 from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.report import experiment as experiments
 from mitsuba_plenoptic.report.comparison import compare
 from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, run_experiment, thin_lens_image
-from mitsuba_plenoptic.report.stage_store import StageOptions, Stages, scene_fingerprint
 
 
 def files(folder):
@@ -119,7 +117,7 @@ def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tm
     working = experiments.reconstruct
 
     def killed(capture, distance, *, method, **options):
-        if method == "coherent" and distance == 240:
+        if method == "coherent":
             raise KeyboardInterrupt
         return working(capture, distance, method=method, **options)
 
@@ -130,8 +128,8 @@ def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tm
     assert len(files(tmp_path / "killed")) > 10
     quick_waves.clear()
     reproduce(tmp_path / "killed")
-    assert "capture_wave" not in quick_waves and "coherent_210" not in quick_waves
-    assert quick_waves[0] == "coherent_240"
+    assert "capture_wave" not in quick_waves and "partial_210" not in quick_waves
+    assert quick_waves[0] == "coherent_210"
     reproduce(tmp_path / "whole")
     whole = files(tmp_path / "whole")
     assert files(tmp_path / "killed") == whole
@@ -152,7 +150,7 @@ def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tm
 
 @pytest.mark.slow
 def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
-    settings = Settings("chart", (240.0,), parameters={"resolution": "2048"}, spp=4, truth_spp=64)
+    settings = Settings("chart", {"resolution": "2048"}, spp=4, distances=(240.0,), truth_spp=64)
     results = compare(settings, tmp_path)
     assert {row["method"] for row in results["edges"]} >= {"truth", "ray", "coherent", "partial", "limit"}
     for row in results["edges"]:
@@ -165,12 +163,12 @@ def test_compare_measures_the_charts_edges(quick_waves, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (Settings("letters", (240.0,), variant="llvm_ad_rgb"), "one colour"),
-        (Settings("letters", ()), "at least one"),
-        (Settings("letters", (240.0, 50.0)), "distance = 50: it must be greater than the focal length 80"),
-        (Settings("nowhere.xml", (240.0,)), "no such file"),
+        (Settings("letters", distances=(240.0,), variant="llvm_ad_rgb"), "one colour"),
+        (Settings("letters"), "at least one"),
+        (Settings("letters", distances=(240.0, 50.0)), "distance = 50: it must be greater than the focal length 80"),
+        (Settings("nowhere.xml", distances=(240.0,)), "no such file"),
         # The wall faces away from a camera behind it.
-        (Settings("white", (240.0,), parameters={"resolution": "64", "wall_distance": "-10"}, spp=1), "black"),
+        (Settings("white", {"resolution": "64", "wall_distance": "-10"}, spp=1, distances=(240.0,)), "black"),
     ],
 )
 def test_compare_refuses_what_it_cannot_compare(settings, message, tmp_path):
@@ -193,7 +191,7 @@ def test_a_wave_capture_that_was_stopped_goes_on_in_its_midst(tiny, tmp_path, mo
 
     def run(folder, settings=settings, **options):
         progress = []
-        store = Stages(folder, StageOptions(lambda *told: progress.append(told), **options))
+        store = Cache(folder, StageOptions(lambda *told: progress.append(told), **options))
         with pytest.raises(StoppedError):
             run_experiment(settings, store)
         # What was done when the capture began.
@@ -222,43 +220,6 @@ def test_a_scenes_fingerprint_knows_its_files(tmp_path):
     assert first != scene_fingerprint(scene, {})
 
 
-def test_a_store_keeps_facts_from_one_run_to_the_next(tmp_path):
-    made = []
-    for inputs, runs in (({"a": 1}, 1), ({"a": 1}, 1), ({"a": 2}, 2)):
-        facts = Stages(tmp_path).facts("facts", inputs, lambda _: made.append(1) or {"answer": 42})
-        assert facts == {"answer": 42} and len(made) == runs
-
-
-def test_a_stage_that_another_process_makes_is_refused(tmp_path):
-    def make(_):
-        with pytest.raises(InputError, match=r"facts\.json: another process is making this stage; wait until it has"):
-            Stages(tmp_path).facts("facts", {}, lambda _: {})
-        return {"answer": 42}
-
-    assert Stages(tmp_path).facts("facts", {}, make) == {"answer": 42}
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["facts.json", "stages.json"]
-
-
-def test_stages_that_end_together_are_both_noted(tmp_path, monkeypatch):
-    write, begun, ended = checkpoints.write_json, threading.Event(), threading.Event()
-
-    def slow(path, content):
-        if not begun.is_set():
-            # The log has been read: the other stage has a second to be noted in between.
-            begun.set()
-            ended.wait(1)
-        write(path, content)
-
-    monkeypatch.setattr(checkpoints, "write_json", slow)
-    first = threading.Thread(target=Stages(tmp_path).facts, args=("first", {}, lambda _: {}))
-    first.start()
-    assert begun.wait(10)
-    Stages(tmp_path).facts("second", {}, lambda _: {})
-    ended.set()
-    first.join()
-    assert len(json.loads((tmp_path / "stages.json").read_text())) == 2
-
-
 def test_photographs_are_aligned_with_each_other(tiny):
     scene = load_scene("letters", parameters=tiny.parameters)
     camera = scene.sensors()[0].camera
@@ -271,14 +232,11 @@ def test_photographs_are_aligned_with_each_other(tiny):
 
 
 @pytest.mark.slow
-def test_seconds_on_one_core(tiny, tmp_path):
+def test_processor_seconds(tiny):
     capture = render_capture(load_scene("letters", parameters=tiny.parameters), spp=1)
-    write_capture(tmp_path / "raw.exr", dataclasses.replace(capture, wavelength=633.0))
-    seconds = seconds_on_one_core(tmp_path / "raw.exr", 280.0)
+    seconds = processor_seconds(dataclasses.replace(capture, wavelength=633.0), 280.0)
     assert set(seconds) == {"ray", "coherent", "partial"}
     assert all(0 < value < 60 for value in seconds.values())
-    with pytest.raises(InputError, match=r"nowhere\.exr: there is no such file"):
-        seconds_on_one_core(tmp_path / "nowhere.exr", 280.0)
 
 
 @pytest.mark.slow

@@ -84,7 +84,6 @@ def data_set(output: Path, *, count: int = 100, size: int = 512, workers: int = 
     yield figure("largest memory of all processes", log[:, 2].max() / 1024, unit="GiB")
     yield figure("its growth per sample", growth, unit="MiB")
     yield figure(f"of {len(compared)} samples made again, other bits", others(source, folder, compared), at_most=0)
-    yield figure("files that differ from their checksums", len(DataSet(folder).damaged()), at_most=0)
     yield figure("samples", len(DataSet(folder)), at_least=count)
     total = sum(path.stat().st_size for path in folder.rglob("*.h5"))
     yield figure("size of a sample", total / count / 2**20, unit="MiB")

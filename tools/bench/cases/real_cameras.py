@@ -18,8 +18,8 @@ from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.extensions.prediction.study import CAMERAS, Pictures, Study
 from mitsuba_plenoptic.extensions.prediction.withheld import TESTS
+from mitsuba_plenoptic.io.cache import Cache
 from mitsuba_plenoptic.io.pictures import read_picture
-from mitsuba_plenoptic.report.stage_store import Stages
 
 from .. import Row, case, figure
 from ..timing import once
@@ -119,7 +119,7 @@ def light_field(
     rows, columns = white.shape
     box = left * columns, top * rows, right * columns, bottom * rows
     with tempfile.TemporaryDirectory() as folder:
-        stages = Stages(Path(keep or folder))
+        stages = Cache(Path(keep or folder))
         study = Study(Pictures(light, white, dark), PlenopticCamera.preset("lfm_water"), 510.0, box, stages)
         answer, _, seconds = once(study.answer)
         for camera in CAMERAS:

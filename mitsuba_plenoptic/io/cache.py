@@ -1,0 +1,120 @@
+"""Results of long computations, kept on disk by a key of all that they depend on, so that a stopped run goes on.
+
+An entry is a file that is written completely or not at all, with its key in a small file beside it. The key is a hash
+of the entry's settings, of the keys of the entries that it was made from, and of the software. An entry with another
+key, or one that cannot be read, is made again. While an entry is made its lock keeps other processes out, which may
+make others in the same folder. A sum within an entry goes on from its checkpoint (`io.checkpoints`).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..runtime.files import read_text, write_text
+from ..runtime.limits import software
+from .captures import Capture, read_capture, write_capture
+from .checkpoints import SUFFIX, Checkpoint, hash_of, lock_of, locked, write_json
+from .exr import read_exr, write_exr
+
+_LARGEST_JSON = 2**26
+_LARGEST_KEY = 2**10
+
+Progress = Callable[[int, int], None]
+
+
+def _ignore(*_: Any) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """Settings of a computation in stages, each an entry of a cache: report of progress, and treatment of checkpoints.
+
+    Parameters
+    ----------
+    notify : callable
+        Called during a stage with its name and the finished and total amounts of work (0 of 0 at the start).
+    finished : callable
+        Called when a stage is finished, with its name, its seconds and whether it was stored already.
+    resume : bool
+        Whether the checkpoint of another capture is refused, instead of being replaced.
+    """
+
+    notify: Callable[[str, int, int], None] = _ignore
+    finished: Callable[[str, float, bool], None] = _ignore
+    resume: bool = False
+
+
+class Cache:
+    """Entries in a folder, which is made with the first of them."""
+
+    def __init__(self, folder: Path, options: StageOptions | None = None) -> None:
+        options = options or StageOptions()
+        self.folder = folder
+        self.seconds: dict[str, float] = {}
+        self.notify = options.notify
+        self.resume = options.resume
+        self._finished = options.finished
+
+    def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
+        """Return a capture, made with a checkpoint, and its key."""
+        with Checkpoint(self.folder / f"{name}{SUFFIX}", "resume" if self.resume else "resume_if_same") as checkpoint:
+            return self._get(
+                f"{name}.exr", inputs, lambda progress: make(progress, checkpoint), write_capture, read_capture
+            )
+
+    def image(
+        self, name: str, inputs: Any, make: Callable[[Progress], tuple[np.ndarray, dict[str, Any]]]
+    ) -> tuple[np.ndarray, str]:
+        """Return an image and its key; facts about it go into the file's header."""
+        (image, *_), key = self._get(f"{name}.exr", inputs, make, lambda path, made: write_exr(path, *made), read_exr)
+        return np.asarray(image, dtype=np.float32), key
+
+    def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
+        """Return a dictionary of plain JSON values."""
+
+        def read(path: Path) -> dict[str, Any]:
+            return dict(json.loads(read_text(path, _LARGEST_JSON)))
+
+        return self._get(f"{name}.json", inputs, make, write_json, read)[0]
+
+    def _get(
+        self,
+        file: str,
+        inputs: Any,
+        make: Callable[[Progress], Any],
+        write: Callable[[Path, Any], None],
+        read: Callable[[Path], Any],
+    ) -> tuple[Any, str]:
+        """Return the value of an entry, read or made, and its key."""
+        path, beside, name = self.folder / file, self.folder / f".{file}.key", file.rpartition(".")[0]
+        key = hash_of({"entry": name, "inputs": inputs, "software": software()})
+        value, seconds = None, "0"
+        try:
+            stored, seconds = read_text(beside, _LARGEST_KEY).split()
+            if stored == key:
+                value = read(path)
+        except (InputError, ValueError):
+            pass
+        was_there = value is not None
+        if not was_there:
+            with locked(lock_of(path), f"{path}: another process is making this stage"):
+                start = time.perf_counter()
+                self.notify(name, 0, 0)
+                value = make(lambda done, total: self.notify(name, done, total))
+                seconds = f"{time.perf_counter() - start:.3f}"
+                # A file of another key is never taken for this one, wherever the process ends.
+                beside.unlink(missing_ok=True)
+                write(path, value)
+                write_text(beside, f"{key} {seconds}\n")
+        self.seconds[name] = float(seconds)
+        self._finished(name, self.seconds[name], was_there)
+        return value, key
