@@ -3,15 +3,14 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test test-tensors coverage slow fuzz examples pictures package docs lint clean llvm
+.PHONY: help demo test test-tensors coverage slow examples pictures package docs lint clean llvm
 
 help:
 	@echo "make demo   capture and refocus the letters by rays and by waves; demo/report.html (a few minutes)"
 	@echo "make test   run the tests"
 	@echo "make test-tensors   run the tests of PyTorch and JAX in an environment of their own, .venv-tensors (GBs)"
-	@echo "make coverage   run them and see what they reach: build/coverage/html, and the README's figure"
+	@echo "make coverage   run them and see what they reach: build/coverage/html"
 	@echo "make slow   run the tests that take minutes"
-	@echo "make fuzz   give the package 10,000 bad inputs; fuzz/report.md tells what became of them (a few minutes)"
 	@echo "make examples   render the captures of mp.example from the built-in scenes (20 s)"
 	@echo "make pictures   make the pictures of the site (some minutes; needs Chromium, and the notebooks of 'make docs')"
 	@echo "make package   build wheel and sdist from a fresh clone, and try the wheel in an empty environment"
@@ -41,15 +40,9 @@ $(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
 coverage: $(VENV)/.ready llvm
 	rm -rf build/coverage && mkdir -p build/coverage
 	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=html --cov-report=term
-	$(BIN)/python tools/show_coverage.py
-	$(BIN)/python tools/stand_in_coverage.py
 
 slow: $(VENV)/.ready llvm
 	$(BIN)/python -m pytest -m slow
-
-# SEED=... draws others, COUNT=... more of them.
-fuzz: $(VENV)/.ready llvm
-	$(BIN)/python tools/fuzz.py --count $(or $(COUNT),10000) --seed $(or $(SEED),0) -o fuzz
 
 examples: $(VENV)/.ready llvm
 	$(BIN)/python tools/make_examples.py
@@ -101,8 +94,6 @@ clean:
 	rm -rf demo/data
 	rm -f demo/report.html demo/results.json $(foreach name,first fig1 fig2 fig3 fig4 methods interference captures,\
 		demo/$(name).png demo/$(name).pdf)
-	rm -f fuzz/report.md fuzz/report.json
-	if [ -d fuzz ]; then rmdir --ignore-fail-on-non-empty fuzz; fi
 	if [ -d demo ]; then rmdir --ignore-fail-on-non-empty demo; fi
 	if [ -f $(VENV)/.made-by-make ]; then rm -rf $(VENV); fi
 	rm -rf $(TENSORS)

@@ -1,21 +1,51 @@
-"""Properties of every input: it is taken exactly if the documentation allows it, and refused in one line if not.
-
-The fuzzing of `tools/fuzz.py` goes on from here, to files, scenes and the command line.
-"""
+"""Properties of every input: it is taken exactly if the documentation allows it, and refused in one line if not."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
+from functools import partial
+from unittest import mock
 
 import hypothesis.extra.numpy as arrays
 import numpy as np
+import OpenEXR
 import pytest
-from hypothesis import HealthCheck, given, settings
+from foreign_files import png
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
-from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, decode, expose, reconstruct
+from mitsuba_plenoptic import (
+    Capture,
+    CaptureOperator,
+    Checkpoint,
+    Detector,
+    InputError,
+    PlenopticCamera,
+    decode,
+    expose,
+    load_scene,
+    point_spread_function,
+    read_capture,
+    reconstruct,
+    render_capture,
+    write_capture,
+)
+from mitsuba_plenoptic.calibration import read_camera
+from mitsuba_plenoptic.camera.aperture import known_image
+from mitsuba_plenoptic.camera.phase_screen import known_screen
+from mitsuba_plenoptic.dataset import read_recipe
 from mitsuba_plenoptic.errors import require_number
+from mitsuba_plenoptic.extensions.calibrate.observations import read_centres, read_foreign_centres
+from mitsuba_plenoptic.extensions.onchip.photodiode_response import known_response
+from mitsuba_plenoptic.extensions.raw.hci import read_hci
+from mitsuba_plenoptic.extensions.studio.sweep import read_grid
+from mitsuba_plenoptic.microlens.shape import known_shape
+from mitsuba_plenoptic.optics.spectrum import read_responses
+from mitsuba_plenoptic.prescription.lens_file import read_lens, read_prescription
+from mitsuba_plenoptic.views import depth_map, focal_stack, refocus, white_image
 
 SHORTEST, LONGEST = 1e-9, 1e9
 LENGTHS = st.sampled_from(["focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch",
@@ -172,3 +202,282 @@ class TestArrays:
         for use in USES.values():
             with pytest.raises(InputError, match=words):
                 use(image)
+
+
+LENS = """name: Achromat
+surfaces:
+  - {radius: 61.47, thickness: 6, semi_aperture: 12.5, stop: true, glass: {index: 1.5168, abbe: 64.17}}
+  - {radius: -44.64, semi_aperture: 12.5, conic: 0, asphere: [0, 0]}
+"""
+ZEMAX = """MODE SEQ
+UNIT MM X W X CM MR CPMM
+ENPD 10
+WAVM 1 0.55 1
+SURF 0
+  CURV 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  CURV 0.02
+  DISZ 5
+  GLAS ___BLANK 1 0 1.5168 64.17 0
+SURF 2
+  CURV -0.02
+  DISZ 48
+SURF 3
+  CURV 0
+  DISZ 0
+"""
+CODEV = "DIM M\nRDM Y\nEPD 10\nWL 550\nSO 0 1e20\nS 50 5 516800.641700\n  STO\n  CIR 6\nS -50 48\n  CIR 6\nSI 0 0\n"
+RECIPE = """name: few
+count: 2
+models: [ray]
+camera: {detector_width: 0.256, resolution: [64, 64], focus_distance: {from: 230, to: 250}}
+scenes:
+  - {generator: shapes, objects: {from: 3, to: 6, step: 1}}
+"""
+RESPONSE = {"angles_x": [-1, 0, 1], "angles_y": [-1, 1], "responses": [[[[1, 1, 1], [1, 1, 1]]]]}
+HCI = (
+    "[extrinsics]\nnum_cams_x = 2\nnum_cams_y = 2\n[mitsuba_plenoptic]\nwhite = 1.5\nchannels = 1\ncamera = "
+    + PlenopticCamera(resolution=(64, 64), detector_width=0.256).to_json().replace("\n ", " ").replace("\n}", "}")
+)
+
+
+def read_views(path):
+    """Read a folder of the 4D Light Field Benchmark from its text and four pictures, which are put beside it."""
+    for number in range(4):
+        Image.new("RGB", (4, 4)).save(path.parent / f"input_Cam{number:03d}.png")
+    return read_hci(path.parent)
+
+
+TEXTS = {
+    "camera.json": (CAMERA.to_json(), read_camera),
+    "lens.yaml": (LENS, read_prescription),
+    "lens.json": (
+        json.dumps({"surfaces": [{"radius": 50, "semi_aperture": 6, "stop": True, "glass": 1.5}]}),
+        read_lens,
+    ),
+    "design.zmx": (ZEMAX, read_prescription),
+    "design.seq": (CODEV, read_prescription),
+    "screen.json": (json.dumps({"waves": [[0, 0.1, 0, 0.2]] * 4, "width": 10}), known_screen),
+    "aperture.json": (json.dumps({"transmission": [[0, 0.5], [1, 0.25]]}), known_image),
+    "shape.json": (json.dumps({"form": "conic", "curvature_radius": 0.26, "conic": 0}), known_shape),
+    "response.json": (json.dumps(RESPONSE), lambda path: known_response("pixel_response", path)),
+    "responses.csv": ("# nm, response\n400, 0.2\n500, 0.9\n600, 0.4\n", read_responses),
+    "centres.csv": ("k,l,u,v\n0,0,8.0,8.0\n1,0,24.0,8.0\n", read_centres),
+    "centres.json": (json.dumps({"mic_list": [[8.0, 8.0, 0, 0], [8.0, 24.0, 0, 1]]}), read_foreign_centres),
+    "recipe.yaml": (RECIPE, read_recipe),
+    "varied.yaml": ("samples: [1, 2]\ndistance: [210.0, 2.8e2]\n", read_grid),
+    "parameters.cfg": (HCI, read_views),
+}
+"""Whole files of text and their readers, by the names of the files."""
+
+
+def refused_or_done(call):
+    """Return what a call gives, or None where it refuses in one line; anything else fails."""
+    try:
+        return call()
+    except InputError as error:
+        assert str(error).isprintable()
+
+
+PLACES = st.integers(0, 2047) | st.integers(0, 2**20)
+WORDS = [number.to_bytes(4, "little") for number in (0, 1, 65536, 2**30, 2**31 - 1, 2**31, 2**32 - 1)]
+EDITS = st.one_of(
+    st.tuples(PLACES, st.just(1), st.binary(min_size=1, max_size=1)),
+    st.tuples(PLACES, st.just(4), st.sampled_from(WORDS)),
+    st.tuples(PLACES, st.integers(0, 64), st.binary(max_size=64)),
+    st.tuples(PLACES, st.just(2**30), st.just(b"")),
+    st.tuples(
+        PLACES, st.just(0), st.sampled_from([b"\xff", b"\0", b"\xed\xa0\x80", b"\xe2\x82", b"\x1b[2J", b"9" * 5000])
+    ),
+    st.tuples(st.just(0), st.just(0), st.sampled_from([b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf", b"\r", b"\x1f\x8b"])),
+)
+"""Damage to a file: where, how many bytes go, and what comes in their place."""
+
+
+def damaged(data, edits):
+    """Return the bytes of a file after its damage."""
+    for place, count, new in edits:
+        place %= max(len(data), 1)
+        data = data[:place] + new + data[place + count :]
+    return data
+
+
+@pytest.fixture(scope="class")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("bad")
+
+
+class TestFiles:
+    @pytest.mark.parametrize("name", TEXTS)
+    def test_whole_texts_are_read(self, folder, name):
+        text, reader = TEXTS[name]
+        (folder / name).write_text(text)
+        assert reader(folder / name)
+
+    @pytest.mark.parametrize("name", TEXTS)
+    @settings(quick, max_examples=25)
+    @given(edits=st.lists(EDITS, min_size=1, max_size=4))
+    def test_a_damaged_text_is_read_or_refused_in_one_line(self, folder, name, edits):
+        text, reader = TEXTS[name]
+        (folder / name).write_bytes(damaged(text.encode(), edits))
+        refused_or_done(lambda: reader(folder / name))
+
+    @pytest.mark.parametrize("name", TEXTS)
+    @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "cp037", "utf-7"])
+    def test_another_encoding_is_read_or_refused_in_one_line(self, folder, name, encoding):
+        text, reader = TEXTS[name]
+        (folder / name).write_bytes(text.encode(encoding))
+        refused_or_done(lambda: reader(folder / name))
+
+    @quick
+    @given(edits=st.lists(EDITS, min_size=1, max_size=4))
+    def test_a_damaged_capture_is_finite_or_refused(self, folder, edits):
+        write_capture(folder / "raw.exr", Capture(IMAGE, CAMERA))
+        (folder / "raw.exr").write_bytes(damaged((folder / "raw.exr").read_bytes(), edits))
+        capture = refused_or_done(lambda: read_capture(folder / "raw.exr"))
+        if capture is not None:
+            assert capture.image.shape[:2] == capture.camera.shape
+            assert np.isfinite(capture.image).all()
+
+    @quick
+    @given(st.sampled_from(["camera", "kind", "model", "metadata", "wavelength"]), anything)
+    def test_the_facts_of_a_capture_are_right_or_refused(self, folder, name, value):
+        write_capture(folder / "raw.exr", Capture(IMAGE, CAMERA))
+        opened = OpenEXR.File(str(folder / "raw.exr"), separate_channels=True)
+        facts = json.loads(opened.header()["mitsuba_plenoptic"]) | {name: value}
+        header = opened.header() | {"mitsuba_plenoptic": json.dumps(facts, default=repr)}
+        OpenEXR.File(header, {key: one.pixels for key, one in opened.channels().items()}).write(str(folder / "raw.exr"))
+        capture = refused_or_done(lambda: read_capture(folder / "raw.exr"))
+        if name in ("camera", "kind"):
+            assert capture is None
+
+    @quick
+    @given(edits=st.lists(EDITS, min_size=1, max_size=4))
+    def test_a_damaged_checkpoint_leads_to_the_same_bits_or_is_refused(self, folder, edits):
+        operator = CaptureOperator(CAMERA, [(0, 0, 240), (0.1, 0, 230), (0, 0.1, 250)], wavelength=633)
+        path = folder / "wave.checkpoint"
+        # The clock jumps, so that a checkpoint is due at every opportunity.
+        with (
+            mock.patch("time.monotonic", side_effect=itertools.count(0, 1000).__next__),
+            Checkpoint(path) as checkpoint,
+        ):
+            whole = operator.forward([1.0, 2.0, 3.0], checkpoint=checkpoint)
+            data = path.read_bytes()
+        path.write_bytes(damaged(data, edits))
+
+        def resume():
+            with Checkpoint(path, "resume") as checkpoint:
+                return operator.forward([1.0, 2.0, 3.0], checkpoint=checkpoint)
+
+        resumed = refused_or_done(resume)
+        assert resumed is None or np.array_equal(resumed, whole)
+
+    @pytest.mark.parametrize("sizes", [(0, 1), (1, 0), (60_000, 60_000), (2**31 - 1, 1)])
+    def test_a_picture_that_lies_about_its_size_is_refused(self, folder, sizes):
+        (folder / "input_Cam000.png").write_bytes(png(*sizes))
+        (folder / "parameters.cfg").write_text(HCI)
+        with pytest.raises(InputError):
+            read_hci(folder)
+
+
+SCENE = """<scene version="3.0.0"><integrator type="INTEGRATOR"/><sensor type="plenoptic">
+<float name="detector_width" value="0.128"/><film type="hdrfilm"><integer name="width" value="16"/>
+<integer name="height" value="16"/><string name="pixel_format" value="luminance"/>
+<string name="component_format" value="float32"/><rfilter type="box"/></film></sensor><emitter type="constant"/>
+</scene>"""
+
+
+class TestScenes:
+    @quick
+    @given(edits=st.lists(EDITS, min_size=1, max_size=4))
+    def test_a_damaged_scene_is_captured_or_refused(self, folder, edits):
+        (folder / "scene.xml").write_bytes(damaged(SCENE.replace("INTEGRATOR", "path").encode(), edits))
+        capture = refused_or_done(lambda: render_capture(load_scene(folder / "scene.xml"), spp=1))
+        assert capture is None or np.isfinite(capture.image).all()
+
+
+@st.composite
+def cameras(draw):
+    """Cameras of allowed numbers, near the paper's or far from them, whose white images take no seconds."""
+    spread = draw(st.sampled_from([0.02, 0.1, 0.3, 1.0, 5.0, 20.0]))
+    lengths = {"focal_length": 80.0, "aperture_radius": 5.0, "mla_distance": 120.0, "mla_focal_length": 0.512,
+               "mla_pitch": 0.064, "detector_distance": 0.512, "detector_width": 0.128}  # fmt: skip
+    for name, length in lengths.items():
+        lengths[name] = min(max(length * math.exp(draw(st.floats(-2 * spread, 2 * spread))), SHORTEST), LONGEST)
+    columns, rows = draw(st.tuples(st.integers(1, 96), st.integers(1, 96)))
+    b, z, f2, pitch = (lengths[name] for name in ("mla_distance", "detector_distance", "mla_focal_length", "mla_pitch"))
+    pixel = lengths["detector_width"] / columns
+    smear = pitch * abs(1 + b / z - b / f2) * z / b / pixel
+    work = max(2 * lengths["aperture_radius"] * z / b / pixel + smear, 1) * max(smear, 1)
+    # Beyond the upper bound it is refused.
+    assume(not 1e6 < columns * rows * (pixel / pitch * work) ** 2 < 1e12)
+    return PlenopticCamera(**lengths, resolution=(columns, rows))
+
+
+class TestExtremeCameras:
+    @quick
+    @given(cameras(), st.floats(-9, 9), st.floats(0, 6))
+    def test_results_are_finite_or_refused(self, camera, power, wavelength):
+        distance = max(
+            min((1 + math.exp(power)) * camera.focal_length, LONGEST), math.nextafter(camera.focal_length, 2e9)
+        )
+        noise = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
+        for call in (
+            lambda: white_image(camera),
+            lambda: decode(noise, camera=camera).values,
+            lambda: focal_stack(decode(noise, camera=camera), [distance]).values,
+            lambda: depth_map(decode(noise, camera=camera), planes=3).confidence.values,
+            lambda: reconstruct(noise, distance, camera=camera).image,
+            lambda: reconstruct(noise, distance, camera=camera, method="coherent", wavelength=10**wavelength).image,
+            lambda: point_spread_function(camera, (0, 0, distance), wavelength=10**wavelength),
+        ):
+            result = refused_or_done(call)
+            # Bins that no light can come from are NaN, but not all of them.
+            assert result is None or np.isfinite(result).any()
+            assert result is None or not np.isinf(result).any()
+
+
+def light_field():
+    return decode(IMAGE, camera=CAMERA)
+
+
+DISTANCES = (0, -240, 79.9, 80.0, math.nan, -math.inf, "240", None, 1j, True, {}, [], [240.0, "x"], [[240.0]])
+WAVELENGTHS = (0, -633, math.nan, math.inf, "633", None, [], [633.0, 500.0], True, 1e-3, 1e7)
+POINTS = (None, 240.0, "abc", [], (0, 0), (0, 0, 0, 240), {1}, (0, 0, 10**400), (0, 0, math.nan), (0, 0, 0))
+SIZES = (4096, (), (1,), (1, 2, 3), "ab", (64, "64"), (64, None), (10**400, 64), {"a": 1}, (True, 64), (1.5, 5))
+
+
+def point():
+    return CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        *(partial(reconstruct, IMAGE, distance, camera=CAMERA) for distance in DISTANCES),
+        *(partial(reconstruct, IMAGE, 240, camera=CAMERA, method="coherent", wavelength=nm) for nm in WAVELENGTHS),
+        *(partial(point_spread_function, CAMERA, place, wavelength=633) for place in POINTS),
+        *(partial(PlenopticCamera, resolution=size) for size in SIZES),
+        *(partial(decode, np.zeros(shape), camera=CAMERA) for shape in (0, (32, 31), (1, 32, 32), (32, 32, 0))),
+        *(partial(Capture, IMAGE.astype(kind), CAMERA) for kind in (complex, bool, str, object, "M8[s]")),
+        *(lambda distance=distance: refocus(light_field(), distance) for distance in (0, math.nan, "240", [[240.0]])),
+        *(lambda planes=planes: depth_map(light_field(), planes=planes) for planes in (0, 1, 2, 2.5, "9", 10**6)),
+        *(
+            lambda weights=weights: point().forward(weights)
+            for weights in ([math.nan], [[math.inf]], [1, 2], "a", [[]])
+        ),
+        *(lambda image=image: point().adjoint(image) for image in (IMAGE[:5], IMAGE * math.nan, "a", None)),
+        lambda: depth_map(light_field(), near=400, far=300),
+        lambda: depth_map(light_field() * np.inf),
+        lambda: focal_stack(light_field(), []),
+        lambda: focal_stack(light_field(), [240.0], method="magic"),
+        lambda: decode(IMAGE, camera=CAMERA, grid=3),
+        lambda: decode(IMAGE, white=IMAGE),
+    ],
+)
+def test_bad_input(call):
+    with pytest.raises(InputError) as caught:
+        call()
+    assert str(caught.value).isprintable()

@@ -125,13 +125,6 @@ def test_make_help_names_every_target():
     assert set(re.findall(r"^make ([\w-]+) ", result.stdout, flags=re.MULTILINE)) == set(targets) - {"llvm"}
 
 
-def test_the_readme_gets_the_measured_coverage():
-    tool = runpy.run_path(str(ROOT / "tools" / "show_coverage.py"))
-    text = "before <!-- coverage -->old<!-- /coverage --> after"
-    assert tool["with_figure"](text, 93.6) == "before <!-- coverage -->94 %<!-- /coverage --> after"
-    assert tool["with_figure"]("no mark", 93.6) == "no mark"
-
-
 def test_large_libraries_wait_until_they_are_used():
     """What takes most of a second to import, and what many programs never need."""
     later = "distributed", "matplotlib", "scipy.fft", "scipy.signal", "scipy.sparse", "skimage", "xarray"

@@ -1,11 +1,12 @@
 """Results of the public interface for every kind of camera, to compare two versions of the package number by number.
 
-    python tools/goldens.py [--only PATTERN] write OUT.npz
-    python tools/goldens.py [--only PATTERN] compare OLD NEW
+    python tools/goldens.py OLD NEW [--short | --only PATTERN]
 
-`write` computes the tasks of every row, a microlens array behind a main lens, with the package that Python imports, and
-stores the results in one file; a row takes seconds. `compare` prints a table with a line for each row, and below it
-each result that differs. OLD and NEW are such files, or commits, of which the package is taken from the repository.
+OLD and NEW are commits, or folders of worktrees with what is not committed. Each version computes the same tasks in a
+process of its own: captures, reconstructions by every method, sums of points and derivatives of every kind of array,
+main lens, preset and variant. A table has a line for each row, and below it stands each result that differs. `--short`
+takes some rows, in less than five minutes; `--only` those whose names match. Nothing is stored.
+
 Equal bits are expected where statements only moved; 1e-6 in relative L2 is allowed for sums in another order, and 1e-4
 for what iterates. The exit status is 1 where a difference is larger, or where a result is missing. Only public names
 serve, which versions 1.0 and later have.
@@ -14,12 +15,10 @@ serve, which versions 1.0 and later have.
 from __future__ import annotations
 
 import argparse
-import io
 import os
 import re
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
 import warnings
@@ -53,6 +52,25 @@ MAIN_LENSES: dict[str, dict[str, Any]] = {
     "Tessar": {"main_lens": "tessar", "focus_distance": 240.0},
     "objective": {"main_lens": mp.Objective(20.0, 0.4)},
 }
+IRREGULAR: dict[str, dict[str, Any]] = {
+    "jittered": {"mla_jitter": (0.002, 0.0)},
+    "tilted": {"mla_tilt": (0.5, -0.3)},
+    "spherical": {"mla_shape": {"form": "conic", "curvature_radius": 0.26, "conic": 0}},
+    "none": {"mla_lattice": "none", "resolution": (48, 48), "detector_width": 0.256},
+    "six blades": {"aperture_blades": 6},
+    "blurred": {"detector_blur": 0.001, "pixel_crosstalk": 0.02},
+}
+"""Other arrays, pupils and pixels, behind a thin main lens."""
+
+VARIANTS = {"mono": "llvm_ad_mono", "spectral": "llvm_ad_spectral"}
+"""Beside rgb, in which all other rows are."""
+
+SHORT = (
+    r"^(square|hexagonal|focused) \| thin|^square \| (dispersive|double Gauss|objective|mono)|^(jittered|none) "
+    r"|preset (paper|lytro|phone)$|on-chip|other results"
+)
+"""Rows of the short set."""
+
 BEHIND_OBJECTIVE: dict[str, dict[str, Any]] = {
     "turned": {"mla_pitch": (0.15, 0.12)},
     "three focal lengths": {"mla_focal_length": (3.3, 3.75, 4.2)},
@@ -66,12 +84,18 @@ ON_CHIP = mp.PlenopticCamera(
 )  # fmt: skip
 """A telephone's camera of 8 x 8 lenses above 2 x 2 pixels."""
 
+PRESETS = (
+    "paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water", "telescope",
+    "shack_hartmann", "full_frame_50mm", "phone", "full_frame_dual", "phone_quad", "phone_quad_bayer",
+)  # fmt: skip
+
 Tasks = Iterator[tuple[str, Callable[[], Any]]]
 
 
 def camera_of(array: str, lens: str) -> mp.PlenopticCamera:
     """Return the small camera of a row."""
-    numbers = {"detector_width": 0.064 * LENSES, "resolution": (12 * LENSES,) * 2} | MAIN_LENSES[lens] | ARRAYS[array]
+    numbers = {"detector_width": 0.064 * LENSES, "resolution": (12 * LENSES,) * 2} | MAIN_LENSES[lens]
+    numbers |= (ARRAYS | IRREGULAR)[array]
     if lens == "objective":
         numbers |= {"mla_pitch": 0.15, "mla_focal_length": 3.75, "detector_width": 0.15 * LENSES}
         numbers |= BEHIND_OBJECTIVE.get(array, {})
@@ -140,6 +164,7 @@ def scene_tasks(camera: mp.PlenopticCamera) -> Tasks:
         "coherent": {"method": "coherent"},
         "partial 2": {"method": "partial", "interleave": 2},
         "partial auto": {"method": "partial", "interleave": "auto"},
+        "incoherent": {"method": "incoherent"},
         "deconvolved": {"method": "deconvolved", "iterations": 3},
     }
     yield "ray capture", lambda: capture("ray")
@@ -171,6 +196,37 @@ def on_chip_tasks() -> Tasks:
     yield "halves", lambda: np.asarray(mp.dual_pixel(capture(ON_CHIP, "ray")))
     wider = ON_CHIP.replace(detector_width=0.0768, resolution=(64, 64))
     yield "bank", lambda: mp.psf_bank(wider, [700.0]).values
+
+
+def preset_tasks(name: str) -> Tasks:
+    """Yield captures by the middle of a preset's detector, and a point spread."""
+    camera = mp.PlenopticCamera.preset(name)
+    size = min(48, *camera.resolution)
+    offset = tuple((length - size) // 2 for length in camera.resolution)
+    camera = camera.replace(crop_offset=offset, crop_size=(size, size))
+    scene = {"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}, "sensor": camera.to_sensor()}
+
+    def capture(model: str) -> Any:
+        return mp.render_capture(mi.load_dict(scene, optimize=False), model=model, spp=4, seed=1).image
+
+    yield "ray capture", lambda: capture("ray")
+    yield "wave capture", lambda: capture("wave")
+    yield "camera file", lambda: text(sorted(camera.to_dict().items()))
+
+
+def variant_tasks(variant: str) -> Tasks:
+    """Yield captures of a scene in another variant."""
+    camera = camera_of("square", "dispersive")
+
+    def capture(model: str) -> Any:
+        mi.set_variant(variant)
+        try:
+            return mp.render_capture(scene_of(camera), model=model, spp=4, seed=1).image
+        finally:
+            mi.set_variant("llvm_ad_rgb")
+
+    yield "ray capture", lambda: capture("ray")
+    yield "wave capture", lambda: capture("wave")
 
 
 def laser_tasks() -> Tasks:
@@ -235,6 +291,18 @@ def rows() -> Iterator[tuple[str, Callable[[], Tasks]]]:
                 yield from scene_tasks(camera)
 
             yield f"{array} | {lens}", tasks
+    for array in IRREGULAR:
+
+        def irregular(array: str = array) -> Tasks:
+            camera = camera_of(array, "thin")
+            yield from point_tasks(camera)
+            yield from scene_tasks(camera)
+
+        yield f"{array} | thin", irregular
+    for name in PRESETS:
+        yield f"its own | preset {name}", lambda name=name: preset_tasks(name)
+    for name, variant in VARIANTS.items():
+        yield f"square | {name}", lambda variant=variant: variant_tasks(variant)
     yield "2 x 2 pixels a lens | on-chip", on_chip_tasks
     yield "square | laser light", laser_tasks
     yield "square | other results", other_tasks
@@ -301,37 +369,44 @@ def compare(old: Path, new: Path) -> int:
     return int(bool(wrong))
 
 
-def file_of(version: str, only: str, folder: Path) -> Path:
-    """Return the file of results that is named, or write that of a commit."""
-    if Path(version).is_file():
-        return Path(version)
+def written(version: str, only: str, folder: Path) -> Path:
+    """Compute the results of a commit or a worktree, and return their file."""
     there, out = folder / version.replace("/", "-"), folder / f"{version.replace('/', '-')}.npz"
-    archive = subprocess.run(
-        ["git", "archive", version, "mitsuba_plenoptic"], cwd=ROOT, stdout=subprocess.PIPE, check=True
-    )
-    with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
-        files.extractall(there, filter="data")
-    command = [sys.executable, __file__, "--only", only, "write", str(out)]
-    subprocess.run(command, env=os.environ | {"PYTHONPATH": str(there)}, check=True)
+    if Path(version).is_dir():
+        there = Path(version).resolve()
+    else:
+        command = ["git", "worktree", "add", "--detach", str(there), version]
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    try:
+        command = [sys.executable, __file__, version, version, "--only", only, "--write", str(out)]
+        subprocess.run(command, env=os.environ | {"PYTHONPATH": str(there)}, check=True)
+    finally:
+        if there.parent == folder:
+            subprocess.run(["git", "worktree", "remove", "--force", str(there)], cwd=ROOT, check=True)
     return out
 
 
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", default="", help="regular expression that the names of rows hold")
-    commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("write").add_argument("out", type=Path)
-    of_two = commands.add_parser("compare")
-    of_two.add_argument("old")
-    of_two.add_argument("new")
-    given = parser.parse_args()
-    if given.command == "write":
+    parser.add_argument("old", metavar="OLD")
+    parser.add_argument("new", metavar="NEW")
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--short", action="store_true", help="some rows, in less than five minutes")
+    chosen.add_argument("--only", default="", metavar="PATTERN", help="rows whose names match a regular expression")
+    parser.add_argument("--write", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    only = SHORT if options.short else options.only
+    if options.write:
         print(f"results of {Path(mp.__file__).parent}", file=sys.stderr)
-        np.savez_compressed(given.out, **dict(results(given.only)))
+        np.savez_compressed(options.write, **dict(results(only)))
         return 0
-    with tempfile.TemporaryDirectory() as folder:
-        return compare(*(file_of(version, given.only, Path(folder)) for version in (given.old, given.new)))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name).resolve()
+        old, new = (folder / side for side in ("old", "new"))
+        old.mkdir()
+        new.mkdir()
+        return compare(written(options.old, only, old), written(options.new, only, new))
 
 
 if __name__ == "__main__":

@@ -23,12 +23,14 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+import mitsuba as mi
 import numpy as np
 import real_pictures
+from bench.cases import phase_space as walls
 from check_release import page_code, page_files
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from phase_space_picture import panels
 from picture_layout import DPI, WIDTH, coloured, drawn, in_browser, narrowed, sheet, write
 from PIL import Image, ImageChops, ImageOps
 
@@ -38,6 +40,7 @@ from mitsuba_plenoptic.errors import require_choice
 from mitsuba_plenoptic.extensions.studio.preview import draw_preview, preview_of
 from mitsuba_plenoptic.fitting import View
 from mitsuba_plenoptic.lenses.common import main_lens
+from mitsuba_plenoptic.light.signed_colours import plan_of
 from mitsuba_plenoptic.optimisation import maximise
 from mitsuba_plenoptic.points.units import brightness_of
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
@@ -365,10 +368,73 @@ def wavefront_sensors() -> Image.Image:
     )
 
 
+def signed(values: np.ndarray, largest: float | None = None) -> np.ndarray:
+    """Draw positive values in red and negative ones in blue."""
+    colours = matplotlib.colormaps["RdBu_r"](0.5 + values / (2 * (largest or np.abs(values).max())))
+    return (255 * colours[..., :3]).astype(np.uint8)
+
+
 @picture
 def phase_space() -> Image.Image:
     """Show coefficients and kernels of signed rays, and a wall against its exact sum."""
-    return sheet(panels())
+    mi.set_variant("llvm_ad_mono")
+    camera = walls.CAMERAS["square"]
+    plan = plan_of(camera, walls.WAVELENGTH, False, walls.WAVELENGTH)
+    kernels = plan.kernels(camera.pixel_size / 4, plan.reach)
+    middle = slice(kernels.shape[1] // 2 - 40, kernels.shape[1] // 2 + 41)
+    functions = plan.functions.count
+    rows = [
+        [
+            ("First coefficient, P = 0", coefficient(plan, 0.0, 0)),
+            ("P = 0.75 R", coefficient(plan, 0.75, 0)),
+            ("P = 0.97 R", coefficient(plan, 0.97, 0)),
+            ("Second coefficient, P = 0", coefficient(plan, 0.0, 1)),
+        ],
+        [
+            (title, signed(np.cbrt(kernels[number][middle, middle])))
+            for title, number in (
+                ("First kernel", 0),
+                ("Second kernel", 1),
+                ("Fourth kernel", 3),
+                ("First oblique kernel", functions),
+            )
+        ],
+        wall_of_signed_rays(),
+    ]
+    return sheet(rows)
+
+
+def coefficient(plan: walls.PhaseSpace, radius: float, number: int) -> np.ndarray:
+    """Draw a coefficient over the 3 x 3 lenses around that of the ray, at a node near a radius of the pupil."""
+    node = round((1 - (1 - radius) ** 0.5) * plan.radial)
+    place, side = plan.nodes[node], 3 * plan.camera.mla_pitch
+    along = [(np.arange(count) + 0.5) * s / count - s / 2 for count, s in zip(place.counts, place.sides, strict=True)]
+    inside = [np.flatnonzero(np.abs(each) < side / 2) for each in along]
+    shown = np.zeros((240, 240, 3), np.uint8) + 255
+    values = plan.table[node][0, ..., number][np.ix_(inside[1], inside[0])]
+    size = round(240 * min(1, place.sides[0] / side))
+    rows = np.arange(size) * len(values) // size
+    shown[(240 - size) // 2 :][:size, (240 - size) // 2 :][:, :size] = signed(values)[np.ix_(rows, rows)]
+    return shown
+
+
+def wall_of_signed_rays() -> list[tuple[str, np.ndarray]]:
+    """Capture a wall far off the axis by signed rays, with and without oblique kernels, and as an exact sum."""
+    camera, shown, gain = walls.CAMERAS["keplerian"], 96, 25
+    whole = walls.planned(camera, False, 1)
+    # A blur of two lenses, 58 lenses off the axis; 12 points across a lens, and 1024 rays for each cell.
+    given = 2.0, 3, 12, 1024, 1, 4, 58.0
+    image, exact, _, _ = walls.pair(whole, camera, *given)
+    plain = walls.pair(replace(whole, tolerance=np.inf), camera, *given)[0]
+    part = slice((len(exact) - shown) // 2, (len(exact) + shown) // 2)
+    image, plain, exact = (each[part, part] for each in (image, plain, exact))
+    largest = exact.max()
+    return [
+        ("Wall, signed rays", to_bytes(np.maximum(image, 0), largest)),
+        ("Exact sum of points", to_bytes(np.maximum(exact, 0), largest)),
+        (f"Difference x {gain}", signed(gain * (image - exact), largest)),
+        ("Without oblique kernels", signed(gain * (plain - exact), largest)),
+    ]
 
 
 @cache

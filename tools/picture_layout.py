@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import subprocess
-import sys
-import tempfile
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,12 +11,19 @@ import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.support.wait import WebDriverWait
 
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.report.plots import Plot, annotate
 
 WIDTH, DPI, LARGEST = 7.5, 104, 150_000
 """Width of a picture in inches, its pixels per inch, and the size of its file in bytes."""
+
+FLAGS = (
+    "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
+    "disable-component-update disable-sync hide-scrollbars"
+)
 
 Panel = tuple[str, np.ndarray]
 """A title, and an image of bytes or of radiances, which are drawn on the scale of their sheet."""
@@ -76,13 +81,18 @@ def coloured(
 
 
 def in_browser(page: Path, width: int, height: int) -> Image.Image:
-    """Take a picture of a page."""
-    with tempfile.TemporaryDirectory() as folder:
-        taken = Path(folder) / "page.png"
-        words = [str(Path(__file__).with_name("report_picture.py")), str(page), str(taken)]
-        size = ["--width", str(width), "--height", str(height)]
-        subprocess.run([sys.executable, *words, *size], check=True)
-        return Image.open(taken).convert("RGB")
+    """Take a picture of a page when it is complete, as Chromium shows it without a window."""
+    options = webdriver.ChromeOptions()
+    for flag in FLAGS.split():
+        options.add_argument(f"--{flag}")
+    # The installed driver: without its path, Selenium would look for one on the network.
+    service = webdriver.ChromeService(shutil.which("chromedriver"))
+    with webdriver.Chrome(options=options, service=service) as browser:
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.get(page.resolve().as_uri())
+        WebDriverWait(browser, 60).until(lambda seen: not seen.find_elements("css selector", "[aria-busy]"))
+        return Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
 
 
 def narrowed(image: Image.Image, width: int = 900) -> Image.Image:

@@ -59,7 +59,7 @@ _UNSURE = 0.05
 _MAJORITY = 0.5
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
-# without stripes of 1.3 and 2 lenses, by the case `depth.weights` of `tools/bench`.
+# without stripes of 1.3 and 2 lenses.
 WEIGHTS = (-5.1, 0.5, -2.1, 0.7)
 
 

@@ -8,6 +8,7 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import agreement, facing, radiating, scene_of
 from scene_cases import disk
 
 from mitsuba_plenoptic import (
@@ -22,8 +23,6 @@ from mitsuba_plenoptic import (
 )
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
-from tools.bench.measures import agreement
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
 KEPLERIAN = {

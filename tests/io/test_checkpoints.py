@@ -276,7 +276,7 @@ def test_a_ray_capture_leaves_a_checkpoint_alone(tmp_path, capfd):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 def test_killed_captures_end_with_the_bits_of_the_clean_one(tmp_path, clean):
-    """Killed twice, at random moments after a checkpoint; `tools/kill_and_resume.py` does it twenty times."""
+    """Killed twice, at random moments after a checkpoint."""
     output, random_moments = tmp_path / "raw.exr", random.Random(1)
     path, told = Path(f"{output}.checkpoint"), []
     for _ in range(2):

@@ -3,9 +3,9 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, radiating, scene_of
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 STEEP = {
     "focal_length": 50.0, "aperture_radius": 16.0, "mla_distance": 51.0, "mla_pitch": 0.04, "mla_medium": 1.5,

@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import relative
 from scipy.special import j0, j1
 
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
@@ -15,7 +16,6 @@ from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
 from mitsuba_plenoptic.light.walk import Walk
 from mitsuba_plenoptic.runtime.backend import drjit_array
 from tools.bench.cases import phase_space
-from tools.bench.measures import relative
 
 PLACES = (0.0, 0.028, 0.036)
 """In a point's image, where light of a lens is looked for."""

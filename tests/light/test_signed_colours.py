@@ -7,11 +7,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.light import colour
 from mitsuba_plenoptic.light.signed_colours import span
-from tools.bench.scenes.light_paths import facing, radiating, scene_of, sensor
 
 CROWN = '{"index": 1.5168, "abbe": 64.2}'
 GLASS = {"glass": CROWN, "mla_glass": CROWN}

@@ -4,12 +4,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
 from mitsuba_plenoptic.light import signed_rays
 from mitsuba_plenoptic.light.noise import Mended
 from mitsuba_plenoptic.light.phase_space import PhaseSpace
-from tools.bench.scenes.light_paths import facing, radiating, scene_of, sensor
 
 POINT = {"type": "point", "position": [0.0, 40.0, 0.0], "intensity": 3e4}
 RADIANCE, ROUGHNESS = "wall.emitter.radiance.value", "wall.bsdf.alpha.value"

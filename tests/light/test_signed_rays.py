@@ -6,12 +6,11 @@ import pickle
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import bars_through, facing, radiating, scene_of, sensor, spot_filtered
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Checkpoint, InputError, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.light.lens_kinds import LensKinds, irregularities
-from tools.bench.measures import spot_filtered
-from tools.bench.scenes.light_paths import bars_through, facing, radiating, scene_of, sensor
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 

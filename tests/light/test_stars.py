@@ -5,9 +5,49 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, radiating, scene_of, sensor
 
+from mitsuba_plenoptic import render_capture
 from mitsuba_plenoptic.light.noise import Mended
-from tools.bench.cases.scenes import light_of_stars, sky
+
+STARS, STAR_LENSES, STAR_PIXELS, MARGIN = 400, 12, 20, 3.5
+
+
+def sky():
+    """Return a scene of stars of random places and sizes in focus, and its light, the sum of its capture's pixels.
+
+    A micro-image of uniform radiance 1 has pi / 4 (D1 z / b)^2 of the detector's area, and stars their part of it.
+    """
+    random = np.random.default_rng(1)
+    pitch, step = 0.128, 1e-4
+    half = (STAR_LENSES / 2 - MARGIN) * pitch
+    places, sizes = random.uniform(-half, half, (STARS, 2)), random.uniform(0.002, 0.012, STARS)
+    scene = scene_of(
+        sensor(STAR_LENSES, STAR_PIXELS),
+        **{
+            f"star_{i}": facing(240.0, float(size), (float(x), float(y)), **radiating())
+            for i, ((x, y), size) in enumerate(zip(places, sizes, strict=True))
+        },
+    )
+    # Stars may overlap: their union, on a fine grid.
+    axis = np.arange(-half - 0.02, half + 0.02, step)
+    covered = np.zeros((len(axis),) * 2, bool)
+    for place, size in zip(places, sizes, strict=True):
+        rows, columns = (slice(*np.searchsorted(axis, [p - size, p + size])) for p in place)
+        covered[rows, columns] = True
+    lenses = covered.sum() * (step / pitch) ** 2
+    return scene, lenses * math.pi / 4 * (10 * 0.512 / (120 * 0.064 / STAR_PIXELS)) ** 2
+
+
+def light_of_stars(scene, light, spp, seeds, noise):
+    """Return the mean of captures' light over their stars' light, its standard error, and the least pixel."""
+    images = [
+        # Counts of samples share no seeds.
+        render_capture(scene, model="wave", spp=spp, seed=10_000 * spp + seed, noise=noise).image
+        for seed in range(seeds)
+    ]
+    found = [image.sum(dtype=float) / light for image in images]
+    return float(np.mean(found)), float(np.std(found, ddof=1)) / math.sqrt(seeds), float(np.min(images))
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,14 @@ import pickle
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import APERTURES as PUPILS
+from cases import WIDE, diffracted, facing, ordinary_camera, radiating, scene_of, textured_wall
 from scipy.signal import fftconvolve
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Aperture, InputError, PlenopticCamera, render_capture, views
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 from tools.bench.cases import ordinary_cameras
-from tools.bench.scenes.apertures import APERTURES as PUPILS
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
-from tools.bench.scenes.ordinary import WIDE, camera_of, diffracted, wall
 
 THIN = {"focal_length": 50.0, "focus_distance": 300.0, "aperture_radius": 8.0, "detector_width": 12.0}
 FILM = {"resolution": (24, 16)}
@@ -351,8 +350,8 @@ def test_walls_are_sums_over_the_mask(name, blur, limit):
 def test_light_of_two_holes_interferes_out_of_focus():
     """Rays through the closed middle bring the fringes, without which the wall differs by more than a fifth."""
     parameters, mask = PUPILS["two holes"]
-    camera = camera_of(1.0, 16, **parameters)
-    scene, picture = wall(camera, 4, 4.0, WIDE)
+    camera = ordinary_camera(1.0, 16, **parameters)
+    scene, picture = textured_wall(camera, 4, 4.0, WIDE)
     expected = diffracted(camera, picture, 4, 4.0, mask=mask)
     assert difference(by_waves(scene, 256), expected) < 0.015
     assert difference(render_capture(scene, spp=256).image, expected) > 0.2

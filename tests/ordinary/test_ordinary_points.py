@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 import scipy
+from cases import facing, radiating, scene_of
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PlenopticCamera, render_capture
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 WAVELENGTH, FOCUS, F, A = 550.0, 300.0, 50.0, 3.0
 LAMBDA, B = WAVELENGTH * 1e-6, F * FOCUS / (FOCUS - F)

@@ -9,13 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, radiating, scene_of
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture, views
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 OPTILAND = json.loads((Path(__file__).parents[1] / "optiland_records" / "results.json").read_text())["lenses"]
 

@@ -4,6 +4,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import (
+    ORDINARY_WAVELENGTH,
+    blurred,
+    diffracted,
+    facing,
+    ordinary_camera,
+    radiating,
+    scene_of,
+    textured_wall,
+    unit_of,
+)
 from scipy.signal import fftconvolve
 from scipy.special import j0, j1
 
@@ -12,12 +23,10 @@ from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.light.pixel_draws import PixelDraws
 from mitsuba_plenoptic.light.pupil_diffraction import PupilDiffraction
 from tools.bench.cases.ordinary_cameras import noisy_scene
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
-from tools.bench.scenes.ordinary import WAVELENGTH, blurred, camera_of, diffracted, unit_of, wall
 
 
 def by_waves(scene, spp=512, seeds=1, **options):
-    options = {"wavelength": WAVELENGTH} | options
+    options = {"wavelength": ORDINARY_WAVELENGTH} | options
     first = options.pop("seed", 0)
     seeds = range(first, first + seeds)
     images = [mp.render_capture(scene, model="wave", spp=spp, seed=seed, **options).image for seed in seeds]
@@ -57,8 +66,8 @@ PATHS = {
 )
 def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit):
     """Rays alone differ by two to fifty times the limit; what noise there is is included in it."""
-    camera = camera_of(airy, 32, wavefront=wavefront)
-    scene, picture = wall(camera, texel, blur)
+    camera = ordinary_camera(airy, 32, wavefront=wavefront)
+    scene, picture = textured_wall(camera, texel, blur)
     expected = diffracted(camera, picture, texel, blur, PATHS[wavefront])
     found = by_waves(scene, 1024)
     assert difference(found, expected) < limit
@@ -71,7 +80,7 @@ def test_textured_walls_in_focus_and_blurred(airy, blur, texel, wavefront, limit
 )
 def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
     """A lamp of one pixel, off the pixels' centres; the closed form is of Born and Wolf, section 8.5.2."""
-    camera = camera_of(airy, size)
+    camera = ordinary_camera(airy, size)
     unit, pixel = unit_of(camera), camera.pixel_size
     distance, _ = blurred(camera, 0.0)
     off, half = 0.3 * pixel, pixel / 2
@@ -100,7 +109,7 @@ def test_a_star_has_the_energy_of_the_airy_pattern_within_circles(airy, size):
 @pytest.mark.parametrize("airy", [0.4, 1.0])
 def test_slanted_edges_have_the_transfer_function_of_a_disc(airy):
     """Both sides of an edge at 5 degrees, whose oversampled profile gives the transfer function (ISO 12233)."""
-    camera = camera_of(airy, 64)
+    camera = ordinary_camera(airy, 64)
     distance, _ = blurred(camera, 0.0)
     T = mi.ScalarTransform4f()
     wide = 200 * camera.pixel_size * distance / camera.mla_distance
@@ -141,7 +150,7 @@ def test_coarse_pixels_displace_rays_by_finite_steps():
 
 def test_white_has_hardly_any_noise():
     """Every coefficient but the first is of light less its mean; far beyond the film some pixels stand for others."""
-    camera = camera_of(1.0, 16)
+    camera = ordinary_camera(1.0, 16)
     image = by_waves(scene_of(camera.to_sensor(), "path", sky={"type": "constant"}), 8)
     assert np.allclose(image, 1, atol=1e-3)
 
@@ -186,10 +195,10 @@ def test_waves_keep_the_light_of_rays(variant, changes):
 
 def test_noise_is_no_larger_than_that_of_rays():
     """Neighbours share rays, where diffraction blurs."""
-    camera = camera_of(1.0, 24)
-    scene, _ = wall(camera, 3, 0.5)
+    camera = ordinary_camera(1.0, 24)
+    scene, _ = textured_wall(camera, 3, 0.5)
     spread = {}
-    for model, options in (("ray", {}), ("wave", {"wavelength": WAVELENGTH})):
+    for model, options in (("ray", {}), ("wave", {"wavelength": ORDINARY_WAVELENGTH})):
         images = [mp.render_capture(scene, model=model, spp=32, seed=seed, **options).image for seed in range(6)]
         spread[model] = np.var(images, axis=0, ddof=1).mean()
     assert spread["wave"] < 1.2 * spread["ray"]

@@ -6,13 +6,13 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import scene_of
 
 from mitsuba_plenoptic import LensSystem, PlenopticCamera, render_capture
 from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
-from tools.bench.scenes.light_paths import scene_of
 
 SPOTS = json.loads((Path(__file__).parents[1] / "optiland_records" / "spots.json").read_text())["lenses"]
-"""What `tools/record_optiland.py` wrote: three points of a scene, in focus on the axis."""
+"""Of Optiland 0.6.3: three points of a scene, in focus on the axis."""
 
 EXACT = 1e-6
 """Largest deviation in mm on the detector, and in the object plane of rays traced back."""

@@ -5,11 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from scipy.ndimage import convolve1d
-from wave_cases import WAVELENGTH, error
-
-from mitsuba_plenoptic import design, reconstruct
-from tools.bench.scenes.light_paths import (
+from cases import (
     TRANSPARENT,
     bars_through,
     by_signed_rays,
@@ -26,6 +22,10 @@ from tools.bench.scenes.light_paths import (
     slanted,
     square_behind,
 )
+from scipy.ndimage import convolve1d
+from wave_cases import WAVELENGTH, error
+
+from mitsuba_plenoptic import design, reconstruct
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import agreement, best_shift, scene_of
 from scene_cases import disk
 
 from mitsuba_plenoptic import (
@@ -25,8 +26,6 @@ from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 from tools.bench.cases.arrays import centroids
-from tools.bench.measures import agreement, best_shift
-from tools.bench.scenes.light_paths import scene_of
 
 ROOT3 = math.sqrt(3)
 HEXAGONAL = {"mla_lattice": "hexagonal"}

@@ -6,12 +6,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import scene_of
 from scene_cases import disk
 from scipy.ndimage import binary_erosion
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, design, render_capture
 from mitsuba_plenoptic.views import white_image
-from tools.bench.scenes.light_paths import scene_of
 
 VARIANTS = [
     name

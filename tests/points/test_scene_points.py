@@ -5,13 +5,13 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 from wave_cases import error
 
 from mitsuba_plenoptic import Checkpoint, InputError, estimate_capture, render_capture
 from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
-from tools.bench.scenes.light_paths import PANES, THIN_FOG, facing, radiating, scene_of, sensor
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 

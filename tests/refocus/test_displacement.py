@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cases
 import numpy as np
 import pytest
 
@@ -11,14 +12,13 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.refocus.displacement import brought_back, displacements, is_known
 from mitsuba_plenoptic.views import white_image
-from tools.bench.scenes import walls
 
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
 FOCUSED = PlenopticCamera(detector_width=0.768, resolution=(192, 192), detector_distance=0.4)
 
 
 def error(image, camera):
-    return float(np.abs(image - walls.known_radiance(camera, "ramp")).max())
+    return float(np.abs(image - cases.known_radiance(camera, "ramp")).max())
 
 
 def test_a_plane_that_is_read_beside_its_bins_is_brought_back():
@@ -52,11 +52,11 @@ def test_displacements_are_told_of_both_axes_and_cut_at_a_lens():
 @pytest.mark.parametrize("distance", [150.0, pytest.param(1000.0, marks=pytest.mark.slow)])
 def test_a_ramp_that_interference_displaces_is_drawn_back(monkeypatch, distance):
     """Divided by white alone, by hand, it is off to first order, as the gentle slope shows; drawn back it is not."""
-    monkeypatch.setattr(walls, "SLOPE", 0.1)
-    monkeypatch.setattr(walls, "_RAMP_END", 4.0)
-    ramp = walls.capture(CAMERA, distance, "ramp", "ray", 16)
-    white = walls.capture(CAMERA, 400.0, "white", "ray", 16)
-    options = {"method": "coherent", "wavelength": walls.WAVELENGTH}
+    monkeypatch.setattr(cases, "SLOPE", 0.1)
+    monkeypatch.setattr(cases, "_RAMP_END", 4.0)
+    ramp = cases.wall_capture(CAMERA, distance, "ramp", "ray", 16)
+    white = cases.wall_capture(CAMERA, 400.0, "white", "ray", 16)
+    options = {"method": "coherent", "wavelength": cases.WALL_WAVELENGTH}
     divided = reconstruct(ramp, distance, **options).image / reconstruct(white, distance, **options).image
     image = reconstruct(ramp, distance, white=white, **options).image
     assert error(image, CAMERA) < 0.6 * error(divided, CAMERA)
@@ -65,8 +65,8 @@ def test_a_ramp_that_interference_displaces_is_drawn_back(monkeypatch, distance)
 @pytest.mark.slow
 def test_a_ramp_that_waves_record_is_drawn_back_by_every_method():
     camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768))
-    ramp = walls.capture(camera, math.inf, "ramp", "wave", 16)
-    white = walls.capture(camera, 400.0, "white", "wave", 16)
+    ramp = cases.wall_capture(camera, math.inf, "ramp", "wave", 16)
+    white = cases.wall_capture(camera, 400.0, "white", "wave", 16)
     for options in ({"method": "ray"}, {"method": "coherent"}, {"method": "partial"}):
         divided = reconstruct(ramp, math.inf, **options).image / reconstruct(white, math.inf, **options).image
         assert error(divided, camera) > 0.024

@@ -3,6 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from cases import bars, scene_of, sensor
 from wave_cases import HALF, small_camera
 
 from mitsuba_plenoptic import (
@@ -21,7 +22,6 @@ from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import SampledField
 from mitsuba_plenoptic.points.full_field import full_field
 from mitsuba_plenoptic.points.point_spread import point_fields
-from tools.bench.scenes.light_paths import bars, scene_of, sensor
 
 WAVELENGTH = 550.0
 HALVED = small_camera(2, **HALF)

@@ -1,26 +1,11 @@
 """The stand-in for a CUDA device, for all tests of what runs on one."""
 
-import coverage
 import device_stand_in
 import drjit as dr
 import pytest
 
 from mitsuba_plenoptic.refocus import methods
 from mitsuba_plenoptic.runtime import backend as _backend
-
-
-def measured_as(context):
-    """Have lines that run from here on counted in a context of their own, where coverage is measured."""
-    if measuring := coverage.Coverage.current():
-        measuring.switch_context(context)
-
-
-@pytest.fixture(autouse=True)
-def on_the_processor():
-    """Keep the lines that run without the stand-in apart; see ``tools/stand_in_coverage.py``."""
-    measured_as("processor")
-    yield
-    measured_as("processor")
 
 
 @pytest.fixture
@@ -38,8 +23,6 @@ def device(monkeypatch):
     monkeypatch.setattr(dr.ArrayBase, "numpy", numpy)
     methods._results.clear()
     device_stand_in.forget()
-    measured_as("device")
     yield stand_in
-    measured_as("processor")
     methods._results.clear()
     device_stand_in.forget()

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import bars, facing, scene_of, sensor
 from stopped_runs import StoppedError, stopped_before
 from wave_cases import capture
 
@@ -19,6 +20,7 @@ from mitsuba_plenoptic import (
     PlenopticCamera,
     Spectrum,
     StoredOperator,
+    load_scene,
     point_spread_function,
     reconstruct,
     render_capture,
@@ -28,7 +30,6 @@ from mitsuba_plenoptic.light.convolution import Convolution
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.runtime import backend as _backend
-from tools.bench.scenes.light_paths import bars, facing, scene_of, sensor
 
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
@@ -363,3 +364,35 @@ def test_cuda_agrees_with_the_processor(work):
     mi.set_variant("cuda_ad_mono")
     for ours, theirs in zip(work(), expected, strict=True):
         assert np.linalg.norm(ours - theirs) <= 1e-4 * np.linalg.norm(theirs)
+
+
+def scene_capture(scene, model, variant, seed):
+    """Capture a scene of few pixels with its noise."""
+    device_stand_in.forget()
+    loaded = load_scene(scene, variant=variant, parameters={"resolution": "512"})
+    return render_capture(loaded, model=model, spp=16, seed=seed, noise=True)
+
+
+@pytest.mark.gpu
+@needs_device
+@pytest.mark.parametrize("model", ["ray", "wave"])
+@pytest.mark.parametrize("scene", ["letters", "still_life", "vitrine"])
+def test_captures_of_other_seeds_differ_by_their_noise(scene, model):
+    """Means by a thousandth beside three standard deviations; pixels by their estimated noise, within a tenth."""
+    ours = scene_capture(scene, model, "cuda_ad_mono", 1)
+    theirs = scene_capture(scene, model, "llvm_ad_mono", 2)
+    sigma = np.hypot(*(np.sqrt(np.sum(each.noise**2)) / each.image.sum() for each in (ours, theirs)))
+    assert abs(ours.image.mean() / theirs.image.mean() - 1) <= 1e-3 + 3 * sigma
+    difference = np.linalg.norm((ours.image - theirs.image).astype(float))
+    assert difference / np.linalg.norm(np.hypot(ours.noise, theirs.noise)) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.gpu
+@needs_device
+def test_waves_on_the_device_agree_with_rays():
+    """The letters in focus: diffraction by lenses of many wavelengths moves little light from bin to bin."""
+    rays, waves = (scene_capture("letters", model, "cuda_ad_mono", 1) for model in ("ray", "wave"))
+    assert waves.image.sum() == pytest.approx(rays.image.sum(), rel=0.02)
+    by_rays, by_waves = (reconstruct(each, 240.0).image for each in (rays, waves))
+    known = np.isfinite(by_rays) & np.isfinite(by_waves)
+    assert np.corrcoef(by_rays[known], by_waves[known])[0, 1] > 0.98

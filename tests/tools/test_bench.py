@@ -7,13 +7,11 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
-import drjit as dr
 import pytest
 
 from mitsuba_plenoptic import InputError
 from tools.bench import Pivot, at_least, at_most, case, figure, pick, registry, tables, timing
 from tools.bench.__main__ import PAGES, main, write_docs
-from tools.bench.cases.speed_reconstructions import gpu
 
 ROOT = Path(__file__).parents[2]
 TEXTS = {page: page.read_text() for pattern in PAGES for page in sorted(ROOT.glob(pattern))}
@@ -106,10 +104,8 @@ def test_options_are_read_by_the_types_of_their_defaults(probe):
     assert registry.options([probe], ["errors=1,inf", "least=2"]) == {
         "probe.one": {"errors": (1.0, float("inf")), "least": 2.0}
     }
-    (letters,) = registry.find(["deconvolution.letters"])
-    assert registry.options([letters], ["letters=8,#", "iterations=3"])["deconvolution.letters"] == {
-        "letters": ("8", "#"), "iterations": 3
-    }  # fmt: skip
+    (rays,) = registry.find(["scenes.light-paths"])
+    assert registry.options([rays], ["only=8,#"])["scenes.light-paths"] == {"only": ("8", "#")}
 
 
 def test_parts_of_names_pick_entries():
@@ -187,12 +183,3 @@ def test_commands_and_marks_of_pages_exist(page):
         assert page == ROOT / found.page
         registry.options([found], words)
     assert len(tables.marked(TEXTS[page])) == TEXTS[page].count("<!-- bench:") == TEXTS[page].count("<!-- /bench")
-
-
-def test_the_measurement_of_the_device_runs_or_states_that_there_is_none():
-    if dr.has_backend(dr.JitBackend.CUDA):
-        rows = list(gpu(sizes=(1024,), runs=1))
-        assert len(rows) == 8 and all(row["ours"] > 0 for row in rows)
-    else:
-        with pytest.raises(InputError, match="no CUDA device"):
-            next(iter(gpu()))

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import relative
 
 from mitsuba_plenoptic import PlenopticCamera, decode
 from mitsuba_plenoptic.optics.waves import propagate
@@ -14,7 +15,6 @@ from mitsuba_plenoptic.views import lens_grid, shift_and_add, white_image
 from tools.bench import registry, tables
 from tools.bench.cases import peers
 from tools.bench.cases.peers import published_decode, published_refocus
-from tools.bench.measures import relative
 from tools.bench.timing import Timing
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import spot_filtered
 from scipy.special import erf, erfinv
 
 from mitsuba_plenoptic import Capture, PlenopticCamera
 from tools.bench.cases import resolution
 from tools.bench.cases.resolution import WAVELENGTH, difference, falls
-from tools.bench.measures import spot_filtered
 from tools.bench.registry import load
 
 
@@ -104,11 +104,6 @@ def test_the_sums_of_lenses_are_theirs():
         ("arrays.pixels-and-range", {"focus": 0.5, "wider": 1.2}, "ok"),
         ("arrays.pixels-and-range", {"focus": 0.5, "wider": 0.9}, "FAILED: wider"),
         ("arrays.pixels-and-range", {"focus": 0.3, "wider": None}, "FAILED: focus"),
-        ("deconvolution.fine-lines", {"error": 0.4, "most": 0.5}, "ok"),
-        ("deconvolution.fine-lines", {"error": 0.6, "most": 0.5}, "FAILED: error"),
-        ("deconvolution.fine-lines", {"error": 0.6, "least": 0.5}, "ok"),
-        ("deconvolution.fine-lines", {"error": 0.4, "least": 0.5}, "FAILED: error"),
-        ("speed.plain-rays", {"difference": 1e-3}, "FAILED: difference"),
     ],
 )
 def test_verdicts_of_studies_come_out_both_ways(case, figures, verdict):

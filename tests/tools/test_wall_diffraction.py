@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import cases
 import numpy as np
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera
-from tools.bench.scenes import walls
 from tools.bench.scenes.wall_diffraction import expected
 
 CAMERA = PlenopticCamera(detector_width=0.768, resolution=(192, 192))
@@ -35,9 +35,9 @@ def by_pairs(camera, distance, column, row, radiance, count=48):
 @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (150.0, 1000.0)), np.inf])
 def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(distance):
     image = expected(CAMERA, distance, WAVELENGTH, "ramp")
-    known = walls.known_radiance(CAMERA, "ramp")
+    known = cases.known_radiance(CAMERA, "ramp")
     for column, row in ((0, 0), (1, 6), (11, 3)):
-        value = by_pairs(CAMERA, distance, column, row, lambda slope: walls.radiance(slope, "ramp"))
+        value = by_pairs(CAMERA, distance, column, row, lambda slope: cases.wall_radiance(slope, "ramp"))
         assert image[row, column] == pytest.approx(value, abs=0.004)
     assert np.abs(image - known).max() > 0.01
 
@@ -45,4 +45,4 @@ def test_a_ramp_is_the_sum_over_pairs_of_pupil_points(distance):
 def test_nothing_is_left_out_of_white_or_in_focus():
     np.testing.assert_allclose(expected(CAMERA, 1000.0, WAVELENGTH, "white"), 1, atol=1e-9)
     sharp = expected(CAMERA, CAMERA.focus_distance, WAVELENGTH, "ramp")
-    np.testing.assert_allclose(sharp, np.tile(walls.known_radiance(CAMERA, "ramp"), (12, 1)), atol=1e-6)
+    np.testing.assert_allclose(sharp, np.tile(cases.known_radiance(CAMERA, "ramp"), (12, 1)), atol=1e-6)

@@ -7,7 +7,12 @@ JSON, and writes the tables of the documentation from the stored results.
 
 from __future__ import annotations
 
+import sys
 import warnings
+from pathlib import Path
+
+# The scenes and cameras of `tests/cases.py`.
+sys.path.append(str(Path(__file__).parents[2] / "tests"))
 
 from mitsuba_plenoptic import PhysicsWarning
 

@@ -14,35 +14,11 @@ from mitsuba_plenoptic.points.accuracy import DEFAULT_ACCURACY
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.points.scene_points import find_points
 
-from .registry import Row
-from .timing import Timing
-
 WAVELENGTH = 633.0
 SPEED = {
     "what": "{what}", "unit": "{unit}", "ours": "{ours:.3g}", "against": "{against}", "theirs": "{theirs:.3g}",
     "ratio": "{ratio:.3g}", "CPU ratio": "{cpu_ratio:.3g}", "difference": "{difference:.0e}", "note": "{note}",
 }  # fmt: skip
-PAPER_SECONDS = {"ray, point version": 330.0, "coherent": 65.0, "partially coherent, K = 2": 195.0}
-"""On one core of about 2012."""
-
-
-def compared(
-    what: str,
-    unit: str,
-    ours: Timing,
-    against: str,
-    theirs: Timing,
-    note: str,
-    *,
-    scale: float = 1,
-    faster: bool = False,
-) -> Row:
-    """Return a row of two timings of the same run: ours over theirs, or how many times faster ours is."""
-    ratio, cpu_ratio = (a / b for a, b in ((ours.ratio, theirs.ratio), (ours.processor_ratio, theirs.processor_ratio)))
-    return {
-        "what": what, "unit": unit, "ours": scale * ours.seconds, "against": against, "theirs": scale * theirs.seconds,
-        "ratio": 1 / ratio if faster else ratio, "cpu_ratio": 1 / cpu_ratio if faster else cpu_ratio, "note": note,
-    }  # fmt: skip
 
 
 def beam(size: int, turns: tuple[int, int] = (9, -14)) -> np.ndarray:

@@ -444,7 +444,7 @@ def test_the_camera_of_the_manual_starts_a_real_one(tmp_path, capsys):
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_compote_cameras_are_read():
-    # Errors of three poses by COMPOTE's own model (tools/bench/cases/calibration.py), which distorts points, not rays.
+    # Errors of three poses by COMPOTE's own model, which distorts points, not rays.
     camera, index = read_camera(cases.REAL / "compote_intrinsics.json")
     assert index is None
     board = Board(9, 5, 10.0)

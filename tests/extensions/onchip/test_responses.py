@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import facing, radiating, scene_of
 
 from mitsuba_plenoptic import InputError, render_capture
 from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
@@ -15,7 +16,6 @@ from mitsuba_plenoptic.extensions.onchip.responses import LensCells, ResponseSum
 from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.microlens import Conic, Sampled
 from tools.bench.cases.photodiodes import Wall, camera_of
-from tools.bench.scenes.light_paths import facing, radiating, scene_of
 
 
 @pytest.fixture(autouse=True)

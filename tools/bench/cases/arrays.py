@@ -1,6 +1,4 @@
-"""Microlens arrays: lattices on the whole detector, and focused cameras against an unfocused one.
-
-Point spreads behind microlenses of any shape against propagation of the same path on a finer grid.
+"""Point spreads behind microlenses of any shape against propagation of the same path on a finer grid.
 
 The reference takes the field before the array, and shares nothing else with the package: it multiplies a grid four
 times as fine by the path of each lens, computed here from the shapes' definitions, and propagates it by its angular
@@ -9,106 +7,25 @@ spectrum.
 
 from __future__ import annotations
 
-import functools
-import math
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cases import relative
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
-from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, design, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.light.lens_kinds import irregularities
 from mitsuba_plenoptic.light.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.microlens import Conic, MicrolensShape, PhaseMap, Sampled, ZoneLens
 from mitsuba_plenoptic.points.full_field import point_fields
 from mitsuba_plenoptic.points.point_spread import point_spread_function
-from mitsuba_plenoptic.report.experiment import thin_lens_image
-from mitsuba_plenoptic.report.images import write_png
-from mitsuba_plenoptic.report.metrics import square_sharpness
-from mitsuba_plenoptic.views import estimate_lens_grid
-from mitsuba_plenoptic.views.lens_grid import micro_image_centres
 
 from .. import Row, at_most, case, pick
-from ..measures import agreement, relative, scores, write_comparison
-
-LATTICES = {
-    "square": {},
-    "square, turned by 0.3 degrees, moved": {"mla_rotation": "0.3", "mla_offset": "0.021, -0.008"},
-    "square, turned by 13 degrees, discs of 0.8": {"mla_rotation": "13", "mla_aperture": "circle", "mla_fill": "0.8"},
-    "hexagonal": {"mla_lattice": "hexagonal"},
-    "hexagonal, turned by 0.3 degrees, discs": {
-        "mla_lattice": "hexagonal",
-        "mla_rotation": "0.3",
-        "mla_aperture": "circle",
-    },
-    "hexagonal, three focal lengths": {
-        "mla_lattice": "hexagonal",
-        "mla_focal_length": "0.49, 0.512, 0.535",
-        "detector_distance": "0.512",
-    },
-    "rectangular, pitches of 0.064 and 0.06": {"mla_pitch": "0.064, 0.06"},
-    "hexagonal, stretched to pitches of 0.064 and 0.06, turned by 0.3 degrees": {
-        "mla_lattice": "hexagonal",
-        "mla_pitch": "0.064, 0.06",
-        "mla_rotation": "0.3",
-    },
-}
-
-DISTANCES = (210.0, 240.0, 280.0)
 
 # Half the side of the square about a centre over which its centroid is taken; the micro-images are 21.4 pixels wide.
 _HALF = 13
-
-
-@case(
-    "arrays.lattices",
-    "Lattices on the whole detector: micro-images of a white capture against the model, refocused letters against "
-    "Mitsuba's thin lens",
-    {
-        "lattice": "{lattice}", "lenses": "{lenses}", "centres, largest error (px)": "{largest:.3f}",
-        "RMS (px)": "{rms:.3f}", "white mean / closed form": "{white_mean:.4f}",
-        "estimated grid, RMS (px)": "{estimated:.4f}",
-        "refocused at 210, 240, 280 mm (dB)": "{psnr_db[0]:.1f}, {psnr_db[1]:.1f}, {psnr_db[2]:.1f}",
-    },
-    (at_most("largest", "limit"),),
-    page="docs/theory/image_quality.md",
-    quick={"spp": 16, "reference_spp": 16, "lattices": ("square",)},
-)  # fmt: skip
-def lattices(
-    output: Path, *, spp: int = 64, reference_spp: int = 1024, lattices: tuple[str, ...] = ()
-) -> Iterator[Row]:
-    """Render the white scene and the letters with each lattice; the grid is estimated from the white capture alone."""
-    references: list[np.ndarray] = []
-    for number, (name, parameters) in enumerate(pick(LATTICES, lattices).items()):
-        white = render_capture(load_scene("white", parameters=parameters), spp=spp)
-        centres = micro_image_centres(white.camera, 0)
-        size = np.array(white.image.shape[::-1])
-        centres = centres[((centres > _HALF + 1) & (centres < size - _HALF - 1)).all(1)]
-        error = np.hypot(*(centroids(white.image, centres) - centres).T)
-        estimated = cKDTree(estimate_lens_grid(white.image).centres().reshape(-1, 2)).query(centres)[0]
-        scene = load_scene("letters", parameters=parameters)
-        capture = render_capture(scene, spp=spp)
-        if not references:
-            references = [thin_lens_image(scene, capture.camera, g, reference_spp) for g in DISTANCES]
-        images = [result.image.astype(np.float64) for result in reconstruct(capture, DISTANCES)]
-        yield {
-            "lattice": name,
-            "lenses": len(centres),
-            "largest": float(error.max()),
-            # Grown by the noise of fewer samples.
-            "limit": 0.07 * math.sqrt(64 / spp),
-            "rms": float(np.sqrt(np.mean(error**2))),
-            "white_mean": mean(white) / design.white_mean(white.camera),
-            "estimated": float(np.sqrt(np.mean(estimated**2))),
-            "psnr_db": [psnr for psnr, _ in agreement(images, references)[1]],
-        }
-        write_png(output / f"white_{number}.png", white.image[-256:, -256:], peak=1.0)
-        write_png(output / f"letters_{number}.png", np.concatenate(images, axis=1), peak=1.0)
 
 
 def centroids(image: np.ndarray, centres: np.ndarray) -> np.ndarray:
@@ -119,135 +36,6 @@ def centroids(image: np.ndarray, centres: np.ndarray) -> np.ndarray:
     patch = image[y[:, :, None], x[:, None, :]].astype(np.float64)
     moments = [(patch.sum(1) * (x + 0.5)).sum(1), (patch.sum(2) * (y + 0.5)).sum(1)]
     return np.stack(moments, axis=-1) / patch.sum((1, 2))[:, None]
-
-
-def mean(white: Capture) -> float:
-    """Mean under a window that lets the pattern of the lenses average out."""
-    down, across = (np.hanning(n + 2)[1:-1] for n in white.image.shape)
-    return float(down @ white.image.astype(np.float64) @ across / (down.sum() * across.sum()))
-
-
-FOCUS = 240.0
-
-WAVELENGTH = 633.0
-
-CAMERAS = {"unfocused": "chart", "keplerian": "keplerian", "galilean": "galilean"}
-
-# Of the chart at 240 mm: place and size in mm, see its scene.
-STAR, STAR_CYCLES = (0.0, 4.4), 24
-
-EDGE, EDGE_SIDE = (0.0, -4.5), 3.0
-
-BARS, BARS_SIZE = (0.0, 0.0), 4.2
-
-# Modulation at which a detail counts as resolved.
-RESOLVED = 0.1
-
-"""Modulation from which on a detail counts as resolved."""
-
-
-@functools.cache
-def chart_capture(name: str, model: str, spp: int) -> Capture:
-    """Render the chart by one of the cameras."""
-    options = {"model": "wave", "wavelength": WAVELENGTH} if model == "wave" else {}
-    return render_capture(load_scene(CAMERAS[name]), spp=spp, **options)
-
-
-@case(
-    "arrays.focused-agreement",
-    "Focused cameras and an unfocused one, refocused by rays to 240 mm, against Mitsuba's thin lens",
-    {
-        "camera": "{camera}", "scene": "{scene}", "bins per lens": "{bins_per_lens}", "PSNR (dB)": "{psnr_db:.1f}",
-        "correlation": "{correlation:.4f}", "scale": "{scale:.3f}",
-    },
-    page="docs/theory/image_quality.md",
-    quick={"spp": 2, "reference_spp": 16, "cameras": ("keplerian",)},
-)  # fmt: skip
-def focused_agreement(
-    output: Path, *, spp: int = 64, reference_spp: int = 1024, cameras: tuple[str, ...] = ()
-) -> Iterator[Row]:
-    """Compare letters and chart, with one bin a lens and as many as suit the camera."""
-    for name, scene_name in pick(CAMERAS, cameras).items():
-        chart = load_scene(scene_name)
-        camera = PlenopticCamera.from_sensor(chart.sensors()[0])
-        names = ("aperture_radius", "mla_distance", "mla_focal_length", "detector_distance")
-        letters = load_scene("letters", parameters={each: str(getattr(camera, each)) for each in names})
-        for subject, scene in (("letters", letters), ("chart", chart)):
-            taken = chart_capture(name, "ray", spp) if scene is chart else render_capture(scene, spp=spp)
-            for oversample in sorted({1, design.suitable_oversample(camera, FOCUS)}):
-                reference = thin_lens_image(scene, camera, FOCUS, reference_spp // oversample, oversample)
-                image = reconstruct(taken, FOCUS, oversample=oversample).image.astype(np.float64)
-                scale, (score,) = scores([image], [reference])
-                yield {"camera": name, "scene": subject, "bins_per_lens": oversample, **score}
-                write_comparison(output / f"{subject}_{name}_{oversample}.png", scale * image, reference)
-
-
-@case(
-    "arrays.focused-resolution",
-    "Resolution of focused cameras and an unfocused one: modulation along circles round a Siemens star, which ends at "
-    "38 lp/mm, and the MTF of slanted edges",
-    {
-        "camera": "{camera}", "capture": "{model}", f"star resolved to {RESOLVED:.0%} (lp/mm)": "{resolved:.1f}",
-        "samples per lens": "{samples:.1f}", "expected": "{expected:.1f}", "MTF50 (lp/mm)": "{mtf50:.1f}",
-        "edge width (um)": "{edge:.0f}",
-    },
-    page="docs/theory/image_quality.md",
-    quick={"spp": 2, "cameras": ("keplerian",)},
-)  # fmt: skip
-def focused_resolution(
-    output: Path, *, spp: int = 64, cameras: tuple[str, ...] = (), models: tuple[str, ...] = ("ray",)
-) -> Iterator[Row]:
-    """Measure the finest detail of the chart."""
-    tiles = []
-    for name in pick(CAMERAS, cameras):
-        for model in models:
-            taken = chart_capture(name, model, spp)
-            row, image = _resolution(taken, max(design.suitable_oversample(taken.camera, FOCUS), 10))
-            yield {"camera": name, "model": model, **row}
-            tiles.append(image)
-    write_png(output / "bars.png", np.concatenate(tiles, 1), peak=1.0)
-
-
-def _resolution(capture: Capture, oversample: int) -> tuple[Row, np.ndarray]:
-    """Measure a capture of the chart; return its bars as a picture, too."""
-    result = reconstruct(capture, FOCUS, oversample=oversample)
-    image, bin_size = result.image.astype(np.float64), result.bin_size
-
-    def position(point: tuple[float, float]) -> tuple[float, float]:
-        """Row and column of a point of the chart, from the image's corner; +x is left."""
-        return image.shape[0] / 2 - point[1] / bin_size, image.shape[1] / 2 - point[0] / bin_size
-
-    limit = _resolved_frequency(image, *position(STAR), bin_size)
-    edge = square_sharpness(image, *position(EDGE), EDGE_SIDE / bin_size)
-    wavelength = WAVELENGTH if capture.model == "wave" else None
-    row, column = position(BARS)
-    half = round(BARS_SIZE / 2 / bin_size)
-    window = image[round(row) - half : round(row) + half, round(column) - half : round(column) + half]
-    index = (np.arange(480) * window.shape[0]) // 480
-    return {
-        "resolved": limit,
-        "samples": 2 * limit * bin_size * oversample,
-        "expected": design.effective_resolution(capture.camera, FOCUS, wavelength).samples_per_lens,
-        "mtf50": edge.mtf50 / bin_size,
-        "edge": 1e3 * edge.width * bin_size,
-    }, window[np.ix_(index, index)]
-
-
-def _resolved_frequency(image: np.ndarray, row: float, column: float, bin_size: float) -> float:
-    """Frequency in line pairs per mm, from the rim inwards, at which the star's modulation falls below the limit."""
-    last = math.nan
-    for radius in np.geomspace(1.9, 0.11, 120):
-        angle = 2 * math.pi * np.arange(1440) / 1440
-        # Rows and columns of pixel centres are half a bin from its corner.
-        path = row - 0.5 - radius / bin_size * np.sin(angle), column - 0.5 + radius / bin_size * np.cos(angle)
-        values = map_coordinates(image, path, order=1)
-        spectrum = np.fft.rfft(values)
-        # A square wave's first harmonic is 4/pi of its mean; full modulation is 1.
-        modulation = 2 * abs(spectrum[STAR_CYCLES]) / abs(spectrum[0]) * math.pi / 4
-        if modulation < RESOLVED:
-            break
-        last = STAR_CYCLES / (2 * math.pi * radius)
-    return last
 
 
 GREEN = 550.0

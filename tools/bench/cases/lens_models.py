@@ -1,12 +1,4 @@
-"""Thin main lenses of both models, by rays and by waves: stars against the Airy pattern, and refocused walls.
-
-Behind an ideal lens rays and waves differ by diffraction and by microlenses, which are thin phases in waves. A textured
-wall is captured by both and refocused by rays. Their difference, after one factor for all bins, is held against what
-two apertures predict (Goodman, "Introduction to Fourier Optics", section 6.3): the spots of a microlens, aberrated as
-those of a thin phase are, spread the ray capture, and the pupil's transfer function filters the refocused image. The
-factor is stated, too: thin phases enlarge micro-images, and dim them.
-
-Wavefronts of points over the field of thin main lenses, as the methods for many points at once take them.
+"""Thin main lenses of both models: stars against the Airy pattern, and wavefronts of points over the field.
 
 Coherent and partial reconstructions and laser light apply phases in the main lens's pupil, and let light propagate by
 slopes or by direction cosines. Of a point on the axis, half-way to the corner of the field, and in the corner, light
@@ -18,15 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import cast
 
 import mitsuba as mi
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.lenses.thin import ThinLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem, is_paraxial
 from mitsuba_plenoptic.optics.rays import slopes_to_cosines
@@ -37,15 +27,10 @@ from mitsuba_plenoptic.refocus.conjugates import ThinConjugates
 from mitsuba_plenoptic.runtime.backend import array_module
 
 from .. import Row, at_most, case
-from ..measures import mean_of_seeds, relative, spot_filtered, without_noise, write_comparison
 
 WAVELENGTH = 550.0
 MODELS = ("ideal", "parabolic")
 _FREQUENCY, _MODES, _CONTRAST = 0.25, 60, 0.35
-_MARGIN = 3
-_LENS_SAMPLES = 400
-_FINEST, _ZONE = 32, 4
-"""Least count of pixels across a micro-image for predictions, and pixels that one direction of light stands for."""
 
 
 def camera_of(
@@ -127,136 +112,10 @@ def _around(camera: PlenopticCamera, side: float) -> PlenopticCamera:
     )  # fmt: skip
 
 
-@case(
-    "lens-models.walls",
-    "A textured wall refocused by rays: the capture by waves against that by ideal rays, and what diffraction predicts",
-    {
-        "f-number": "{f_number}", "blur (lenses)": "{blur:g}", "waves": "{model}",
-        "captures differ by": "{captured:.2%}", "refocused images by": "{refocused:.2%}",
-        "diffraction predicts": "{predicted:.2%}", "factor": "{factor:.4f}", "noise": "{noise:.2%}",
-    },
-    (at_most("refocused", "limit"),),
-    page="docs/theory/rays.md",
-    quick={"f_numbers": (10.0,), "blurs": (2.0,), "lenses": 12, "spp": 64},
-)  # fmt: skip
-def walls(
-    output: Path,
-    *,
-    f_numbers: tuple[float, ...] = (2.0, 2.8, 5.6, 10.0, 0.0),
-    blurs: tuple[float, ...] = (0.0, 2.0),
-    lenses: int = 24,
-    spp: int = 256,
-    seeds: int = 2,
-) -> Iterator[Row]:
-    """Compare walls in focus and blurred, the radius of the blur in lenses; f-number 0 is the paper's camera."""
-    for number in f_numbers:
-        for blur in blurs:
-            made = {
-                model: camera_of(number, model, lenses=lenses)
-                if number
-                else PlenopticCamera(detector_width=0.064 * lenses, resolution=(32 * lenses,) * 2, lens_model=model)
-                for model in MODELS
-            }
-            camera = made["ideal"]
-            distance = distance_of(camera, blur)
-            scene = scene_of(camera, distance)
-
-            def seen(image: np.ndarray, camera: PlenopticCamera = camera, distance: float = distance) -> np.ndarray:
-                return inner(refocused(camera, image, distance))
-
-            rays = [taken(scene, "ray", spp, seed) for seed in range(seeds)]
-            image, noise = mean_of_seeds(lambda seed, rays=rays, seen=seen: seen(rays[seed]), seeds)
-            mean = np.mean(rays, 0)
-            predicted = _predicted(camera, distance, spp * seeds)
-            for model in MODELS:
-                scene = scene_of(made[model], distance)
-                waves = [taken(scene, "wave", spp, seed) for seed in range(seeds)]
-                other, own = mean_of_seeds(lambda seed, waves=waves, seen=seen: seen(waves[seed]), seeds)
-                difference, factor = _scaled(other, image)
-                yield {
-                    "f_number": f"{number:g}" if number else "paper's", "blur": blur, "model": model,
-                    "captured": without_noise(
-                        relative(np.mean(waves, 0), mean), *(_noise(images) for images in (rays, waves))
-                    ),
-                    "refocused": without_noise(difference, noise, own), "predicted": predicted, "factor": factor,
-                    "noise": math.hypot(noise, own), "limit": 2 * predicted if model == "ideal" else None,
-                }  # fmt: skip
-                write_comparison(
-                    output / f"f{number:g}_{blur:g}_{model}_waves_rays_times_10.png", other, image, gain=10
-                )
-
-
-def _predicted(camera: PlenopticCamera, distance: float, spp: int) -> float:
-    """Return how refocused images of waves and rays differ by the diffraction of pupil and lenses.
-
-    Lenses spread the light of finer pixels, whose edges are those of the rays' micro-images.
-    """
-    parts = math.ceil(_FINEST * camera.pixel_size / camera.micro_image_pitch)
-    fine = camera.replace(resolution=(parts * camera.resolution[0],) * 2)
-    image = taken(scene_of(fine, distance), "ray", math.ceil(spp / parts**2), 0)
-    before, after = (
-        refocused(camera, each.reshape(camera.resolution[1], parts, camera.resolution[0], parts).mean((1, 3)), distance)
-        for each in (image, lens_filtered(image, fine))
-    )
-    return _scaled(inner(pupil_filtered(after, camera)), inner(before))[0]
-
-
-def _scaled(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
-    """Return the relative difference of an image that is scaled to its reference, and the factor."""
-    factor = float(np.vdot(image, reference) / np.vdot(image, image))
-    return relative(factor * image, reference), factor
-
-
-def _noise(images: list[np.ndarray]) -> float:
-    """Return the noise of the mean of images over its norm."""
-    return mean_of_seeds(lambda seed: images[seed], len(images))[1]
-
-
-@case(
-    "lens-models.microlenses",
-    "Micro-images of a white wall by rays of both models, filtered by a lens's transfer function, against waves",
-    {
-        "f-number": "{f_number:g}", "lenses off the axis": "{off_axis:g}", "rays": "{model}",
-        "differ from waves by": "{difference:.2%}", "light over that of waves": "{light:.4f}",
-    },
-    page="docs/theory/rays.md",
-    quick={"f_numbers": (5.6,), "off_axis": (0,)},
-)  # fmt: skip
-def microlenses(
-    *,
-    f_numbers: tuple[float, ...] = (2.0, 2.8, 5.6, 10.0),
-    off_axis: tuple[int, ...] = (0, 40),
-    spp: int = 256,
-) -> Iterator[Row]:
-    """Compare four lenses on the axis and off it, with 32 pixels across a lens."""
-    for number in f_numbers:
-        for aside in off_axis:
-            waves = None
-            for model in MODELS:
-                camera = camera_of(number, model, lenses=2 * aside + 8)
-                camera = camera.replace(
-                    resolution=(32 * (2 * aside + 8),) * 2, crop_offset=(64 * aside, 32 * aside), crop_size=(256, 256)
-                )
-                scene = scene_of(camera, camera.focus_distance, white=True)
-                if waves is None:
-                    waves = taken(scene, "wave", spp, 0)[64:-64, 64:-64]
-                found = spot_filtered(taken(scene, "ray", spp, 0), camera, WAVELENGTH)[64:-64, 64:-64]
-                yield {
-                    "f_number": number, "off_axis": aside, "model": model, "difference": relative(found, waves),
-                    "light": found.mean() / waves.mean(),
-                }  # fmt: skip
-
-
 def distance_of(camera: PlenopticCamera, blur: float) -> float:
     """Return the distance of the plane whose points light discs of some lenses' radius, behind the focused plane."""
     power = (1 - blur * camera.mla_pitch / camera.aperture_radius) / camera.mla_distance
     return 1 / (1 / camera.focal_length - power)
-
-
-def taken(scene: mi.Scene, model: str, spp: int, seed: int) -> np.ndarray:
-    """Capture a scene."""
-    options = {"wavelength": WAVELENGTH} if model == "wave" else {}
-    return render_capture(scene, model=model, spp=spp, seed=seed, **options).image.astype(float)
 
 
 def scene_of(camera: PlenopticCamera, distance: float, *, white: bool = False) -> mi.Scene:
@@ -284,70 +143,6 @@ def scene_of(camera: PlenopticCamera, distance: float, *, white: bool = False) -
             },
         }
     )  # fmt: skip
-
-
-def refocused(camera: PlenopticCamera, image: np.ndarray, distance: float) -> np.ndarray:
-    """Refocus a capture by rays."""
-    return reconstruct(Capture(image.astype(np.float32), camera), distance, method="ray").image.astype(float)
-
-
-def lens_filtered(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Spread the light of a capture as one square microlens, a thin parabolic phase, does at each place of its image.
-
-    Light of one place in the image of the lens on the axis meets the lens in one direction, and its spot has the coma
-    and the astigmatism of that direction.
-    """
-    reach = round(camera.micro_image_pitch / camera.pixel_size)
-    places = (np.arange(len(image)) + 0.5 - len(image) / 2) * camera.pixel_size / camera.micro_image_pitch
-    count = round(reach / _ZONE)
-    zones = np.minimum((places % 1 * count).astype(int), count - 1)
-    shape = (len(image) + 2 * reach,) * 2
-    total: np.ndarray | float = 0.0
-    for row in range(count):
-        for column in range(count):
-            lit = np.where((zones[:, None] == row) & (zones == column), image, 0)
-            slopes = [
-                ((zone + 0.5) / count - 0.5) * camera.micro_image_pitch / camera.detector_distance
-                for zone in (column, row)
-            ]
-            total = total + np.fft.rfft2(lit, shape) * np.fft.rfft2(_spot(camera, slopes, reach), shape)
-    return np.fft.irfft2(total, shape)[reach:-reach, reach:-reach]
-
-
-def _spot(camera: PlenopticCamera, slopes: list[float], reach: int) -> np.ndarray:
-    """Return the part of the light of a pixel, lit in one direction, that pixels up to some beside it receive."""
-    wavelength, step, count = WAVELENGTH * 1e-6, camera.mla_pitch / _LENS_SAMPLES, 4 * _LENS_SAMPLES
-    place = (np.arange(count) - count // 2 + 0.5) * step
-    length = math.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-    frequency = np.fft.fftfreq(count, step)
-    along = []
-    for slope in slopes:
-        phase = 2 * slope / length * place - place**2 / camera.mla_focal_length
-        lens = np.exp(1j * np.pi / wavelength * phase) * (abs(place) < camera.mla_pitch / 2)
-        # The spot is moved to the middle.
-        along.append(np.fft.fft(lens) * np.exp(2j * np.pi * frequency * slope * camera.detector_distance))
-    square = (wavelength * frequency) ** 2 + (wavelength * frequency[:, None]) ** 2
-    spectrum = along[0] * along[1][:, None] * (square < 1)
-    spectrum *= np.exp(2j * np.pi * camera.detector_distance / wavelength * np.sqrt(np.maximum(1 - square, 0)))
-    spot = np.abs(scipy.fft.ifft2(spectrum)) ** 2
-    # Light is even over its pixel.
-    aside = np.arange(-reach, reach + 1)[:, None] - place / camera.pixel_size
-    overlap = np.maximum(1 - abs(aside), 0)
-    return overlap @ spot @ overlap.T / spot.sum()
-
-
-def pupil_filtered(image: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
-    """Filter a refocused image by the transfer function of a round pupil."""
-    cut = 2 * camera.aperture_radius / (WAVELENGTH * 1e-6 * camera.mla_distance) * camera.mla_pitch
-    fx, fy = np.fft.fftfreq(image.shape[1]), np.fft.fftfreq(image.shape[0])[:, None]
-    part = np.minimum(np.hypot(fx, fy) / cut, 1)
-    transfer = 2 / np.pi * (np.arccos(part) - part * np.sqrt(1 - part**2))
-    return np.fft.ifft2(np.fft.fft2(image) * transfer).real
-
-
-def inner(image: np.ndarray) -> np.ndarray:
-    """Return the bins of an image away from its border, to which light comes from beyond the detector."""
-    return image[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
 
 
 _RINGS, _SPOKES = 4, 24

@@ -1,4 +1,4 @@
-"""Ordinary cameras, without a microlens array: accuracy, price and noise of wave captures."""
+"""Ordinary cameras, without a microlens array: accuracy and price of wave captures."""
 
 from __future__ import annotations
 
@@ -9,17 +9,27 @@ from collections.abc import Iterator
 
 import mitsuba as mi
 import numpy as np
+from cases import (
+    APERTURES,
+    ORDINARY_WAVELENGTH,
+    WIDE,
+    blurred,
+    diffracted,
+    facing,
+    ordinary_camera,
+    radiating,
+    relative,
+    scene_of,
+    textured_wall,
+)
 
 from mitsuba_plenoptic import PlenopticCamera, load_scene, render_capture, with_camera
 
 from .. import Row, at_most, case
-from ..measures import mean_of_seeds, relative, without_noise
-from ..scenes.apertures import APERTURES
-from ..scenes.light_paths import facing, radiating, scene_of
-from ..scenes.ordinary import WAVELENGTH, WIDE, blurred, camera_of, diffracted, wall
+from ..measures import mean_of_seeds, without_noise
 from ..timing import in_process, once, peak_memory
 
-_WAVES_OF_PATH = 633 / WAVELENGTH
+_WAVES_OF_PATH = 633 / ORDINARY_WAVELENGTH
 
 ABERRATIONS = {
     "none": ((), None),
@@ -58,14 +68,16 @@ def accuracy(
     mi.set_variant("llvm_ad_mono")
     for airy, blur, name, fine in itertools.product(pixels, blurs, aberrations, finer):
         wavefront, path = ABERRATIONS[name]
-        camera = camera_of(airy, wavefront=wavefront)
+        camera = ordinary_camera(airy, wavefront=wavefront)
         texel = max(2, round(4 / airy))
-        scene, picture = wall(camera, texel, blur)
+        scene, picture = textured_wall(camera, texel, blur)
         expected = diffracted(camera, picture, texel, blur, path)
         options = {"accuracy": 0.004} if fine else {}
 
         def taken(seed: int, scene: mi.Scene = scene, options: dict[str, float] = options) -> np.ndarray:
-            return render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=WAVELENGTH, **options).image
+            return render_capture(
+                scene, model="wave", spp=spp, seed=seed, wavelength=ORDINARY_WAVELENGTH, **options
+            ).image
 
         image, noise = mean_of_seeds(taken, 2)
         yield {
@@ -98,13 +110,13 @@ def apertures(
     mi.set_variant("llvm_ad_mono")
     for name, blur in itertools.product(apertures, blurs):
         parameters, mask = APERTURES[name]
-        camera = camera_of(1.0, film, **parameters)
+        camera = ordinary_camera(1.0, film, **parameters)
         # Light of single cells goes far.
-        scene, picture = wall(camera, 4, blur, WIDE)
+        scene, picture = textured_wall(camera, 4, blur, WIDE)
         expected = diffracted(camera, picture, 4, blur, mask=mask)
 
         def taken(seed: int, scene: mi.Scene = scene) -> np.ndarray:
-            return render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=WAVELENGTH).image
+            return render_capture(scene, model="wave", spp=spp, seed=seed, wavelength=ORDINARY_WAVELENGTH).image
 
         image, noise = mean_of_seeds(taken, 4)
         yield {
@@ -116,84 +128,15 @@ def apertures(
 
 def noisy_scene(kind: str, airy: float, film: int) -> mi.Scene:
     """Return a scene of the noise's table: a wall whose texels pixels divide, or a small lamp before a dim wall."""
-    camera = camera_of(airy, film)
+    camera = ordinary_camera(airy, film)
     if kind == "textured wall":
-        whole = wall(camera.replace(detector_width=camera.detector_width * 1.07), max(2, round(4 / airy)), 0.5)[0]
+        whole = textured_wall(
+            camera.replace(detector_width=camera.detector_width * 1.07), max(2, round(4 / airy)), 0.5
+        )[0]
         return with_camera(whole, camera)
     distance, _ = blurred(camera, 0.5)
     lamp = facing(distance, 1.5 * camera.pixel_size * distance / camera.mla_distance, **radiating())
     return scene_of(camera.to_sensor(), "direct", lamp=lamp, dim=facing(2 * distance, 100.0, **radiating(0.01)))
-
-
-@case(
-    "ordinary.noise",
-    "Variance of wave captures by an ordinary camera over that of ray captures with as many samples",
-    {
-        "scene": "{scene}", "pixel (Airy radii)": "{airy:g}", "samples": "{spp}", "waves over rays": "{ratio:.2f}",
-        "light": "{light:.4f}",
-    },
-    (at_most("ratio", 1.5),),
-    page="docs/theory/ordinary.md",
-    quick={"pixels": (1.0,), "seeds": 3, "film": 24},
-)  # fmt: skip
-def noise(
-    *,
-    scenes: tuple[str, ...] = ("textured wall", "lamp"),
-    pixels: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0, 10.0),
-    samples: tuple[int, ...] = (64,),
-    film: int = 48,
-    seeds: int = 12,
-) -> Iterator[Row]:
-    """Take the variance of pixels over seeds."""
-    mi.set_variant("llvm_ad_mono")
-    for kind, airy, spp in itertools.product(scenes, pixels, samples):
-        scene, taken = noisy_scene(kind, airy, film), {}
-        for model, options in (("ray", {}), ("wave", {"wavelength": WAVELENGTH})):
-            images = [render_capture(scene, model=model, spp=spp, seed=seed, **options).image for seed in range(seeds)]
-            taken[model] = np.array(images, np.float64)
-        variance = {model: float(images.var(0, ddof=1).mean()) for model, images in taken.items()}
-        yield {
-            "scene": kind, "airy": airy, "spp": spp, "ratio": variance["wave"] / variance["ray"],
-            "light": float(taken["wave"].mean() / taken["ray"].mean()),
-        }  # fmt: skip
-
-
-@case(
-    "ordinary.bias",
-    "Mean of many wave captures of few samples by an ordinary camera against captures of many samples",
-    {
-        "scene": "{scene}", "pixel (Airy radii)": "{airy:g}", "samples": "{spp}", "light": "{light:.4f}",
-        "its noise": "{noise:.4f}", "squared difference over noise": "{ratio:.2f}",
-    },
-    # Four pixels have most of a lamp's light, so that the ratio scatters as a mean of four squares.
-    (at_most("ratio", 4.0), at_most("deviation", 4.0)),
-    page="docs/theory/ordinary.md",
-    quick={"pixels": (1.0,), "samples": (8,), "film": 16, "many": 256},
-)  # fmt: skip
-def bias(
-    *,
-    scenes: tuple[str, ...] = ("textured wall", "lamp"),
-    pixels: tuple[float, ...] = (0.5, 1.0, 4.0),
-    samples: tuple[int, ...] = (2, 8, 32),
-    film: int = 24,
-    many: int = 1024,
-) -> Iterator[Row]:
-    """Take means over as many captures as have 512 samples together, and over eight of many samples."""
-    mi.set_variant("llvm_ad_mono")
-    for kind, airy in itertools.product(scenes, pixels):
-        scene = noisy_scene(kind, airy, film)
-        options = {"model": "wave", "wavelength": WAVELENGTH}
-        known = np.array([render_capture(scene, spp=many, seed=10**6 + s, **options).image for s in range(8)], float)
-        for spp in samples:
-            few = np.array([render_capture(scene, spp=spp, seed=s, **options).image for s in range(512 // spp)], float)
-            variance = sum(images.var(0, ddof=1).sum() / len(images) for images in (few, known))
-            light = few.sum((1, 2)) / known.sum((1, 2)).mean()
-            error = float(light.std(ddof=1)) / math.sqrt(len(light))
-            yield {
-                "scene": kind, "airy": airy, "spp": spp, "light": float(light.mean()), "noise": error,
-                "ratio": float(((few.mean(0) - known.mean(0)) ** 2).sum() / variance),
-                "deviation": abs(float(light.mean()) - 1) / error,
-            }  # fmt: skip
 
 
 def _captured(resolution: int, spp: int, model: str, seed: int = 0) -> np.ndarray:

@@ -1,24 +1,19 @@
-"""Other packages on the same work: results are compared first, and then times, which are taken in turn.
-
-Other packages on the work of cameras: rays and waves through the double Gauss, and decoding and refocusing.
-"""
+"""Other packages on the same work: results are compared first, and then times, which are taken in turn."""
 
 from __future__ import annotations
 
 import importlib
-import json
 import math
 import os
 import statistics
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.special
+from cases import agreement, relative
 from scipy.ndimage import map_coordinates, shift
 
 from mitsuba_plenoptic import PlenopticCamera, decode, load_scene, render_capture
@@ -26,18 +21,14 @@ from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.points.arrival import FieldGrids
 from mitsuba_plenoptic.points.full_field import pass_microlenses
-from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import LensGrid, focal_stack, white_image
 from mitsuba_plenoptic.views.coordinates import disparity
 from mitsuba_plenoptic.views.lens_grid import lens_grid
 
-from ...record_optiland import image_distance, sample
 from .. import Row, at_least, at_most, case
-from ..measures import agreement, relative
 from ..speed import beam
 from ..timing import in_process, paired
-from .lenses import F_NUMBER, FAR, PIXEL, spread, theirs, traced
 
 PAGE = "docs/guides/other_programs.md"
 RUNS = 3
@@ -304,140 +295,6 @@ def closed_form_orders(numbers: np.ndarray, fresnel: float) -> np.ndarray:
     sine, cosine = scipy.special.fresnel(math.sqrt(2 * fresnel) * (numbers / fresnel + np.array([[0.5], [-0.5]])))
     whole = (cosine[0] - cosine[1]) - 1j * (sine[0] - sine[1])
     return np.asarray(np.exp(1j * math.pi * numbers**2 / fresnel) * whole / math.sqrt(2 * fresnel))
-
-
-NAME, D_LINE = "double_gauss", 587.5618
-FIELD = 14.0
-"""Largest angle of rays in degrees."""
-
-
-def deeplens_lens(radius: float | None = None, sensor: tuple[float, int] = (40.0, 2000)) -> Any:
-    """Return the double Gauss in DeepLens, in double precision, with its glasses from its own catalogue.
-
-    `radius` is that of the entrance pupil; without, no edge blocks a ray. `sensor` is its width and pixels across.
-    """
-    deeplens, torch = importlib.import_module("deeplens"), importlib.import_module("torch")
-    torch.set_num_threads(1)
-    lens, numbers = bundled_prescription(NAME), paraxial(bundled_prescription(NAME))
-    wider = 4.0 if radius is None else 1.0
-    part = 4.0 if radius is None else radius / numbers.entrance_radius
-    surfaces: list[dict[str, Any]] = [
-        {
-            "type": "Spheric", "c": 1 / each.radius, "r": wider * each.semi_aperture, "d_next": each.thickness,
-            "mat2": each.glass.name.lower() if each.glass else "air",
-        }
-        for each in lens.surfaces
-    ]  # fmt: skip
-    stop = lens.surfaces[lens.stop]
-    surfaces[lens.stop] = {
-        "type": "Aperture", "r": part * stop.semi_aperture, "d_next": stop.thickness, "is_aperture": True
-    }  # fmt: skip
-    surfaces[-1]["d_next"] = image_distance(*sample(NAME))
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "lens.json"
-        width, pixels = sensor
-        file.write_text(json.dumps({"surfaces": surfaces, "sensor_size": [width] * 2, "sensor_res": [pixels] * 2}))
-        return deeplens.GeoLens(str(file), device="cpu", dtype=torch.float64)
-
-
-@case(
-    "peers.rays",
-    "Rays through the double Gauss on one core, in double precision: the largest distance in the image plane from ours,"
-    " and times",
-    {"work": "{what}", "peer": "{peer}", "apart (mm)": "{difference:.0e}", **TIMES},
-    (at_most("difference", 1e-6),),
-    page=PAGE,
-    quick={"rays": 1000, "repeats": 1},
-)
-def rays(*, rays: int = 100_000, repeats: int = 5) -> Iterator[Row]:
-    """Trace rays that fill 0.7 of the pupil at all angles of the field."""
-    yield from in_process(_rays, rays, repeats, cores=1)
-
-
-def _rays(count: int, repeats: int) -> list[Row]:
-    lens, random = bundled_prescription(NAME), np.random.default_rng(0)
-    numbers, distance = paraxial(lens), image_distance(*sample(NAME))
-    radius, angle = 0.7 * numbers.entrance_radius * np.sqrt(random.random(count)), random.uniform(0, 2 * np.pi, count)
-    slopes = np.stack([np.zeros(count), np.tan(np.radians(FIELD * random.random(count)))])
-    places = np.stack([radius * np.cos(angle), radius * np.sin(angle)]) - numbers.entrance_pupil * slopes
-    N = 1 / np.sqrt(1 + np.sum(slopes**2, axis=0))
-    start, direction = np.stack([*(places - 30 * slopes), np.full(count, -30.0)]), np.stack([*(slopes * N), N])
-    peer = {"places": places, "slopes": slopes, "image_distance": distance}
-    expected = traced(lens, peer, D_LINE)[0]
-
-    def off(found: np.ndarray) -> Row:
-        return {"difference": float(np.max(np.abs(found - expected)))}
-
-    def optiland() -> Peer:
-        optic, bundle = sample(NAME)[0], importlib.import_module("optiland.rays").RealRays
-        ones = np.ones(count)
-
-        def work() -> np.ndarray:
-            found = optic.surfaces.trace(bundle(*start, *direction, ones, 1e-3 * D_LINE * ones), skip=1)
-            return np.array([found.x, found.y])
-
-        return Peer(work, off(work()), "both with NumPy, its default")
-
-    def deeplens() -> Peer:
-        lens, torch = deeplens_lens(), importlib.import_module("torch")
-        bundle = importlib.import_module("deeplens.light").Ray
-
-        def work() -> np.ndarray:
-            with torch.no_grad():
-                ray = bundle(torch.from_numpy(start.T.copy()), torch.from_numpy(direction.T.copy()), 1e-3 * D_LINE)
-                return np.asarray(lens.trace2sensor(ray).o[:, :2].T)
-
-        return Peer(work, off(work()), "PyTorch without gradients; ours with NumPy")
-
-    own, makers = {"ours": lambda: traced(lens, peer, D_LINE)}, {"optiland": optiland, "deeplens-core": deeplens}
-    return list(against(f"{count} rays", own, makers, repeats))
-
-
-@case(
-    "peers.spread",
-    "The point spread on the axis of the double Gauss at f/8, 48 x 48 positions 0.5 µm apart, on one core: relative"
-    " L2 from ours, and times",
-    {"work": "{what}", "peer": "{peer}", "relative L2": "{difference:.2%}", **TIMES},
-    (at_most("difference", "limit"),),
-    page=PAGE,
-    quick={"rays": 1000},
-)
-def spreads(*, rays: int = 12_800) -> Iterator[Row]:
-    """Give the peers about as many rays each."""
-    yield from in_process(_spreads, rays, cores=1)
-
-
-def _spreads(count: int) -> list[Row]:
-    window, across = 48, round(math.sqrt(4 / math.pi * count))
-    axis = (np.arange(window) - (window - 1) / 2) * PIXEL
-    places = np.meshgrid(axis, axis)
-
-    def off(found: np.ndarray, x: np.ndarray, y: np.ndarray, limit: float) -> Row:
-        mine = spread(NAME, 0.0, x, y)
-        return {"difference": relative(found * (np.sum(mine * found) / np.sum(found**2)), mine), "limit": limit}
-
-    def optiland() -> Peer:
-        psf, (x, y) = theirs(NAME, 0.0, across, window)
-        note = f"`HuygensPSF`, {across} x {across} rays, regular"
-        return Peer(lambda: theirs(NAME, 0.0, across, window), off(psf, x, y, 0.01), note)
-
-    def deeplens() -> Peer:
-        pixels, torch = 2000, importlib.import_module("torch")
-        lens = deeplens_lens(paraxial(bundled_prescription(NAME)).focal_length / F_NUMBER / 2, (pixels * PIXEL, pixels))
-
-        def work() -> np.ndarray:
-            torch.manual_seed(0)
-            return lens.psf_huygens([0.0, 0.0, -FAR], ks=window, wvln=1e-3 * WAVELENGTH, spp=count).numpy()
-
-        # The noise of random rays: 1.8 % for 5000.
-        limit = 0.02 * max(1.0, math.sqrt(5000 / count))
-        return Peer(work, off(work(), *places, limit), f"`psf_huygens`, {count} rays, random")
-
-    found = against(
-        f"f/{F_NUMBER:g}, {WAVELENGTH:g} nm", {"ours": lambda: spread(NAME, 0.0, *places)},
-        {"optiland": optiland, "deeplens-core": deeplens}, 1, warm=False,
-    )  # fmt: skip
-    return list(found)
 
 
 DISTANCES = (210.0, 240.0, 280.0)

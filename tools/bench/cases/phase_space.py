@@ -16,6 +16,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, Job, PlenopticCamera
 from mitsuba_plenoptic.lenses.common import main_lens
@@ -30,7 +31,7 @@ from mitsuba_plenoptic.prescription.lens_data import conjugate_distance
 from mitsuba_plenoptic.runtime.batches import SumTask
 
 from .. import Pivot, Row, at_most, case, pick
-from ..measures import relative, without_noise, write_comparison
+from ..measures import without_noise, write_comparison
 from ..timing import once
 
 WAVELENGTH = 633.0

@@ -1,4 +1,4 @@
-"""Captures behind lenses of a few wavelengths against exact sums, and the split of light by angle.
+"""Captures behind lenses of a few wavelengths against exact sums.
 
 The reference shares no code with captures. The field of each point of a wall on some lenses is a sum over the pupil's
 directions with the exact path from each pupil point; it passes the lenses, sampled at a quarter of the wavelength in
@@ -17,6 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import scipy.fft
+from cases import relative
 from numpy.typing import NDArray
 
 from mitsuba_plenoptic import Job, PlenopticCamera, load_scene, render_capture
@@ -26,8 +27,8 @@ from mitsuba_plenoptic.light.signed_colours import Node
 from mitsuba_plenoptic.optics import rays
 from mitsuba_plenoptic.runtime.batches import SumTask
 
-from .. import Pivot, Row, at_most, case
-from ..measures import mean_of_seeds, relative, write_comparison
+from .. import Row, at_most, case
+from ..measures import mean_of_seeds, write_comparison
 from ..timing import once, peak_memory
 
 PITCH, MEDIUM, DEPTH = 0.0028, 1.5, 0.004
@@ -239,43 +240,6 @@ def photodiodes(
                 }  # fmt: skip
                 name = f"f{f_number:g}_{wavelength:g}_{blur:g}_responses_exact_difference_times_10.png"
                 write_comparison(output / name, image, exact, gain=10)
-
-
-@case(
-    "photodiode-split",
-    "Light of a plane wave in the right pixel of two less that in the left one, over both, by its angle of incidence; "
-    "lenses of these pitches, focal lengths of 4/2.8 pitches, 550 nm, index 1.5, and in the ray model",
-    {
-        "pitch (um)": "{pitch:g}", "angle (degrees)": "{angle:g}", "responses": "{contrast:.3f}", "rays": "{rays:g}",
-        "light": "{light:.3f}",
-    },
-    (at_most("gained", 1e-3),),
-    page="docs/theory/photodiodes.md",
-    pivot=Pivot("{pitch:g}", "{angle:g} degrees", "{contrast:.2f}"),
-    quick={"pitches": (2.8,)},
-)  # fmt: skip
-def photodiode_split(
-    *,
-    pitches: tuple[float, ...] = (1.4, 2.8, 5.0),
-    angles: tuple[float, ...] = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0),
-    wavelength: float = 550.0,
-) -> Iterator[Row]:
-    """Compare pitches in micrometres and angles in degrees; rays of all these angles meet one side only."""
-    for pitch in pitches:
-        camera = camera_of(1.2, 4, pitch / 1000, pitch / 1000 * DEPTH / PITCH)
-        plan = PhotodiodeResponses(camera, wavelength)
-        light = plan.by_direction(0.0, 0.0)
-        # Light that comes from the left goes to the right.
-        right, left = light[1] + light[3], light[0] + light[2]
-        along = (np.arange(right.shape[1]) - right.shape[1] // 2) * plan.step
-        middle, area = right.shape[0] // 2, (pitch / 1000) ** 2
-        for angle in angles:
-            one, other = (np.interp(math.sin(math.radians(angle)), along, side[middle]) for side in (right, left))
-            yield {
-                "pitch": pitch, "angle": angle, "contrast": float((one - other) / (one + other)),
-                "rays": float(np.sign(angle)), "light": float((one + other) / area),
-                "gained": float((one + other) / area) - 1,
-            }  # fmt: skip
 
 
 @case(

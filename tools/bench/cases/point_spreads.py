@@ -5,19 +5,17 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
+from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic import particles as pt
 from mitsuba_plenoptic.extensions.particles.particle_images import scattered_light
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_field import full_field
-from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 
 from .. import Row, at_most, case
-from ..measures import relative
 from ..timing import peak_memory
 
 Point = tuple[float, float, float]
@@ -28,30 +26,6 @@ SECOND = PlenopticCamera(
     focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
     detector_width=5, resolution=(2000, 2000),
 )  # fmt: skip
-
-SMALL = PAPER.replace(detector_width=0.512, resolution=(256, 256))
-
-EXTREMES = {
-    "aperture_radius 2": (SMALL.replace(aperture_radius=2), (0.06, -0.05, 215)),
-    "aperture_radius 0.5": (SMALL.replace(aperture_radius=0.5), (0.06, -0.05, 215)),
-    "0.25 um pixels": (PAPER.replace(detector_width=0.256, resolution=(1024, 1024)), (0.1, -0.05, 230)),
-    "Fresnel number 0.3 by focal length": (
-        PAPER.replace(mla_focal_length=5.4, detector_distance=5.4, detector_width=1.024, resolution=(512, 512)),
-        (0.06, -0.05, 240),
-    ),
-    "Fresnel number 0.3 by pitch": (
-        PAPER.replace(mla_pitch=0.02, detector_width=0.4, resolution=(200, 200)), (0.06, -0.05, 230)
-    ),
-}  # fmt: skip
-"""Cameras, each with a scene point whose single spread is judged."""
-
-GAPPED = {
-    "square lenses": {},
-    "hexagonal lattice": {"mla_lattice": "hexagonal"},
-    "discs": {"mla_aperture": "circle"},
-}
-
-FILLS = (0.5, 0.25, 0.1)
 
 
 @case(
@@ -130,112 +104,11 @@ def convergence(*, count: int = 6, side: float = 1.4) -> Iterator[Row]:
         }
 
 
-@case(
-    "point-spreads.harder",
-    "Extreme cameras, gaps between microlenses and hidden parts of the pupil, against refined full fields; points by "
-    "fast lenses of coarse pixels, alone and among many, against accuracy 0",
-    {"case": "{name}", "error": "{error:.2%}", "limit": "{limit:.2%}"},
-    (at_most("error", "limit"),),
-    quick={"count": 2},
-)
-def harder(*, count: int = 200) -> Iterator[Row]:
-    """Compare both methods, then accuracies."""
-    found = itertools.chain(extremes(), hidden_pupils(), gapped(), accuracies())
-    for name, error, limit in itertools.islice(found, count):
-        yield {"name": name, "error": error, "limit": limit}
-
-
-Figure = tuple[str, float, float]
-"""A name, a relative error, and the largest one allowed."""
-
-
-def _refined(camera: PlenopticCamera, position: Any) -> np.ndarray:
-    """Full field on a finer grid in a wider window, by the paper's wavelength."""
-    return full_field(OpticalSystem(camera, 633.0), np.array(position), refinement=1.4, growth=1.2)
-
-
-def extremes() -> Iterator[Figure]:
-    """Single spreads of accuracy 0 by cameras that demand more of the grids than the paper's."""
-    for name, (camera, position) in EXTREMES.items():
-        reference = _refined(camera, position)
-        for method, limit in (("full_field", 0.003), ("patch", 0.005)):
-            spread = point_spread_function(camera, position, wavelength=633.0, method=method)
-            yield f"{name}, {method}", relative(spread, reference), limit
-
-
-def gapped() -> Iterator[Figure]:
-    """Add a dozen points by microlenses with opaque gaps, at the default accuracy of many radiators."""
-    g = np.linspace(226.0, 252.0, 12)
-    points = np.column_stack([0.1 * np.cos(3 * g), 0.1 * np.sin(3 * g), g])
-    # Few radiators would get a finer grid, since what is cut of each does not average out.
-    many = np.tile(points, (50, 1))
-
-    for (name, parameters), fill in itertools.product(GAPPED.items(), FILLS):
-        camera = PAPER.replace(detector_width=0.256, resolution=(128, 128), mla_fill=fill, **parameters)
-        references = [_refined(camera, point) for point in points]
-        reference, full = sum(references), full_field(OpticalSystem(camera, 633.0), points[0])
-        patch = CaptureOperator(camera, many, wavelength=633.0).forward(np.full(len(many), 1 / 50))
-        yield f"{name}, mla_fill {fill:g}, full_field", relative(full, references[0]), 0.003
-        yield f"{name}, mla_fill {fill:g}, patch", relative(patch, reference), 0.01
-
-
-def hidden_pupils() -> Iterator[Figure]:
-    """Pupils of which cells are hidden, against a full field of half the pitch."""
-    place = np.arange(16)
-    masks = {"half": (place >= 8) & (place >= 0)[:, None], "quarter": (place >= 8) & (place >= 8)[:, None]}
-
-    for (name, mask), g in itertools.product(masks.items(), (225.0, 240.0)):
-        weights, point = mask[None], np.array([0.06, -0.05, g])
-        reference, full = (
-            full_field(
-                OpticalSystem(SMALL, 633.0), point, pupil_weights=PupilWeights.of(weights, 1), refinement=refinement
-            )
-            for refinement in (2, 1)
-        )
-        patch = CaptureOperator(SMALL, [point], wavelength=633.0, accuracy=0, pupil_weights=weights).forward([1.0])
-        yield f"{name} of the pupil at {g:g}, full_field", relative(full, reference), 0.002
-        yield f"{name} of the pupil at {g:g}, patch", relative(patch, reference), 0.003
-
-
-FAST = [
-    *itertools.product(((1.8, 5), (2, 7), (2.8, 10), (4, 7), (10, 7)), ["square"], (0, 2), [0]),
-    *itertools.product(((2, 7), (10, 7)), ["hexagonal"], [0], [0]),
-    *itertools.product(((2, 7), (10, 7)), ["square"], [2], [20]),
-]
-"""F-numbers and pixels of 5 micrometres a lens, lattices, blurs and distances from the axis in lenses."""
-
-
 def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.ndarray:
     """Return scene points (n, 3) with images about places (n, 2) on the array, blurred over some lenses."""
     image = camera.mla_distance / (1 + lenses * camera.mla_pitch / camera.aperture_diameter)
     g = 1 / (1 / camera.focal_length - 1 / image)
     return np.column_stack([-places * g / camera.mla_distance, np.full(len(places), g)])
-
-
-def accuracies() -> Iterator[Figure]:
-    """Single points alone, and a hundred alone and among so many that less diffracted light is kept."""
-    rng = np.random.default_rng(1)
-    for (f_number, pixels), lattice, blur, beside in FAST:
-        whole = PlenopticCamera.matched(
-            f_number=f_number, lenses=96, pixels_per_lens=pixels, pixel_size=0.005, focal_length=50,
-            focus_distance=320, mla_lattice=lattice,
-        )  # fmt: skip
-        middle = np.array(whole.resolution) // 2 + np.array([beside * pixels, 0])
-        side = round((17 + 1.6 * blur) * pixels)
-        camera = whole.replace(crop_offset=tuple((middle - side // 2).tolist()), crop_size=(side, side))
-        places = rng.uniform(-2.5, 2.5, (520, 2)) + np.array([beside, 0])
-        points, weights = blurred(camera, places * camera.mla_pitch, blur), rng.uniform(0.5, 1, 100)
-        among = np.pad(weights, (0, len(points) - 100))
-
-        def image(points: np.ndarray, weights: Any, accuracy: float, camera: Any = camera) -> np.ndarray:
-            return CaptureOperator(camera, points, wavelength=550, accuracy=accuracy).forward(weights)
-
-        single, exact = image(points[:1], [1.0], 0), image(points[:100], weights, 0)
-        for accuracy in (0.05, 0.01):
-            name = f"f/{f_number:g}, {pixels} pixels, {lattice}, blur {blur}, {beside} lenses off axis, {accuracy:g}"
-            yield f"{name}, one", relative(image(points[:1], [1.0], accuracy), single), accuracy
-            yield f"{name}, a hundred", relative(image(points[:100], weights, accuracy), exact), accuracy
-            yield f"{name}, a hundred among many", relative(image(points, among, accuracy), exact), accuracy
 
 
 @case(

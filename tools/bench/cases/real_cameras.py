@@ -1,4 +1,4 @@
-"""A real light-field microscope: its white picture and its light field against simulated ones, by waves and by rays.
+"""A real light-field microscope: its white picture against a simulated one.
 
 The pictures, from napari-LF (BSD 3-Clause), are taken from the folder that MITSUBA_PLENOPTIC_DATA names, in ``antleg``.
 """
@@ -6,7 +6,6 @@ The pictures, from napari-LF (BSD 3-Clause), are taken from the folder that MITS
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,11 +13,7 @@ import numpy as np
 
 from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.calibration import WhiteFit, fit_white
-from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
-from mitsuba_plenoptic.extensions.prediction.study import CAMERAS, Pictures, Study
-from mitsuba_plenoptic.extensions.prediction.withheld import TESTS
-from mitsuba_plenoptic.io.cache import Cache
 from mitsuba_plenoptic.io.pictures import read_picture
 
 from .. import Row, case, figure
@@ -97,50 +92,3 @@ def white(*, samples: int = 128) -> Iterator[Row]:
         rms = 100 * float(np.sqrt(((recorded - simulated) ** 2).mean()))
         yield figure(f"{name}: simulated capture of 12 x 12 lenses from the recorded", rms, unit="%")
         yield figure(f"{name}: processor time of the fit", seconds, unit="s")
-
-
-@case(
-    "real.light_field",
-    "Light field of a real microscope: withheld pixels and lenses, predicted by waves and by rays",
-    page="docs/guides/real_camera.md",
-)
-def light_field(
-    *,
-    left: float = 0.65,
-    top: float = 0.6,
-    right: float = 0.95,
-    bottom: float = 0.87,
-    # Where runs are kept and found again; none: a new folder for this time.
-    keep: str = "",
-) -> Iterator[Row]:
-    """Run the study of ``compare --real`` on a part of the picture, given over its size; a quarter takes far longer."""
-    names = ("light_field.png", "radiometry_frame.png", "dark_frame.tif")
-    light, white, dark = (sensor_values(folder_of_pictures() / name) for name in names)
-    rows, columns = white.shape
-    box = left * columns, top * rows, right * columns, bottom * rows
-    with tempfile.TemporaryDirectory() as folder:
-        stages = Cache(Path(keep or folder))
-        study = Study(Pictures(light, white, dark), PlenopticCamera.preset("lfm_water"), 510.0, box, stages)
-        answer, _, seconds = once(study.answer)
-        for camera in CAMERAS:
-            for test in TESTS:
-                found, relative = answer.ratios[camera][test], answer.relative[camera]
-                name = f"{camera} camera, withheld {test}"
-                yield figure(f"{name}: residual over noise by waves", found.waves)
-                yield figure(f"{name}: residual over noise by rays", found.rays)
-                yield figure(f"{name}: rays over waves", found.ratio)
-                yield figure(f"{name}: rays over waves, 95 % from", found.low)
-                yield figure(f"{name}: rays over waves, 95 % to", found.high)
-                for each in relative:
-                    yield figure(f"{name}: relative residual by {each}", 100 * relative[each][test], unit="%")
-        for each, ratio in answer.controls.items():
-            # The test must tell pictures simulated by waves from those by rays.
-            waves = each == "waves"
-            limits = {"at_least": 1.0} if waves else {"at_most": 1.0}
-            value = ratio.low if waves else ratio.high
-            yield figure(f"simulated by {each}: rays over waves, nearer end of the interval", value, **limits)
-        for length, residual in answer.wavelengths.items():
-            yield figure(f"waves of {length:g} nm: residual over noise, withheld pixels", residual)
-        for each, stray in answer.stray.items():
-            yield figure(f"stray light within lenses by {each}", 100 * stray, unit="%")
-        yield figure("processor time", seconds, unit="s")

@@ -1,4 +1,4 @@
-"""Reconstructions of built-in scenes against Mitsuba's own thin lens, and at the sizes of real cameras.
+"""Reconstructions of built-in scenes against Mitsuba's own thin lens.
 
 White walls and ramps, refocused at their own distance by every method: every bin that is reached, to the border.
 
@@ -25,7 +25,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cases
 import numpy as np
+from cases import best_shift
 
 from mitsuba_plenoptic import (
     Capture,
@@ -35,17 +37,15 @@ from mitsuba_plenoptic import (
     reconstruct,
     render_capture,
     with_camera,
-    write_capture,
 )
 from mitsuba_plenoptic.refocus.straight import straightened
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
 
 from .. import Pivot, Row, at_least, at_most, case, pick
-from ..measures import best_shift, scores, write_comparison
-from ..scenes import walls
+from ..measures import scores, write_comparison
 from ..scenes.wall_diffraction import expected, interference_shift
-from ..timing import in_process, once, peak_memory
+from ..timing import once
 
 DISTANCES = (210.0, 240.0, 280.0)
 SCENES = {"letters": DISTANCES, "still_life": (215.0, 240.0, 280.0)}
@@ -241,51 +241,6 @@ def displaced(
             }  # fmt: skip
 
 
-FULL_SIZE = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "interleave": "auto"}}
-
-
-@case(
-    "reconstruction.full-size",
-    "Ray captures by cameras like the Lytro and the Raytrix R12, refocused in the wave model in a process each",
-    {
-        "camera": "{camera}", "bins": "{columns} x {rows}", "method": "{method}", "g (mm)": "{distance:g}",
-        "CPU s": "{processor:.0f}", "GiB": "{memory:.2f}", "not reached": "{unreached:.1%}",
-        "least, mean, most": "{least:.3f}, {mean:.3f}, {most:.3f}",
-    },
-    (at_most("memory", 8.0), at_most("unreached", 0.0)),
-    page="docs/theory/cost.md",
-    pivot=Pivot("{camera}, {columns} x {rows} bins, {method}", "{place}", "{processor:.0f} s, {memory:.1f} GiB"),
-    quick={"cameras": ("lytro",), "methods": ("coherent",), "spp": 1},
-)  # fmt: skip
-def full_size(
-    output: Path,
-    *,
-    cameras: tuple[str, ...] = ("lytro", "raytrix"),
-    methods: tuple[str, ...] = (),
-    spp: int = 4,
-) -> Iterator[Row]:
-    """Refocus to the camera's focus and to infinity."""
-    for name in cameras:
-        path = output / f"{name}.exr"
-        write_capture(path, render_capture(load_scene(name), model="ray", spp=spp))
-        focus = round(float(read_capture(path).camera.focus_distance), 3)
-        for method in pick(FULL_SIZE, methods):
-            for place, distance in (("at the focus", focus), ("at infinity", math.inf)):
-                yield {"camera": name, "method": method, "place": place, **in_process(_refocus, path, method, distance)}
-
-
-def _refocus(path: Path, method: str, distance: float) -> Row:
-    capture = read_capture(path)
-    result, _, processor = once(lambda: reconstruct(capture, distance, wavelength=550.0, **FULL_SIZE[method]))
-    image, lit = result.image, np.nan_to_num(result.image)
-    write_png(path.with_name(f"{path.stem}_{method}_{distance:g}.png"), lit, peak=float(np.percentile(lit, 99.5)))
-    return {
-        "columns": image.shape[1], "rows": image.shape[0], "distance": distance, "processor": processor,
-        "memory": peak_memory(), "unreached": float(np.isnan(image).mean()), "least": float(np.nanmin(image)),
-        "mean": float(np.nanmean(image)), "most": float(np.nanmax(image)),
-    }  # fmt: skip
-
-
 LIMITS = {"ray": 0.02, "wave": 0.03}
 LATTICES: dict[str, dict[str, Any]] = {"square": {}, "hexagonal": {"mla_lattice": "hexagonal"}}
 
@@ -337,7 +292,7 @@ def compare(
     """Capture and refocus all combinations."""
     for count, lattice, model in itertools.product(lenses, pick(LATTICES, lattices), models):
         camera = PlenopticCamera(detector_width=0.064 * count, resolution=(pixels * count,) * 2, **LATTICES[lattice])
-        reference = walls.capture(camera, REFERENCE, "white", model, spp)
+        reference = cases.wall_capture(camera, REFERENCE, "white", model, spp)
         for distance in distances:
             pair = Walls(camera, distance, model, spp, reference)
             for method in pick(WALL_METHODS, methods):
@@ -350,7 +305,7 @@ class Walls:
     def __init__(self, camera: PlenopticCamera, distance: float, model: str, spp: int, reference: Capture) -> None:
         self._camera, self._distance, self._model, self._reference = camera, distance, model, reference
         self._free: dict[str, np.ndarray] = {}
-        self._captures = {wall: walls.capture(camera, distance, wall, model, spp) for wall in walls.WALLS}
+        self._captures = {wall: cases.wall_capture(camera, distance, wall, model, spp) for wall in cases.WALLS}
 
     def compare(self, method: str) -> Iterator[Row]:
         """Refocus the captures by one method, and find the worst bin of each."""
@@ -385,8 +340,8 @@ class Walls:
         difference = image - free
         found["contrast"] = float(np.nanstd(bright) / np.nanmean(bright))
         found["rms"], found["mean"] = _mean(difference**2, bright) ** 0.5, _mean(difference, bright)
-        shift = interference_shift(self._camera, self._distance, walls.WAVELENGTH, self._model)
-        found["predicted"] = found["contrast"] * shift * walls.SLOPE
+        shift = interference_shift(self._camera, self._distance, cases.WALL_WAVELENGTH, self._model)
+        found["predicted"] = found["contrast"] * shift * cases.SLOPE
         found["without"] = self._worst(free, wall)
         if self._model == "wave":
             found["without"] = min(found["without"], self._from_expected(free, wall))
@@ -401,17 +356,17 @@ class Walls:
         return self._free[wall]
 
     def _refocus(self, taken: Capture, method: str, white: Capture | None) -> np.ndarray:
-        wavelength = None if method == "ray" else walls.WAVELENGTH
+        wavelength = None if method == "ray" else cases.WALL_WAVELENGTH
         options = WALL_METHODS[method]
         image = reconstruct(taken, self._distance, wavelength=wavelength, white=white, **options).image
         return image.astype(np.float64)
 
     def _from_expected(self, image: np.ndarray, wall: str) -> float:
-        known = expected(self._camera, self._distance, walls.WAVELENGTH, wall)
+        known = expected(self._camera, self._distance, cases.WALL_WAVELENGTH, wall)
         return float(np.nanmax(np.abs(image - known)))
 
     def _worst(self, image: np.ndarray, wall: str) -> float:
-        return float(np.nanmax(np.abs(image - walls.known_radiance(self._camera, wall))))
+        return float(np.nanmax(np.abs(image - cases.known_radiance(self._camera, wall))))
 
 
 def _mean(values: np.ndarray, weights: np.ndarray) -> float:

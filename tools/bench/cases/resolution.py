@@ -38,6 +38,7 @@ from typing import Any
 import matplotlib
 import mitsuba as mi
 import numpy as np
+from cases import spot_filtered
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.optimize import curve_fit
@@ -48,7 +49,6 @@ from mitsuba_plenoptic.design import focus_type, lens_footprint, pixel_footprint
 from mitsuba_plenoptic.extensions.paper.paper_limits import focused_cameras
 
 from .. import Pivot, Row, at_least, at_most, case, pick
-from ..measures import spot_filtered
 
 WAVELENGTH = 633.0
 PATTERNS = ((0.0, 0.0), (30.0, 90.0))

@@ -1,16 +1,7 @@
-"""Wave captures of scenes whose light does not come straight from matte things, or differs over the pupil.
-
-Lamps in focus: light of wave captures against closed forms, before small pupils and by few samples.
-
-Small pupils spread light over many lenses. The light in a square of the array is the integral over frequencies of the
-spectra of lamp and square times the pupil's transfer function (Goodman, "Introduction to Fourier Optics", section 6.3).
-Micro-images there are a pupil's, so that the detector receives the same light behind the square but for what
-microlenses spread beyond its edge.
-"""
+"""Wave captures of scenes whose light does not come straight from matte things, and of matte scenes point by point."""
 
 from __future__ import annotations
 
-import math
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterator
@@ -19,14 +10,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-
-from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture, scene_path, with_camera
-from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images, rounded
-
-from .. import Row, at_most, case, pick
-from ..measures import mean_of_seeds, relative, spot_filtered, without_noise, write_comparison
-from ..scenes import pupil_light
-from ..scenes.light_paths import (
+from cases import (
     MIRROR,
     TRANSPARENT,
     WAYS,
@@ -44,11 +28,18 @@ from ..scenes.light_paths import (
     lit_mirror,
     plastic,
     radiating,
+    relative,
     scene_of,
     sensor,
     slanted,
+    spot_filtered,
     square_behind,
 )
+
+from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, reconstruct, render_capture, scene_path, with_camera
+
+from .. import Row, at_most, case, pick
+from ..measures import mean_of_seeds, without_noise, write_comparison
 from ..timing import once
 
 
@@ -183,41 +174,6 @@ def light_paths(*, only: tuple[str, ...] = ()) -> Iterator[Row]:
         yield from group()
 
 
-@case(
-    "scenes.pupil-light",
-    "Scenes whose light differs over the pupil or within a lens, by signed rays, against ray captures convolved with a "
-    "microlens's diffraction: quarters of micro-images, without noise",
-    {
-        "scene": "{scene}", "quarters of micro-images": "{difference:.2%}", "noise": "{noise:.2%}",
-        "energy": "{energy:.4f}", "limit": "{limit:.0%}",
-    },
-    (at_most("difference", "limit"), at_most("energy_off", "energy_limit")),
-    page="docs/theory/phase_space.md",
-    variant="llvm_ad_rgb",
-    quick={"only": ("floor",), "ray_spp": 64, "wave_spp": 16},
-)  # fmt: skip
-def pupil_light_scenes(*, only: tuple[str, ...] = (), ray_spp: int = 1024, wave_spp: int = 256) -> Iterator[Row]:
-    """Capture each scene in both models, twice each."""
-    for name, (make, limit) in pick(pupil_light.SCENES, only).items():
-        scene = make()
-
-        def rays(seed: int, scene: Any = scene) -> np.ndarray:
-            taken = render_capture(scene, model="ray", spp=ray_spp, seed=seed)
-            channels = np.moveaxis(np.atleast_3d(taken.image), 2, 0)
-            return pupil_light.quarters(np.stack([spot_filtered(each, taken.camera) for each in channels], -1))
-
-        def waves(seed: int, scene: Any = scene) -> np.ndarray:
-            options = {"model": "wave", "method": "signed_rays", "wavelength": 633.0}
-            return pupil_light.quarters(np.atleast_3d(render_capture(scene, spp=wave_spp, seed=seed, **options).image))
-
-        (ray, ray_noise), (wave, wave_noise) = mean_of_seeds(rays, 2), mean_of_seeds(waves, 2)
-        noise, total = math.hypot(ray_noise, wave_noise), float(wave.sum() / ray.sum())
-        yield {
-            "scene": name, "difference": without_noise(relative(wave, ray), noise), "noise": noise, "energy": total,
-            "limit": limit, "energy_off": abs(total - 1), "energy_limit": 0.01 + 3 * noise,
-        }  # fmt: skip
-
-
 PIXELS = 32
 """Pixels of a lens at full resolution."""
 
@@ -307,208 +263,3 @@ def points_against_signed_rays(
         yield found | {"energy": float(images["points"].sum() / images["rays"].sum())}
         file = "".join(c if c.isalnum() else "_" for c in name)
         write_comparison(output / f"{file}_difference_times_10.png", images["points"], images["rays"], gain=10)
-
-
-@case(
-    "scenes.noise",
-    "How well a comparison separates noise from diffraction: two ray captures of the letters differ by noise alone, "
-    "and ray and wave capture of the Cornell box by the same from few samples as from many",
-    {
-        "captures": "{captures}", "pixels": "{pixels}", "samples": "{samples}", "measured": "{measured:.2%}",
-        "noise": "{noise:.2%}", "without noise": "{true:.2%}", "noise alone": "{noise_alone}",
-        "off that of most samples": "{off:.1%}",
-    },
-    (at_most("off", 0.1), at_most("not_noise", 0)),
-    page="docs/theory/accuracy.md",
-    quick={"lenses": 8, "samples": (256, 64)},
-)  # fmt: skip
-def noise(*, lenses: int = 12, samples: tuple[int, ...] = (1024, 16)) -> Iterator[Row]:
-    """Compare all pixels, the middle of micro-images and their rim; the first of the samples should be the most."""
-    few = min(samples)
-    letters = load_scene("letters", parameters={"resolution": "384", "detector_width": "0.768"})
-    for row in differences("letters, rays twice", few, *(_rays(letters, few, seed) for seed in (0, 1))):
-        yield {**row, "not_noise": int(not row["noise_alone"])}
-    box, most = cornell_box(lenses), {}
-    for count in samples:
-        wave = render_capture(box, model="wave", method="signed_rays", wavelength=633.0, spp=count, noise=True)
-        for row in differences("Cornell box, rays and waves", count, _rays(box, count, 0), wave):
-            if count == max(samples):
-                most[row["pixels"]] = row["true"]
-                yield row
-            else:
-                yield {**row, "off": abs(row["true"] / most[row["pixels"]] - 1)}
-
-
-def _rays(scene: Any, samples: int, seed: int) -> Capture:
-    """Capture by _rays, with noise."""
-    return render_capture(scene, model="ray", spp=samples, seed=seed, noise=True)
-
-
-def differences(captures: str, samples: int, a: Capture, b: Capture) -> list[Row]:
-    """Compare over all pixels, in the middle of micro-images and at their rim."""
-    middle = middle_of_micro_images(a.camera)
-    return [
-        {"captures": captures, "pixels": name, "samples": samples, **rounded(capture_difference(a, b, pixels))}
-        for name, pixels in {"all": None, "middle": middle, "rim": ~middle}.items()
-    ]
-
-
-_SIZE = 60.0
-"""Times the size of Mitsuba's Cornell box, whose walls are 2 apart: millimetres for a camera of an 80 mm lens."""
-
-
-def cornell_box(lenses: int) -> Any:
-    """Load Mitsuba's Cornell box with a plenoptic camera before it."""
-    camera = PlenopticCamera(detector_width=0.064 * lenses, resolution=(32 * lenses,) * 2, lens_model="parabolic")
-    larger = mi.ScalarTransform4f().scale(_SIZE)
-    box = mi.cornell_box()
-    for part in box.values():
-        if isinstance(part, dict) and part.get("type") in ("rectangle", "cube"):
-            part["to_world"] = larger @ part["to_world"]
-    # The edge of the tall box, before the back wall.
-    place = mi.ScalarTransform4f().look_at(origin=[0, 0, 3.9 * _SIZE], target=[-0.05 * _SIZE, 0, -_SIZE], up=[0, 1, 0])
-    return mi.load_dict(box | {"sensor": camera.to_sensor() | {"to_world": place}})
-
-
-WAVELENGTH = 633.0
-_PIXELS = 16
-
-STARS, STAR_LENSES, STAR_PIXELS, MARGIN = 400, 12, 20, 3.5
-"""Stars of a sky, lenses across the detector, pixels across a lens, and lenses beside the stars."""
-
-
-@case(
-    "lamps",
-    "Light of a small lamp in focus on the detector by waves, over the closed form, before pupils that diffract widely",
-    {
-        "pupil": "f/{f_number:g}", "Airy radius (lenses)": "{airy:.2g}", "closed form, of all light": "{part:.3f}",
-        "detector": "{whole:.4f} ± {whole_error:.4f}", "closed form, nine lenses": "{inner_part:.3f}",
-        "nine lenses": "{inner:.4f} ± {inner_error:.4f}",
-    },
-    (at_most("excess", "limit"),),
-    page="docs/theory/phase_space.md",
-    quick={"f_numbers": (60.0,), "samples": 32.0, "seeds": 2},
-)  # fmt: skip
-def lamps(
-    *,
-    f_numbers: tuple[float, ...] = (12.0, 30.0, 60.0, 120.0, 240.0, 600.0),
-    lenses: int = 14,
-    size: float = 2.0,
-    samples: float = 512.0,
-    seeds: int = 4,
-) -> Iterator[Row]:
-    """Capture a square lamp over a lens's centre; ``size`` is that of its image in lenses.
-
-    Samples are those of a pixel at f/12. Their number grows with the square of the f-number, as lit pixels get fewer.
-    """
-    for number in f_numbers:
-        radius = 120 / number / 2
-        camera = PlenopticCamera(
-            detector_width=0.064 * lenses, resolution=(_PIXELS * lenses,) * 2, aperture_radius=radius
-        )
-        pitch, b, scale = camera.mla_pitch, camera.mla_distance, camera.focus_distance / camera.mla_distance
-        place, half = -pitch / 2 * scale, size * pitch / 2 * scale
-        scene = scene_of(
-            sensor(lenses, _PIXELS, aperture_radius=radius),
-            lamp=facing(camera.focus_distance, half, (place, place), **radiating()),
-        )
-        images = [
-            render_capture(
-                scene, model="wave", wavelength=WAVELENGTH, spp=round(samples * (number / 12) ** 2), seed=seed
-            ).image
-            for seed in range(seeds)
-        ]
-        # A lens full of light has that of the pupil's image on the detector.
-        light = size**2 * math.pi / 4 * (2 * radius * camera.detector_distance / (b * camera.pixel_size)) ** 2
-        middle = (lenses // 2 - 1) * _PIXELS, (lenses // 2 + 2) * _PIXELS
-        found = {}
-        for name, images_of, box in (
-            ("", images, (-lenses / 2, lenses / 2)),
-            ("inner_", [image[middle[0] : middle[1], middle[0] : middle[1]] for image in images], (-1.0, 2.0)),
-        ):
-            part = _light_in(box, size, 2 * radius * pitch / (WAVELENGTH * 1e-6 * b))
-            ratios = [float(image.sum(dtype=float)) / light / part for image in images_of]
-            found[f"{name}part"] = part
-            found["inner" if name else "whole"] = float(np.mean(ratios))
-            found["inner_error" if name else "whole_error"] = float(np.std(ratios, ddof=1)) / math.sqrt(seeds)
-        yield {
-            "f_number": number, "airy": 1.22 * WAVELENGTH * 1e-6 * b / (2 * radius) / pitch, **found,
-            "excess": abs(found["whole"] - 1), "limit": 0.01 + 3 * found["whole_error"],
-        }  # fmt: skip
-
-
-def _light_in(box: tuple[float, float], size: float, cut: float, count: int = 2000) -> float:
-    """Return the part of a square lamp's light, centred at (1/2, 1/2), in a box along both axes; lengths in lenses."""
-    frequency = (np.arange(count) + 0.5) / count * cut
-    part = np.minimum(np.hypot(frequency, frequency[:, None]) / cut, 1)
-    transfer = 2 / np.pi * (np.arccos(part) - part * np.sqrt(1 - part**2))
-    width, aside = box[1] - box[0], (box[0] + box[1]) / 2 - 0.5
-    along = np.sinc(width * frequency) * width * np.sinc(size * frequency) * np.cos(2 * np.pi * frequency * aside)
-    return float(4 * (along @ transfer @ along) * (cut / count) ** 2)
-
-
-def sky() -> tuple[Any, float]:
-    """Return a scene of stars of random places and sizes in focus, and its light, the sum of its capture's pixels.
-
-    A micro-image of uniform radiance 1 has pi / 4 (D1 z / b)^2 of the detector's area, and stars their part of it.
-    """
-    random = np.random.default_rng(1)
-    pitch, step = 0.128, 1e-4
-    half = (STAR_LENSES / 2 - MARGIN) * pitch
-    places, sizes = random.uniform(-half, half, (STARS, 2)), random.uniform(0.002, 0.012, STARS)
-    scene = scene_of(
-        sensor(STAR_LENSES, STAR_PIXELS),
-        **{
-            f"star_{i}": facing(240.0, float(size), (float(x), float(y)), **radiating())
-            for i, ((x, y), size) in enumerate(zip(places, sizes, strict=True))
-        },
-    )
-    # Stars may overlap: their union, on a fine grid.
-    axis = np.arange(-half - 0.02, half + 0.02, step)
-    covered = np.zeros((len(axis),) * 2, bool)
-    for place, size in zip(places, sizes, strict=True):
-        rows, columns = (slice(*np.searchsorted(axis, [p - size, p + size])) for p in place)
-        covered[rows, columns] = True
-    lenses = covered.sum() * (step / pitch) ** 2
-    return scene, lenses * math.pi / 4 * (10 * 0.512 / (120 * 0.064 / STAR_PIXELS)) ** 2
-
-
-def light_of_stars(scene: Any, light: float, spp: int, seeds: int, noise: bool) -> tuple[float, float, float]:
-    """Return the mean of captures' light over their stars' light, its standard error, and the least pixel."""
-    images = [
-        # Counts of samples share no seeds.
-        render_capture(scene, model="wave", spp=spp, seed=10_000 * spp + seed, noise=noise).image
-        for seed in range(seeds)
-    ]
-    found = [image.sum(dtype=float) / light for image in images]
-    return float(np.mean(found)), float(np.std(found, ddof=1)) / math.sqrt(seeds), float(np.min(images))
-
-
-@case(
-    "stars",
-    "Light of 400 small stars by waves over the closed form, by few and by many samples of a pixel",
-    {"option noise": "{noise}", "samples": "{samples}", "light": "{mean:.4f} ± {error:.4f}", "seeds": "{seeds}"},
-    (at_most("excess", "limit"),),
-    page="docs/theory/phase_space.md",
-    quick={"samples": (1, 16), "noisy": (2,), "scale": 0.05},
-)  # fmt: skip
-def stars(
-    *,
-    samples: tuple[int, ...] = (1, 4, 16, 64, 256, 1024),
-    noisy: tuple[int, ...] = (2, 16, 128, 1024),
-    scale: float = 1.0,
-) -> Iterator[Row]:
-    """Capture the same stars by counts of samples, without and with the option noise; ``scale`` is that of the seeds.
-
-    The noise option compares two halves of a capture's samples, which one sample does not have.
-    """
-    mi.set_variant("llvm_ad_mono")
-    scene, light = sky()
-    for noise, counts in ((False, samples), (True, noisy)):
-        for spp in counts:
-            seeds = max(3, round(scale * max(20, 160 / math.sqrt(spp))))
-            mean, error, _ = light_of_stars(scene, light, spp, seeds, noise)
-            yield {
-                "noise": "yes" if noise else "no", "samples": spp, "mean": mean, "error": error, "seeds": seeds,
-                "excess": abs(mean - 1), "limit": min(0.01, 3.5 * error) if scale >= 1 else 3.5 * error,
-            }  # fmt: skip

@@ -1,9 +1,4 @@
-"""Wavefronts from captures of stars that HCIPy simulates, and from those of a Shack-Hartmann sensor.
-
-Wavefronts from captures of an extended source of known shape that HCIPy simulates.
-
-Digital adaptive optics: a Siemens star behind unknown wavefronts in three zones of the field.
-"""
+"""Wavefronts from captures of stars that HCIPy simulates, and from those of a Shack-Hartmann sensor."""
 
 from __future__ import annotations
 
@@ -14,20 +9,18 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.optics.waves import in_millimetres
 from mitsuba_plenoptic.wavefront import (
     Zone,
-    deconvolve_zones,
-    digital_adaptive_optics,
     fit_wavefronts,
     modes_from_slopes,
     view_slopes,
 )
 
-from .. import Row, at_least, at_most, case
-from .wavefront_sensors import cells, spots
+from .. import Row, at_most, case
 
 WAVELENGTH = 633.0
 STAR = (0.0, 0.0, 1e9)
@@ -40,6 +33,21 @@ WIDTH = 4.0
 
 FINER = 4
 """Samples of HCIPy's fields across a pixel."""
+
+
+def cells(image: NDArray[Any], pixels: int) -> NDArray[Any]:
+    """Return the cells of the lenses, (rows, columns, pixels, pixels)."""
+    rows, columns = (size // pixels for size in image.shape)
+    return image.astype(float).reshape(rows, pixels, columns, pixels).transpose(0, 2, 1, 3)
+
+
+def spots(image: NDArray[Any], pixels: int) -> NDArray[np.float64]:
+    """Return the positions of spots in pixels by the phase of the first Fourier coefficient of their cells.
+
+    Other than the centroid it hardly depends on the tails of spots, which the borders of the cells cut off.
+    """
+    each, waves = cells(image, pixels), np.exp(2j * np.pi * (np.arange(pixels) - (pixels - 1) / 2) / pixels)
+    return np.angle(np.stack([each.sum(2) @ waves, each.sum(3) @ waves])) * pixels / (2 * np.pi)
 
 
 def telescope(lenses: int = LENSES, pixels: int = PIXELS, width: float = WIDTH) -> PlenopticCamera:
@@ -249,176 +257,3 @@ def stars(
                 # Where photons are many, the two programs differ by more than these deviations.
                 "over_stated": fitted / stated if count <= 1000 and modes_of_screen == modes else None,
             }
-
-
-DISTANCE = 1e9
-ON_AXIS = np.zeros((1, 2))
-DISC = WIDTH / 2 * np.array([(0.0, 0.0), *((math.cos(k * math.pi / 3), math.sin(k * math.pi / 3)) for k in range(6))])
-"""Places of a source's points on the detector in lambda / D: the centre and six points of the edge of a disc."""
-
-
-def zone(places: np.ndarray) -> Zone:
-    """Return a source for our model; the telescope's picture is upside down."""
-    points = -places * (in_millimetres(WAVELENGTH) / DIAMETER * DISTANCE)
-    return Zone(np.column_stack([points, np.full(len(points), DISTANCE)]))
-
-
-def image(sensor: ArrayInFocus | ShackHartmann, phase: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return HCIPy's capture of a source: the mean over its points, each a tilted wavefront of its own."""
-    x, y = np.asarray(sensor.pupil.x), np.asarray(sensor.pupil.y)
-    tilts = 2 * math.pi / DIAMETER * (places[:, :1] * x + places[:, 1:] * y)
-    return np.asarray(np.mean([sensor.image(phase + tilt) for tilt in tilts], axis=0))
-
-
-@case(
-    "wavefronts.extended",
-    "Zernike terms of atmospheres from one capture of a known disc as wide as a lens of the array, and of a star: "
-    "residuals in waves, root mean square over the pupil, of a plenoptic camera and of a Shack-Hartmann sensor; "
-    "all captures simulated by HCIPy",
-    {
-        "D / r0": "{ratio:g}", "source": "{source}", "wavefront": "{true:.3f}", "views": "{views:.3f}",
-        "fit": "{fitted:.4f}", "deviation that the fit states": "{stated:.4f}", "Shack-Hartmann": "{spots:.4f}",
-    },
-    (at_most("fitted", "spots"), at_most("over_stated", 3.0)),
-    page="docs/theory/wavefront_reconstruction.md",
-    needs=("hcipy",),
-    quick={"ratios": (5.0,), "modes": 6, "accuracy": 0.3},
-)  # fmt: skip
-def extended(
-    *, ratios: tuple[float, ...] = (5.0, 10.0), photons: float = 1000.0, modes: int = 36, accuracy: float = 0.1
-) -> Iterator[Row]:
-    """Find the modes of an atmosphere at each strength from both sources; `photons` are those of a lens."""
-    camera, pupil_sensor = telescope(), ShackHartmann()
-    sensor = ArrayInFocus(camera)
-    basis, pupil_basis = sensor.basis(modes), pupil_sensor.basis(modes)
-    spot_terms = SpotTerms(pupil_sensor, pupil_basis)
-    total = photons * math.pi / 4 * LENSES**2
-    for ratio in ratios:
-        terms = atmosphere(ratio, modes, seed=1)
-        phase, pupil_phase = (2 * math.pi * np.tensordot(terms, own, 1) for own in (basis, pupil_basis))
-        for source, places in (("star", ON_AXIS), ("disc", DISC)):
-            rng, own = np.random.default_rng(0), zone(places)
-            seen = rng.poisson(total * image(sensor, phase, places)).astype(float)
-            spots = rng.poisson(total * image(pupil_sensor, pupil_phase, places)).astype(float)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that chi-square shows the difference of the two programs
-                (found,) = fit_wavefronts(camera, seen, own, modes=modes, accuracy=accuracy)
-            views = modes_from_slopes(view_slopes(camera, seen, own.weights @ own.points), DIAMETER / 2, modes)
-            fitted = rms(np.array(found.camera.wavefront) - terms)
-            stated = float(np.linalg.norm(list(found.deviations.values())))
-            yield {
-                "ratio": ratio,
-                "source": source,
-                "true": rms(terms),
-                "views": rms(views - terms),
-                "fitted": fitted,
-                "stated": stated,
-                "spots": rms(spot_terms.find(spots) - terms),
-                "over_stated": fitted / stated,
-            }
-
-
-SPOKES, RADIUS = 18, 9.0
-"""Pairs of a bright and a dark spoke, and the star's radius in lambda / D."""
-
-PERIOD = 2.0
-"""Period in lambda / D of half the diffraction limit."""
-
-STEP = 0.5
-"""Distance of the object's points in lambda / D."""
-
-
-def _grid(columns: int, rows: int) -> np.ndarray:
-    """Return points on the sky, x and y in lambda / D, (rows, columns, 2)."""
-    return np.stack(np.meshgrid(*((np.arange(count) - (count - 1) / 2) * STEP for count in (columns, rows))), -1)
-
-
-def _star(places: np.ndarray) -> np.ndarray:
-    """Return a Siemens star, averaged over a fine grid around each point."""
-    fine = (np.arange(8) - 3.5) / 8 * STEP
-    x, y = places[..., 0, None, None] + fine, places[..., 1, None, None] + fine[:, None]
-    bright = (np.cos(SPOKES * np.arctan2(y, x)) > 0) & (np.hypot(x, y) < RADIUS)
-    return bright.mean((-2, -1))
-
-
-def _contrast(values: np.ndarray, places: np.ndarray) -> float:
-    """Return the amplitude of the spokes over their mean, where their period is that of half the limit."""
-    x, y = places[..., 0], places[..., 1]
-    ring = np.abs(np.hypot(x, y) - SPOKES * PERIOD / (2 * math.pi)) < STEP
-    angle = SPOKES * np.arctan2(y[ring], x[ring])
-    rows = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], -1)
-    (mean, along, _), *_ = np.linalg.lstsq(rows, values[ring], rcond=None)
-    return float(along / mean)
-
-
-@case(
-    "wavefronts.digital-optics",
-    "A Siemens star behind 1 wave RMS of other Zernike terms in each of three zones of the field: contrast of the "
-    "deconvolved star at half the diffraction limit over that of the star, without correction, with wavefronts that "
-    "digital adaptive optics finds from the same capture, and with the true ones",
-    {
-        "wavefronts": "{name}", "contrast": "{contrast:.2f}", "correlation with the star": "{correlation:.2f}",
-        "error of the wavefronts, waves RMS": "{error:.2f}",
-        "misfit per pixel, 1 is noise": "{misfit:.2f}", "turns": "{turns}",
-    },
-    (at_least("correlation", "least"),),
-    page="docs/theory/wavefront_reconstruction.md",
-    quick={"modes": 5, "turns": 1, "iterations": 5, "lenses": 12},
-)  # fmt: skip
-def digital_optics(
-    *,
-    strength: float = 1.0,
-    modes: int = 10,
-    photons: float = 1e7,
-    lenses: int = 20,
-    turns: int = 8,
-    iterations: int = 200,
-    accuracy: float = 0.3,
-    accuracy_of_data: float = 0.1,
-) -> Iterator[Row]:
-    """Compare three objects; the data are more accurate than the model, and have photon noise."""
-    camera = telescope(lenses=lenses, pixels=6, width=2.0)
-    places = _grid(36, 44)
-    scale = in_millimetres(WAVELENGTH) / DIAMETER * DISTANCE
-    star = _star(places)
-    strips = np.split(np.arange(36), 3)
-    rng = np.random.default_rng(1)
-    zones, true, image = [], [], np.zeros(camera.shape)
-    for strip in strips:
-        own = places[:, strip].reshape(-1, 2) * -scale
-        zones.append(Zone(np.column_stack([own, np.full(len(own), DISTANCE)])))
-        terms = np.concatenate([np.zeros(4), rng.normal(size=modes - 4)])
-        true.append(terms * (strength / np.linalg.norm(terms)))
-        operator = CaptureOperator(
-            camera.replace(wavefront=tuple(true[-1])),
-            zones[-1].points,
-            wavelength=WAVELENGTH,
-            accuracy=accuracy_of_data,
-        )
-        image += np.maximum(operator.forward(star[:, strip].ravel()), 0)
-    image = rng.poisson(image * photons / image.sum()).astype(float)
-    common = {"wavelength": WAVELENGTH, "accuracy": accuracy}
-    found = digital_adaptive_optics(camera, image, zones, modes=modes, turns=turns, **common)
-    # Artefacts of a wrong wavefront may have the period of the spokes by chance, but not the star's shape.
-    within, before = np.hypot(*np.moveaxis(places, -1, 0)) < RADIUS, 0.0
-    for name, cameras in (
-        ("none", [camera] * 3),
-        ("found", found.cameras),
-        ("true", [camera.replace(wavefront=tuple(terms)) for terms in true]),
-    ):
-        made = deconvolve_zones(cameras, image, zones, iterations=iterations, **common)
-        picture = np.concatenate([part.reshape(len(places), -1) for part in made.weights], 1)
-        contrast = _contrast(picture, places) / _contrast(star, places)
-        terms_found = [np.pad(np.array(each.wavefront), (0, modes))[:modes] for each in cameras]
-        correlation = float(np.corrcoef(picture[within], star[within])[0, 1])
-        before = correlation if name == "none" else before
-        yield {
-            "name": name,
-            "contrast": contrast,
-            "correlation": correlation,
-            # What is found must not be worse than no correction.
-            "least": before if name == "found" else None,
-            "error": math.sqrt(np.mean([rms(a - b) ** 2 for a, b in zip(terms_found, true, strict=True)])),
-            "misfit": made.misfits[-1],
-            "turns": len(found.misfits) - 1 if name == "found" else "",
-        }

@@ -1,1 +1,1 @@
-"""Scenes that cases and tests share."""
+"""Scenes of single cases."""

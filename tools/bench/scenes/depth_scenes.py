@@ -11,37 +11,6 @@ from scipy.ndimage import gaussian_filter
 
 import mitsuba_plenoptic as mp
 
-HALF = {"detector_width": "4.096", "resolution": "2048"}
-"""The paper's camera, and those like it, with half the lenses along each axis."""
-
-
-def made(seed: int) -> Any:
-    """Heap tiles at random positions, turned and textured at random, before a wall; a third of them without texture."""
-    random = np.random.default_rng(seed)
-    camera = mp.PlenopticCamera(detector_width=4.096, resolution=(2048, 2048))
-
-    def tile(at: np.ndarray, half: float, tilt: float, plain: bool) -> dict[str, Any]:
-        x, y, g = at
-        axis = random.normal(size=3)
-        place = mi.ScalarTransform4f().translate([x, y, g]).rotate(list(axis / np.linalg.norm(axis)), tilt)
-        pattern = gaussian_filter(random.normal(size=(96, 96)), random.uniform(0.6, 2.5), mode="wrap")
-        pattern = np.clip(0.45 + 0.22 * pattern / pattern.std(), 0.02, 0.95)
-        if plain:
-            pattern[:] = random.uniform(0.1, 0.8)
-        return {
-            "type": "rectangle",
-            "to_world": place.rotate([0, 1, 0], 180).scale(half),
-            "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _texture(pattern)}},
-        }
-
-    objects = {"wall": tile(np.array([0, 0, 300.0]), 8.0, 8.0, False)}
-    for index in range(18):
-        g = random.uniform(205, 290)
-        place = np.array([*(random.uniform(-0.5, 0.5, 2) * 4.096 * g / 120), g])
-        objects[f"tile_{index}"] = tile(place, random.uniform(0.5, 1.6), random.uniform(0, 50), index % 3 == 0)
-    light = {"type": "point", "position": [30.0, 40.0, 100.0], "intensity": 4e4}
-    return _scene(camera, objects | {"sky": {"type": "constant", "radiance": 0.4}, "lamp": light})
-
 
 def _texture(values: np.ndarray) -> dict[str, Any]:
     return {"type": "bitmap", "raw": True, "data": mi.TensorXf(values[..., None].astype(np.float32))}

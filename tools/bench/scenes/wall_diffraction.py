@@ -29,11 +29,10 @@ from __future__ import annotations
 
 import math
 
+import cases
 import numpy as np
 
 from mitsuba_plenoptic import PlenopticCamera
-
-from . import walls
 
 SAMPLES = 768
 """Across a plane of eight radii around the pupil."""
@@ -82,7 +81,7 @@ def expected(camera: PlenopticCamera, distance: float, wavelength: float, wall: 
     for column in range(columns):
         x = (column + 0.5) * camera.mla_pitch - half[0]
         # The image on the array is upside down, and a wall's radiance rises to the left of a picture.
-        radiance = walls.radiance(-(x + kappa * shift) / half[0], wall)
+        radiance = cases.wall_radiance(-(x + kappa * shift) / half[0], wall)
         light = filtered(inside, np.fft.fft2(spread * radiance)) * inside
         across = seen[0][:, column]
         image[:, column] = (light[:, across].sum(1) @ seen[1]) / (white[:, across].sum(1) @ seen[1])

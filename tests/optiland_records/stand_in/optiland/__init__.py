@@ -1,1 +1,1 @@
-"""A stand-in for Optiland where it is not installed: the glasses that `tools/record_optiland.py` recorded."""
+"""A stand-in for Optiland where it is not installed: the glasses that the lens files of the tests name."""
