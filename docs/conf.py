@@ -52,6 +52,15 @@ MERGED = {
     "reference/models": ["models"],
     "reference/numbers": ["numbers"],
     "reference/changelog": ["changelog", "upgrading"],
+    "reference/develop/extending": [
+        "develop/extension",
+        "develop/parameter",
+        "develop/lattice",
+        "develop/microlens",
+        "develop/main_lens",
+        "develop/method",
+    ],
+    "reference/develop/house": ["develop/light_to_pixels"],
 }
 redirects = {
     f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"

@@ -254,9 +254,9 @@ METHOD = {
 
 def test_a_package_of_others_is_an_extension(copy, tmp_path, python):
     """The page on extensions shows a whole one; here the package is installed by its entry point alone."""
-    page = (PACKAGE.parent / "docs" / "reference" / "develop" / "extension.md").read_text()
+    page = (PACKAGE.parent / "docs" / "reference" / "develop" / "extending.md").read_text()
     files = dict(zip(("dust/__init__.py", "dust/parameter.py", "dust/dusty.py", "dust/dust_command.py"),
-                     [part.partition("```")[0] for part in page.split("```python\n")[1:]], strict=False))  # fmt: skip
+                     [part.partition("```")[0] for part in page.split("```py\n")[1:]], strict=False))  # fmt: skip
     for name, text in files.items():
         path = tmp_path / "site" / name
         path.parent.mkdir(parents=True, exist_ok=True)

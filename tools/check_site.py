@@ -17,7 +17,7 @@ ASKED = {
     "wavelength": "reference/conventions",
     "accuraci": "theory/accuracy",
     "mirror": "reference/models",
-    "lattic": "reference/develop/lattice",
+    "lattic": "reference/develop/extending",
     "cite": "theory/sources",
     "airi": "theory/accuracy",
 }

@@ -261,8 +261,8 @@ _END = "\n\nif TYPE_CHECKING:\n\n    @record"
 
 def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
     """As the developer page says: a copy of the package with the page's entry and the page's line."""
-    page = (ROOT / "docs" / "reference" / "develop" / "parameter.md").read_text()
-    entry = re.search(r"```py\n(.*?)```", page, re.DOTALL)[1]
+    page = (ROOT / "docs" / "reference" / "develop" / "extending.md").read_text()
+    entry = re.search(r"```py\n(    temperature.*?)```", page, re.DOTALL)[1]
     before, after = re.search(r"```diff\n-(.*\n)\+(.*\n)```", page).groups()
     table, formula = Path("camera/parameters.py"), Path("plugins/camera_rays.py")
     copy = tmp_path / PACKAGE.name
