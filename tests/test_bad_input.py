@@ -23,6 +23,7 @@ from mitsuba_plenoptic import (
     Checkpoint,
     Detector,
     InputError,
+    Job,
     PlenopticCamera,
     decode,
     expose,
@@ -210,25 +211,37 @@ surfaces:
   - {radius: -44.64, semi_aperture: 12.5, conic: 0, asphere: [0, 0]}
 """
 ZEMAX = """MODE SEQ
+NAME Singlet
 UNIT MM X W X CM MR CPMM
 ENPD 10
 WAVM 1 0.55 1
+PWAV 1
 SURF 0
+  TYPE STANDARD
   CURV 0
   DISZ INFINITY
 SURF 1
   STOP
+  TYPE STANDARD
   CURV 0.02
   DISZ 5
   GLAS ___BLANK 1 0 1.5168 64.17 0
+  DIAM 6 1 0 0 1
 SURF 2
+  TYPE STANDARD
   CURV -0.02
   DISZ 48
+  DIAM 6 1 0 0 1
 SURF 3
+  TYPE STANDARD
   CURV 0
   DISZ 0
 """
 CODEV = "DIM M\nRDM Y\nEPD 10\nWL 550\nSO 0 1e20\nS 50 5 516800.641700\n  STO\n  CIR 6\nS -50 48\n  CIR 6\nSI 0 0\n"
+BALL = [
+    {"radius": 50, "thickness": 5, "semi_aperture": 6, "stop": True, "glass": 1.5},
+    {"radius": -50, "semi_aperture": 6},
+]
 RECIPE = """name: few
 count: 2
 models: [ray]
@@ -253,10 +266,7 @@ def read_views(path):
 TEXTS = {
     "camera.json": (CAMERA.to_json(), read_camera),
     "lens.yaml": (LENS, read_prescription),
-    "lens.json": (
-        json.dumps({"surfaces": [{"radius": 50, "semi_aperture": 6, "stop": True, "glass": 1.5}]}),
-        read_lens,
-    ),
+    "lens.json": (json.dumps({"name": "Ball", "surfaces": BALL}), read_lens),
     "design.zmx": (ZEMAX, read_prescription),
     "design.seq": (CODEV, read_prescription),
     "screen.json": (json.dumps({"waves": [[0, 0.1, 0, 0.2]] * 4, "width": 10}), known_screen),
@@ -314,7 +324,7 @@ class TestFiles:
     def test_whole_texts_are_read(self, folder, name):
         text, reader = TEXTS[name]
         (folder / name).write_text(text)
-        assert reader(folder / name)
+        assert reader(folder / name) is not None
 
     @pytest.mark.parametrize("name", TEXTS)
     @settings(quick, max_examples=25)
@@ -358,18 +368,19 @@ class TestFiles:
     def test_a_damaged_checkpoint_leads_to_the_same_bits_or_is_refused(self, folder, edits):
         operator = CaptureOperator(CAMERA, [(0, 0, 240), (0.1, 0, 230), (0, 0.1, 250)], wavelength=633)
         path = folder / "wave.checkpoint"
+        path.unlink(missing_ok=True)
         # The clock jumps, so that a checkpoint is due at every opportunity.
         with (
             mock.patch("time.monotonic", side_effect=itertools.count(0, 1000).__next__),
             Checkpoint(path) as checkpoint,
         ):
-            whole = operator.forward([1.0, 2.0, 3.0], checkpoint=checkpoint)
+            whole = operator.forward([1.0, 2.0, 3.0], job=Job(keeper=checkpoint))
             data = path.read_bytes()
         path.write_bytes(damaged(data, edits))
 
         def resume():
             with Checkpoint(path, "resume") as checkpoint:
-                return operator.forward([1.0, 2.0, 3.0], checkpoint=checkpoint)
+                return operator.forward([1.0, 2.0, 3.0], job=Job(keeper=checkpoint))
 
         resumed = refused_or_done(resume)
         assert resumed is None or np.array_equal(resumed, whole)
@@ -412,12 +423,14 @@ def cameras(draw):
     smear = pitch * abs(1 + b / z - b / f2) * z / b / pixel
     work = max(2 * lengths["aperture_radius"] * z / b / pixel + smear, 1) * max(smear, 1)
     # Beyond the upper bound it is refused.
-    assume(not 1e6 < columns * rows * (pixel / pitch * work) ** 2 < 1e12)
+    assume(not 1e5 < columns * rows * (pixel / pitch * work) ** 2 < 1e12)
     return PlenopticCamera(**lengths, resolution=(columns, rows))
 
 
 class TestExtremeCameras:
-    @quick
+    @pytest.mark.slow
+    @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
+    @settings(quick, max_examples=10)
     @given(cameras(), st.floats(-9, 9), st.floats(0, 6))
     def test_results_are_finite_or_refused(self, camera, power, wavelength):
         distance = max(
@@ -461,7 +474,7 @@ def point():
         *(partial(point_spread_function, CAMERA, place, wavelength=633) for place in POINTS),
         *(partial(PlenopticCamera, resolution=size) for size in SIZES),
         *(partial(decode, np.zeros(shape), camera=CAMERA) for shape in (0, (32, 31), (1, 32, 32), (32, 32, 0))),
-        *(partial(Capture, IMAGE.astype(kind), CAMERA) for kind in (complex, bool, str, object, "M8[s]")),
+        *(partial(Capture, IMAGE.astype(kind), CAMERA) for kind in (complex, str, object, "M8[s]")),
         *(lambda distance=distance: refocus(light_field(), distance) for distance in (0, math.nan, "240", [[240.0]])),
         *(lambda planes=planes: depth_map(light_field(), planes=planes) for planes in (0, 1, 2, 2.5, "9", 10**6)),
         *(
