@@ -116,7 +116,7 @@ def patches(image: np.ndarray, scale: float, bin_size: float) -> np.ndarray:
     "The colour chart through capture, mosaic, demosaicking and reconstruction: mean CIEDE2000 from the published "
     "reflectances under D65",
     page="docs/guides/colour.md",
-    quick={"resolution": 512, "spp": 4},
+    quick={"spp": 8},
     variant="llvm_ad_spectral",
 )
 def chart(*, resolution: int = 1024, spp: int = 64, photons: float = 4000.0) -> Iterator[Row]:
