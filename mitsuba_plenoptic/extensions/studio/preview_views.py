@@ -162,7 +162,7 @@ class MicroscopeView(LensView):
 
     def is_focused(self, distance: np.ndarray) -> np.ndarray:
         """Return a mask of depths whose blur in the object is at most a bin wide."""
-        steepest = math.tan(self.camera.objective.half_angle)
+        steepest = math.tan(self._objective.half_angle)
         return np.asarray(2 * np.abs(distance) * steepest <= self.camera.bin_size(0))
 
     def field(self, distance: float) -> tuple[float, float]:
@@ -182,11 +182,15 @@ class MicroscopeView(LensView):
         ends = {end: self.in_units(end) for end in self.sharp_range() if 0.4 * reach < abs(end) < reach}
         return {**ends, 0.0: "native plane"}
 
+    @property
+    def _objective(self) -> Any:
+        return self.camera.objective
+
     def _rays(self, scene: Any, place: tuple[Any, Any], stop: tuple[Any, Any]) -> Any:
         """Return the rays through points of the native object plane and of the stop, in fractions of both."""
-        lens = TelecentricLens(self.camera.objective)
+        lens = TelecentricLens(self._objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
-        width, height = (self.camera.objective.magnification * extent for extent in self.field(0.0))
+        width, height = (self._objective.magnification * extent for extent in self.field(0.0))
         origin, slope, _ = lens.ray(stop, ((place[0] - 0.5) * width, (place[1] - 0.5) * height))
         to_world = scene.sensors()[0].world_transform()
         rays = dr.zeros(mi.RayDifferential3f, dr.width(place[0]))
