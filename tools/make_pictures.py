@@ -529,7 +529,7 @@ def preview() -> Image.Image:
     scene = mp.load_scene("still_life", variant="llvm_ad_mono")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "preview.png"
-        draw_preview(path, [("", preview_of(scene, mp.PlenopticCamera()))])
+        draw_preview(path, "", preview_of(scene, mp.PlenopticCamera()))
         return narrowed(Image.open(path).convert("RGB"))
 
 

@@ -577,11 +577,14 @@ class CoreParameters:
 
 if TYPE_CHECKING:
 
-    @record
-    class CameraParameters(CoreParameters):
-        """The parameters of one camera, with their values; of the extensions' those that are shipped."""
+    class ShippedParameters:
+        """The parameters that shipped extensions add."""
 
         photodiode_response: Parameter[Any, Any]
+
+    @record
+    class CameraParameters(CoreParameters, ShippedParameters):
+        """The parameters of one camera, with their values."""
 
 else:
     _added = {name: place(package, text) for package, name, text in entries("parameters")}

@@ -16,7 +16,7 @@ from ...light.detector import expose
 from ...light.render_capture import render_capture
 from ...light.scene import load_scene
 from ...plugins.other_camera import with_camera
-from ...views import ground_truth
+from ...views.ground_truth import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
 from .generators import CaptureGenerator
 from .recipe import Recipe, SamplePlan, generator

@@ -110,21 +110,20 @@ _LONGEST_TITLE = 30
 
 
 @styled
-def draw_preview(path: str | Path, previews: list[tuple[str, Preview]]) -> None:
-    """Draw previews with the region in focus tinted, that within reach of refocusing outlined, and from above."""
-    plot = Plot(9.8, 4.9 * len(previews))
-    panels = plot.panels(len(previews), 2)
-    for (axes, from_above), (title, seen) in zip(panels, previews, strict=True):
-        rows, columns = seen.picture.shape[:2]
-        # One line of the picture's width.
-        named = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 3]}..."
-        heading = f"{named or 'What the main lens sees'}, {seen.view.focus_label}"
-        show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
-        if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
-            scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
-        axes.set(frame_on=True, box_aspect=rows / columns, anchor="NW")
-        _outline(axes, seen)
-        _draw_from_above(from_above, seen)
+def draw_preview(path: str | Path, title: str, seen: Preview) -> None:
+    """Draw a preview with the region in focus tinted, that within reach of refocusing outlined, and from above."""
+    plot = Plot(9.8, 4.9)
+    ((axes, from_above),) = plot.panels(1, 2)
+    rows, columns = seen.picture.shape[:2]
+    # One line of the picture's width.
+    named = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 3]}..."
+    heading = f"{named or 'What the main lens sees'}, {seen.view.focus_label}"
+    show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
+    if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
+        scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
+    axes.set(frame_on=True, box_aspect=rows / columns, anchor="NW")
+    _outline(axes, seen)
+    _draw_from_above(from_above, seen)
     plot.save(path)
 
 

@@ -61,7 +61,7 @@ def preview(
         view = seen.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
         progress(3, 4)
-        draw_preview(target, [(Path(scene).name, seen)])
+        draw_preview(target, Path(scene).name, seen)
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")

@@ -115,7 +115,7 @@ def test_framing_before_a_microscope(tmp_path):
     assert re.search("only 0% of what is seen is from -97.* to 97.* um, .* it is from 500 to 500 um", text), text
     small = preview_of(before_microscope(0.1 * FIELD, 0.0), MICROSCOPE)
     assert any("of the picture" in text for text in framing_warnings(small))
-    preview.draw_preview(tmp_path / "look.png", [("far", seen), ("small", small)])
+    preview.draw_preview(tmp_path / "look.png", "small", small)
     assert (tmp_path / "look.png").stat().st_size > 0
 
 
@@ -128,7 +128,7 @@ def test_a_camera_without_a_plane_in_focus_is_refused():
 def test_no_text_runs_into_another_or_out_of_the_picture(tmp_path, monkeypatch):
     seen, made = preview_of(scene_of(0.8 * WIDTH, 2400.0), CAMERA), []
     monkeypatch.setattr(preview.Plot, "save", lambda plot, path: made.append(plot))
-    draw_preview(tmp_path / "seen.png", [("a_scene_with_the_name_of_a_very_long_file.xml", seen)])
+    draw_preview(tmp_path / "seen.png", "a_scene_with_the_name_of_a_very_long_file.xml", seen)
     made[0].canvas.draw()
     shown = {one.get_text(): one.get_window_extent() for one in made[0].findobj(Text) if one.get_text()}
     (title,) = (text for text in shown if text.endswith("..., in focus at 240 mm"))
@@ -144,6 +144,6 @@ def test_colours_are_seen_and_what_is_in_focus_is_tinted(tmp_path, monkeypatch):
     red, green, blue = seen.picture[32, 32]
     assert (green / red, blue / red) == pytest.approx((0.5, 0.25))
     monkeypatch.setattr(preview.Plot, "save", lambda plot, path: made.append(plot))
-    draw_preview(tmp_path / "seen.png", [("disc", seen)])
+    draw_preview(tmp_path / "seen.png", "disc", seen)
     tinted = made[0].axes[0].images[1].get_array()[..., 3] > 0
     assert (tinted == np.isfinite(seen.distance)).all()
