@@ -176,14 +176,14 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            found = _read(self.path, self._known_facts(), take)
+            state = _read(self.path, self._known_facts(), take)
         except InputError as error:
             if self.existing == "resume":
                 raise
             _log.info("%s; beginning anew", error)
             return None
         _log.info("%s: resuming from there", self.path)
-        return found
+        return state
 
     def stop(self) -> bool:
         """Make the run save its next state and end with a KeyboardInterrupt.

@@ -251,7 +251,7 @@ def run_experiment(
     def refocus(*names: str) -> None:
         for method in (method for method in METHODS if method.name in names):
             # Lens by lens, a plane near focus takes much less by itself than with others.
-            wanted = [distances] if method.name in SLIDER_METHODS else [[each] for each in settings.distances]
+            wanted = [distances] if method.name in SLIDER_METHODS else [[distance] for distance in settings.distances]
             for together in wanted:
                 made = refocused(store, method.name, *sources[method.source], together, method.options)
                 images.update({(method.name, distance): image for distance, image in made.items()})
@@ -315,8 +315,8 @@ def captured(
     """
 
     def make(progress: Progress, checkpoint: Checkpoint) -> Capture:
-        kept = {"checkpoint": checkpoint} if spec.model == "wave" else {}
-        return _grey(spec.render(scene, progress=progress, **kept, **options))
+        resumed = {"checkpoint": checkpoint} if spec.model == "wave" else {}
+        return _grey(spec.render(scene, progress=progress, **resumed, **options))
 
     return store.capture(name, {"capture": spec.fingerprint(), "seen": seen, **options}, make)
 
@@ -348,8 +348,8 @@ def against_ordinary(
     edges = {ORDINARY: recorded[ORDINARY][0].image}
     for method in METHODS:
         if method.name in SLIDER_METHODS:
-            found = refocused(store, f"edge_{method.name}", *recorded["plenoptic"], [distance], method.options)
-            edges[method.name] = found[distance]
+            images = refocused(store, f"edge_{method.name}", *recorded["plenoptic"], [distance], method.options)
+            edges[method.name] = images[distance]
     return Ordinary(capture, distance, edges)
 
 

@@ -130,12 +130,8 @@ def deconvolved_fraction(camera: PlenopticCamera, wavelength: float) -> tuple[fl
 def plain_seconds(camera: PlenopticCamera, distance: float) -> float:
     """Return the processor time of a plain loop over two rows of lenses, scaled to the paper's pixels.
 
-    The shortest of several runs counts, since other work on the processor delays it least.
-
-    Raises
-    ------
-    RuntimeError
-        If the loop's sums differ from those of our reconstruction.
+    The shortest of several runs counts, since other work on the processor delays it least. A RuntimeError tells that
+    the loop's sums are not those of our reconstruction.
     """
     columns, rows = camera.resolution
     count = min(rows, round(2 * camera.pixels_per_lens))
@@ -163,18 +159,8 @@ def plain_sums(
 ) -> None:
     """Add each pixel of an image to the bin that the pixel's ray meets, in one plain loop.
 
-    Parameters
-    ----------
-    image : (rows, columns) array
-        The capture.
-    x, y : array
-        Coordinates of the image's columns and rows on the detector.
-    distances : tuple of float
-        Distances of detector and main lens from the array, the main lens's focal length, and distance of the object.
-    pitch, radius : float
-        Pitch of the lenses, and radius of the pupil.
-    bins : (rows, columns) array
-        The sums, to which is added.
+    `x` and `y` are the coordinates of columns and rows on the detector; `distances` those of detector and main lens
+    from the array, the main lens's focal length, and the distance of the object; `radius` is the pupil's.
     """
     z, b, f1, g = distances
     down, across = bins.shape

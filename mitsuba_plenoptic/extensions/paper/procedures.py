@@ -47,17 +47,17 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: np.ndarray, distance
         Positions (z, x) of each ray at the detector, the lens's centre, the main lens and the object plane.
     """
     b, z = camera.mla_distance, camera.detector_distance
-    P, place = follow_back(pixels, lens, lens, distance, camera)
+    P, position = follow_back(pixels, lens, lens, distance, camera)
     along = np.broadcast_to([b + z, b, 0.0, -distance], (len(pixels), 4))
-    across = [pixels, np.full_like(pixels, lens), P, -place * distance / b]
+    across = [pixels, np.full_like(pixels, lens), P, -position * distance / b]
     return np.stack([along, np.stack(across, axis=-1)], axis=-1)
 
 
-def micro_image(camera: PlenopticCamera, lens: float, count: int = _RAYS) -> np.ndarray:
+def micro_image(camera: PlenopticCamera, lens: float) -> np.ndarray:
     """Return detector points across a lens's micro-image, between the ends of the pupil."""
     b, z = camera.mla_distance, camera.detector_distance
     middle = rays.chief_detector_point(lens, b, z)
-    return middle + np.linspace(-1, 1, count) * camera.aperture_radius * z / b
+    return middle + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
 
 
 @styled
@@ -82,7 +82,9 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
         )  # fmt: skip
     _main_lens(axes, camera)
     _array(axes, camera)
-    _dimension(axes, 0, b, -1.25 * camera.aperture_radius, f"b = {b:g} mm")
+    below = -1.25 * camera.aperture_radius
+    axes.annotate("", (b, below), (0, below), arrowprops={"arrowstyle": "<->", "color": FAINT, "linewidth": 0.8})
+    axes.text(b / 2, below, f"b = {b:g} mm", ha="center", va="bottom", size=8, color=FAINT)
     plot.save_both(path)
 
 
@@ -120,11 +122,11 @@ def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
         f"b = {camera.mla_distance:g} mm",
         f"g = {distance:g} mm",
     )
-    places = np.linspace(0.9, 0.1, len(steps))
-    for place, (name, formula, value) in zip(places, steps, strict=True):
+    middles = np.linspace(0.9, 0.1, len(steps))
+    for middle, (name, formula, value) in zip(middles, steps, strict=True):
         box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": FAINT}
-        axes.text(place, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=INK, bbox=box)
-    for first, second, text in zip(places, places[1:], between, strict=False):
+        axes.text(middle, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=INK, bbox=box)
+    for first, second, text in zip(middles, middles[1:], between, strict=False):
         axes.add_patch(FancyArrowPatch((first - 0.085, 0.6), (second + 0.085, 0.6), arrowstyle="->", mutation_scale=12,
                                        color=_LIGHT))  # fmt: skip
         axes.text((first + second) / 2, 0.1, f"angular spectrum,\n{text}", ha="center", size=7.5, color=_LIGHT)
@@ -138,17 +140,11 @@ def _axis(axes: Axes, along: tuple[float, float], across: float) -> None:
 
 def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
     """Return points with the detector moved away from the array, so that drawings show the space between."""
-    moved = points.copy()
-    behind = moved[:, 0] > camera.mla_distance
-    moved[behind, 0] = _detector(camera)
+    (_, pixel), (array, lens) = points[:2]
+    detector = (1 + _BEHIND) * camera.mla_distance
     # Enlarged about the lens, so that rays go straight on.
-    lens, pixel = points[1], points[0]
-    moved[behind, 1] = lens[1] + (pixel[1] - lens[1]) * (_detector(camera) - lens[0]) / camera.detector_distance
-    return moved
-
-
-def _detector(camera: PlenopticCamera) -> float:
-    return camera.mla_distance * (1 + _BEHIND)
+    enlarged = lens + (pixel - lens) * (detector - array) / camera.detector_distance
+    return np.array([(detector, enlarged), *points[1:]])
 
 
 def _main_lens(axes: Axes, camera: PlenopticCamera) -> None:
@@ -162,7 +158,8 @@ def _main_lens(axes: Axes, camera: PlenopticCamera) -> None:
 def _array(axes: Axes, camera: PlenopticCamera) -> None:
     b, half = camera.mla_distance, camera.detector_width / 2
     axes.plot([b, b], [-half, half], color=INK, linewidth=2.5)
-    axes.plot([_detector(camera)] * 2, [-half, half], color=INK, linewidth=1)
+    detector = (1 + _BEHIND) * b
+    axes.plot([detector] * 2, [-half, half], color=INK, linewidth=1)
     columns, rows = camera.bin_count
     text = (
         f"{columns} x {rows} microlenses,\n$D_2$ = {camera.mla_pitch:g} mm, $f_2$ = {camera.mla_focal_length:g} mm;\n"
@@ -170,12 +167,5 @@ def _array(axes: Axes, camera: PlenopticCamera) -> None:
         f"{1000 * camera.pixel_size:.3g} µm"
     )
     axes.annotate(
-        text, (_detector(camera), half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=INK
+        text, (detector, half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=INK
     )
-
-
-def _dimension(axes: Axes, first: float, last: float, height: float, text: str) -> None:
-    axes.annotate(
-        "", (last, height), (first, height), arrowprops={"arrowstyle": "<->", "color": FAINT, "linewidth": 0.8}
-    )
-    axes.text((first + last) / 2, height, text, ha="center", va="bottom", size=8, color=FAINT)

@@ -95,7 +95,7 @@ def surroundings(capture: Capture, window: tuple[slice, slice], distance: float)
     margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + _AROUND
     pixels = []
     for bins, indices, count in zip(window, _lens_indices(camera), camera.bin_count[::-1], strict=True):
-        first, end = (place - count // 2 for place in (bins.start - margin, bins.stop + margin))
+        first, end = (index - count // 2 for index in (bins.start - margin, bins.stop + margin))
         pixels.append(np.flatnonzero((indices >= first) & (indices < end)))
     at = np.ix_(*pixels)
     cut[at] = capture.image[at]
@@ -108,8 +108,8 @@ def of_subsets(
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
     j, i = _lens_indices(capture.camera)
     labels = label(i, j[:, None])
-    parts = [replace(capture, image=np.where(labels == k, capture.image, np.float32(0))) for k in range(4)]
-    return np.sum([reconstruct(part, distance, method="coherent").image for part in parts], axis=0)
+    subsets = [replace(capture, image=np.where(labels == k, capture.image, np.float32(0))) for k in range(4)]
+    return np.sum([reconstruct(subset, distance, method="coherent").image for subset in subsets], axis=0)
 
 
 def colour_count(capture: Capture, distance: float) -> int:
@@ -134,8 +134,8 @@ def colour_count(capture: Capture, distance: float) -> int:
     root = csr_matrix((np.tile(narrow.data / 9, 9), (np.tile(narrow.row, 9), bins)), shape).sqrt()
     common, scale = (root @ root.T).tocsr(), np.sqrt(np.asarray(light.sum(1)).ravel())
     lit = np.flatnonzero(scale**2 >= max(_LIT * float(scale.max()) ** 2, np.finfo(float).tiny))
-    places = np.stack([lit // lenses, lit % lenses])
-    away = np.hypot(*(places - places.mean(axis=1, keepdims=True)))
+    position = np.stack([lit // lenses, lit % lenses])
+    away = np.hypot(*(position - position.mean(axis=1, keepdims=True)))
     colours = np.full(len(scale), -1)
     for lens in lit[np.argsort(away, kind="stable")]:
         entries = slice(*common.indptr[lens : lens + 2])
@@ -153,8 +153,8 @@ def _followed(camera: PlenopticCamera, axis: int, distance: float) -> tuple[NDAr
     """
     lens = _lens_indices(camera)[1 - axis]
     centre = camera.lattice.axis_centre(lens, axis)
-    pupil, place = follow_back(camera.pixel_coordinates(axis), centre, centre, distance, camera)
-    bins = np.floor(place / camera.mla_pitch).astype(np.int64)
+    pupil, position = follow_back(camera.pixel_coordinates(axis), centre, centre, distance, camera)
+    bins = np.floor(position / camera.mla_pitch).astype(np.int64)
     return lens - lens.min(), bins - bins.min() + 1, pupil
 
 
