@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from ..choices import QUANTITIES, RAW_SUFFIXES, AnyMosaic
-from ..runtime.progress import MINUTE, Forecast, in_words, progress_bar
+from ..runtime.progress import progress_bar
 from .inputs import batches_on, open_scene, parse_definitions, refuse_options
 from .options import (
     CameraFile,
@@ -32,8 +31,6 @@ from .options import (
     output_option,
 )
 from .stopping import checkpoint_of, resumable
-
-_log = logging.getLogger(__name__)
 
 
 def render(
@@ -147,7 +144,6 @@ def render(
     from ..light.render_capture import (
         estimate_capture,
         is_wave_capture,
-        plenoptic_sensor,
         refuse_by_rays,
         render_capture,
     )
@@ -170,6 +166,8 @@ def render(
                 )
         what = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
         typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+        if hint := _shorter(loaded, sensor, spp, method):
+            typer.echo(hint)
         return
     if output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
@@ -187,18 +185,8 @@ def render(
     if not by_waves:
         refuse_by_rays(resume=resume or None, checkpoint=checkpoint, workers=workers, scheduler=scheduler)
     with saved if by_waves else nullcontext(), batches_on(workers, scheduler) as batch_map:
-
-        def tell(seconds: float) -> None:
-            if seconds <= MINUTE:
-                return
-            if (method or getattr(loaded.integrator(), "method", "")) == "points":
-                cause = "each point is propagated; --method signed_rays takes one to some ray captures"
-            else:
-                count = spp or plenoptic_sensor(loaded, sensor).sampler().sample_count()
-                cause = f"--spp {max(1, count // 4)} instead of {count} takes about a quarter"
-            _log.info("the capture takes about %s: %s", in_words(seconds), cause)
-
-        with progress_bar("Rendering") as progress, resumable(progress, saved if by_waves else None):
+        bar = progress_bar("Rendering", _shorter(loaded, sensor, spp, method))
+        with bar as progress, resumable(progress, saved if by_waves else None):
             start = time.perf_counter()
             capture = render_capture(
                 loaded,
@@ -206,7 +194,7 @@ def render(
                 model=model,
                 spp=spp,
                 seed=seed,
-                progress=Forecast(tell, progress),
+                progress=progress,
                 checkpoint=saved if by_waves else None,
                 batch_map=batch_map,
                 noise=noise,
@@ -230,6 +218,16 @@ def render(
     rows, columns = capture.camera.shape
     deviation = "" if capture.noise is None else f", noise {capture.relative_noise:.2%} of the mean"
     typer.echo(f"{output}: capture of {columns} x {rows} pixels, rendered in {seconds:.1f} s{deviation}")
+
+
+def _shorter(scene: Any, sensor: int, spp: int | None, method: str | None) -> str:
+    """Return what makes a capture shorter, if anything does."""
+    from ..light.render_capture import plenoptic_sensor
+
+    if (method or getattr(scene.integrator(), "method", "")) == "points":
+        return "each point is propagated; --method signed_rays takes one to some ray captures"
+    count = spp or plenoptic_sensor(scene, sensor).sampler().sample_count()
+    return f"--spp {count // 4} instead of {count} takes about a quarter" if count >= 4 else ""
 
 
 def expose(

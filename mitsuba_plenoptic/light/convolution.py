@@ -8,7 +8,6 @@ Processing", section 8.7), so that memory holds only part of an image and the sp
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..runtime.backend import backend, backend_of
 from ..runtime.batches import Box, Part, add, on_all_cores
-from ..runtime.fft import fast_length, resting_drjit, worker_count
+from ..runtime.fft import fast_length, resting_drjit
 
-_SQUARE = 1536
+TILE = 1536
 """Approximate width of the convolution of a tile in samples. Narrower ones repeat more of the kernels' borders."""
 
 
@@ -41,7 +40,7 @@ class Convolution:
         self._margin = margin_of(kernels)
         self.ranks, self.box = len(kernels), _grown(self._window, self._margin)
         support = 2 * self._margin + 1
-        most = max(_SQUARE - support, support)
+        most = max(TILE - support, support)
         rows, columns = (
             # Equal parts, as few as possible.
             math.ceil(count / math.ceil(count / most))
@@ -57,13 +56,6 @@ class Convolution:
             self._spectra[rank] = transforms.rfft2(kernel, self._size)
 
         on_all_cores(transform, range(self.ranks))
-
-    @property
-    def memory(self) -> float:
-        """Bytes that a convolution takes in addition to its images."""
-        # Each thread transforms a tile, and sums up the products with spectra.
-        spectra = (self.ranks + 3 * worker_count()) * self._spectra[0].nbytes
-        return float(spectra + 8 * self.box.rows * self.box.columns)
 
     def reached(self, box: Box) -> Box:
         """Return the recorded pixels, counted from the first, that light of the samples in a box can reach."""
@@ -147,25 +139,6 @@ def margin_of(kernels: Sequence[NDArray[np.float32]]) -> int:
     """Return the distance in samples from which light can still reach the recorded pixels."""
     # Kernels of different lens types have different widths.
     return max(len(kernel) for kernel in kernels) // 2
-
-
-def cost_of(convolutions: Sequence[Convolution], block: Box, count: int) -> tuple[float, float]:
-    """Return the estimated seconds and bytes of the convolutions of `count` samples, computed block by block."""
-    # One tile is timed.
-    rows, columns = convolutions[0].tile
-    trial = Box(block.left, block.top, min(columns, block.columns), min(rows, block.rows))
-    libraries = backend()
-    libraries.synchronize()
-    start = time.perf_counter()
-    for convolution in convolutions:
-        images = libraries.arrays.ones((convolution.ranks, trial.rows, trial.columns), np.float32)
-        convolution.forward(images, trial, convolution.reached(trial))
-    libraries.synchronize()
-    seconds = (time.perf_counter() - start) * count / (trial.rows * trial.columns)
-    waiting = 4.0 * sum(convolution.ranks for convolution in convolutions) * block.rows * block.columns
-    # At a time two blocks are convolved, one waits and one is traced.
-    apart = {id(convolution): convolution.memory for convolution in convolutions}
-    return seconds, 4 * waiting + sum(apart.values())
 
 
 def _grown(box: Box, margin: int) -> Box:

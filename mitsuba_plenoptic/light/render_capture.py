@@ -5,11 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib.metadata
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -22,6 +20,7 @@ from ..optics import guards
 from ..runtime.backend import one_at_a_time
 from ..runtime.batches import BatchMap, Cost, Job
 from ..runtime.limits import require_memory_for
+from .capture_cost import seconds_by_rays
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence
 from .scene_light import require_medium_seen, warn_of_metres
@@ -313,16 +312,6 @@ def _split(image: np.ndarray, channels: int) -> tuple[np.ndarray, np.ndarray]:
     return image, deviation
 
 
-_RAYS = 2**20
-"""Largest count of rays from the detector that are traced at once."""
-
-_SECONDS = 0.6
-"""Approximate time in seconds for which light paths are traced."""
-
-_FEW_PATHS = 16
-"""Largest count of samples that are traced for a pixel at once."""
-
-
 @functools.partial(suggest_keywords, others=_OF_INTEGRATORS)
 @one_at_a_time
 def estimate_capture(
@@ -337,7 +326,8 @@ def estimate_capture(
 ) -> Cost:
     """Return the estimated time and memory of `render_capture` with the same arguments.
 
-    Some of the rays are traced. For method ``points``, all points are found and some of their spreads are computed.
+    Some of the rays are traced. What waves take beside them is taken from known scenes, and may be wrong by a factor of
+    two. For method ``points``, all points are found and some of their spreads are computed.
 
     Parameters
     ----------
@@ -373,35 +363,8 @@ def estimate_capture(
     spp = sample_count(sensor, spp)
     if hasattr(integrator, "wavelengths"):
         return integrator.estimate(scene, sensor, seed=seed, spp=spp, job=Job(batch_map=batch_map))
-    # Rays of evenly spaced rows of pixels are timed, in the order in which Mitsuba traces them.
-    rows, columns = camera.shape
-    together = min(spp, _FEW_PATHS)
-    lines = min(rows, max(1, _RAYS // (columns * together)))
-    count = lines * columns * together
-    sampler = mi.load_dict({"type": "independent"})
-    pixel = dr.arange(mi.UInt32, count) // together
-    column, row = mi.Float(pixel % columns), mi.Float(pixel // columns * (rows // lines))
-
-    def trace() -> float:
-        # Seeded for each pass; otherwise Dr.Jit would trace its state from the first pass through all others.
-        sampler.seed(seed, count)
-        dr.sync_thread()
-        start = time.perf_counter()
-        offset = sampler.next_2d()
-        position = mi.Point2f((column + offset.x) / columns, (row + offset.y) / rows)
-        ray, weight = sensor.sample_ray_differential(0.0, sampler.next_1d(), position, sampler.next_2d())
-        radiance = mi.SamplingIntegrator.sample(integrator, scene, sampler, ray, sensor.get_medium(), True)[0]
-        dr.eval(mi.unpolarized_spectrum(radiance) * mi.unpolarized_spectrum(weight))
-        dr.sync_thread()
-        return time.perf_counter() - start
-
-    dr.eval(column, row)
-    trace()  # compiles the kernels
-    seconds, passes = 0.0, 0
-    while seconds < _SECONDS:
-        seconds += trace()
-        passes += 1
-    return Cost(0, 0, float(rows) * columns * spp * seconds / (passes * count), film_memory(camera, spp))
+    seconds = seconds_by_rays(scene, sensor, integrator, seed=seed, spp=spp)
+    return Cost(0, 0, seconds, film_memory(camera, spp))
 
 
 def _render_passes(

@@ -13,6 +13,7 @@ mixing of a ray's values into channels by the nodes is linear as well, and is tr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -28,12 +29,13 @@ from ..camera.vector import Values
 from ..errors import warn
 from ..io.checkpoints import digest
 from ..runtime.batches import Cost, Job, SumTask
+from .capture_cost import seconds_by_rays, seconds_by_waves
 from .noise import PARTS, Mended, halves, keep_spread, variance_left, with_spread
 from .phase_space import FINE
 from .scene_light import LightDerivatives, SceneLight
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_colours import Lanes, Node, SignedColours, mixed
-from .signed_rays import Lot, SignedRaySum
+from .signed_rays import Lot, SignedRaySum, memory_of, rays_of_a_cell
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
@@ -147,16 +149,19 @@ class SignedCapture:
         return {channel: Mended(image[..., channel]) for channel in channels}
 
     def estimate(self, *, seed: int, spp: int, job: Job) -> Cost:
-        """Return the estimated cost of `compute`, extrapolated from some of the rays."""
-        # Nodes whose rays follow the same paths cost nearly the same. The longest wavelength, whose kernels are the
-        # largest, stands for the others, so that tables and kernels are computed once.
-        longest = {
-            node.plan.system.lens.refraction: node.plan
-            for node in sorted(self.nodes, key=lambda node: node.plan.wavelength)
-        }
-        alike = [replace(node, plan=longest[node.plan.system.lens.refraction]) for node in self.nodes]
-        seconds, memory = self.sums(spp, seed, 1, SignedRaySum, nodes=alike)[0]().cost()
-        return Cost(0, 0, seconds, memory)
+        """Return the estimated cost of `compute`, from some rays of a ray capture, without the nodes' tables."""
+        camera, light, lit = self.camera, self.light, 1.0
+        if camera.has_array:
+            # The area of a micro-image over that of a lens.
+            wide = camera.pupil_radius * camera.reduced_distance / camera.pupil_distance
+            lit = max(1.0, math.pi * wide**2 / math.prod(camera.mla_pitches))
+        cell, _ = rays_of_a_cell(spp, self._parts, lit)
+        rays = cell * self._parts**2 * lit
+        pixels = float(camera.shape[0]) * camera.shape[1]
+        by_rays = seconds_by_rays(light.scene, light.sensor, light.integrator, seed=seed, spp=spp) * rays / spp
+        images = sum(len(node.channels) for node in self.nodes)
+        seconds = seconds_by_waves(by_rays, rays * pixels, pixels, images)
+        return Cost(0, 0, seconds, memory_of(pixels, rays * pixels, self.nodes))
 
 
 class SignedRayAdjoint(SignedRaySum):

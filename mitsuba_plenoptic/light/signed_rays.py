@@ -18,7 +18,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -36,7 +35,7 @@ from ..runtime.batches import Box, PartialSum
 from ..runtime.fft import busy_drjit
 from ..runtime.limits import single_threaded_blas
 from .array_field import Array
-from .convolution import Block, Convolution, blocks_of, box_of, cost_of, margin_of
+from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .noise import known_means
 from .phase_space import coefficients_of
 from .pixel_kernels import PixelKernels
@@ -55,8 +54,11 @@ _LANES = 2**22
 _RAY_BYTES = 100
 """Approximate bytes of a ray."""
 
-_PROBES, _CELLS = 2**10, 2**16
-"""Count of cells whose light identifies a capture, and of cells that are timed for an estimate."""
+_VALUES, _TABLE_BYTES = 15, 40 * 2**20
+"""Usual count of the values of a ray, each with an image and a kernel, and bytes of a wavelength's table."""
+
+_PROBES = 2**10
+"""Count of cells whose light identifies a capture."""
 
 _NEAR = 8
 """Pixels from the recorded ones beyond which a coarse pixel, wider than spots of microlenses, brings these little
@@ -149,8 +151,7 @@ class SignedRaySum:
         # The coefficients' integral is known where all rays of a cell and lens pass one point of the pupil.
         self._known_part = 0.0 if self._draws.by_points else 1.0
         self._response = pixel_response(camera.pixel_response or (), camera.mla_absorption or 0.0)
-        least = -(-_LEAST // parts**2)
-        rays = max(least, round(spp / (parts**2 * max(1.0, self._draws.lit_lenses))))
+        rays, least = rays_of_a_cell(spp, parts, self._draws.lit_lenses)
         # Rays of a cell. With drawn wavelengths, a pass has only the fewest that correct each other and share these.
         self._spp = rays if drawn is None else least
         self._passes = round(rays / self._spp)
@@ -392,24 +393,6 @@ class SignedRaySum:
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
         return np.concatenate([backend().to_host(part).ravel() for part in traced])
 
-    def cost(self) -> tuple[float, float]:
-        """Return the time in seconds and the bytes that the sum takes, estimated from some pixels and tiles."""
-        start = time.perf_counter()
-        convolutions = self._convolutions
-        made = time.perf_counter() - start
-        count = self._bins.rows * self._bins.columns
-        convolved, memory = cost_of(convolutions, self._blocks[0], count)
-        pixels, seconds = self._some(_CELLS // self._parts**2), []
-        for seed in range(3):
-            dr.sync_thread()
-            start = time.perf_counter()
-            self._trace(self._bins, pixels, np.random.SeedSequence(seed))
-            dr.sync_thread()
-            seconds.append((time.perf_counter() - start) / dr.width(pixels))
-        tables = sum(node.plan.table.size for node in self._nodes if not node.plan.by_points)
-        # The first run compiles the kernels, and is left out.
-        return made + convolved + min(seconds[1:]) * count, memory + tables + _RAY_BYTES * _LANES
-
     def _some(self, count: int) -> Any:
         """Return the indices of `count` evenly spaced pixels."""
         every = self._bins.rows * self._bins.columns
@@ -541,6 +524,21 @@ class SignedRaySum:
         _, brought = dr.while_loop((mi.UInt32(0), nothing), lambda k, _: k < end, bring, label="signed rays")
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[part / rays for part in parts] for parts in images] for images in brought]
+
+
+def rays_of_a_cell(spp: int, parts: int, lit_lenses: float) -> tuple[int, int]:
+    """Return the rays of each cell through each lens that lights it, and the fewest that correct each other."""
+    least = -(-_LEAST // parts**2)
+    return max(least, round(spp / (parts**2 * max(1.0, lit_lenses)))), least
+
+
+def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
+    """Return the approximate bytes of a capture with a count of pixels and rays."""
+    values = _VALUES * sum(len(node.channels) for node in nodes)
+    # At a time two blocks are convolved, one waits and one is traced.
+    blocks = 4 * min(_BLOCK_BYTES, 4 * values * pixels)
+    spectra = 4 * values * min(TILE**2, 4 * pixels)
+    return blocks + spectra + len(nodes) * _TABLE_BYTES + _RAY_BYTES * min(_LANES, rays) + 8 * pixels
 
 
 def of_cells(values: Any, pixel: Any) -> Any:

@@ -36,10 +36,10 @@ def in_words(seconds: float) -> str:
 class ProgressBar:
     """Display of progress, for the argument `progress` of this package's long computations."""
 
-    def __init__(self, label: str, show: Callable[[int, int], None] | None = None) -> None:
+    def __init__(self, label: str, show: Callable[[int, int], None] | None = None, hint: str = "") -> None:
         self.fraction, self.label = 0.0, label
         self.begun: float | None = None  # the first fraction: what was done by an earlier run
-        self._show = show
+        self._show, self._hint = show, hint
 
     def __call__(self, done: int, total: int) -> None:
         """Show the fraction of the total that is done; end the work if Ctrl-C was pressed."""
@@ -49,6 +49,12 @@ class ProgressBar:
         self.begun = self.fraction if self.begun is None else self.begun
         if self._show:
             self._show(done, total)
+
+    def hint_after(self, seconds: float) -> str:
+        """Return what makes the work shorter, once, with the first fraction; nothing for a minute's work."""
+        advised = self.fraction > 0 and seconds > MINUTE * (self.fraction - (self.begun or 0.0))
+        hint, self._hint = (self._hint, "") if advised else ("", self._hint)
+        return hint
 
 
 class Forecast:
@@ -77,13 +83,15 @@ class Forecast:
 
 
 @contextlib.contextmanager
-def progress_bar(label: str) -> Iterator[ProgressBar]:
+def progress_bar(label: str, hint: str = "") -> Iterator[ProgressBar]:
     """Show a bar on standard error, or in the notebook; elsewhere, as in a file, print plain lines.
 
     Parameters
     ----------
     label : str
         Name of the work.
+    hint : str
+        What makes the work shorter, said with the first fraction of work that takes more than a minute.
 
     Yields
     ------
@@ -96,12 +104,20 @@ def progress_bar(label: str) -> Iterator[ProgressBar]:
     ...     capture = render_capture(scene, progress=progress)
     """
     if not has_screen():
-        with plain_lines(label) as line:
+        with plain_lines(label, hint) as line:
             yield line
         return
     with moving_bar() as bar:
-        task = bar.add_task(label, total=1)
-        yield ProgressBar(label, lambda done, total: bar.update(task, completed=done, total=total))
+        task, start = bar.add_task(label, total=1), time.monotonic()
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+            elapsed = time.monotonic() - start
+            if elapsed >= FIRST_LINE and (text := shown.hint_after(elapsed)):
+                bar.console.print(text)
+
+        shown = ProgressBar(label, show, hint)
+        yield shown
 
 
 def moving_bar() -> Progress:
@@ -136,12 +152,12 @@ _under_way: list[ProgressBar] = []
 
 
 @contextlib.contextmanager
-def plain_lines(label: str) -> Iterator[ProgressBar]:
+def plain_lines(label: str, hint: str = "") -> Iterator[ProgressBar]:
     """Print progress and elapsed time at intervals on standard error, unless a bar can move there.
 
     Of nested contexts the outer one prints, with the progress that the inner one reports.
     """
-    line = ProgressBar(label)
+    line = ProgressBar(label, hint=hint)
     _under_way.append(line)
     ended = threading.Event()
     try:
@@ -162,9 +178,10 @@ def _print_lines(ended: threading.Event, output: TextIO) -> None:
         part = line.fraction - (line.begun or 0.0)
         left = elapsed * (1 - line.fraction) / max(part, FORESEEN)
         rest = f", about {in_words(left)} left" if part >= FORESEEN and left >= 1 else ""
+        hint = line.hint_after(elapsed)
         try:
             if not is_quiet():
-                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s{rest}\n"
+                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s{rest}{'; ' * bool(hint)}{hint}\n"
                 print(text, end="", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.

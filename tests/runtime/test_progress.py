@@ -62,6 +62,20 @@ def test_lines_come_without_a_report_and_go_on_with_the_last_one(often, capsys):
     wait_for_threads(before)
 
 
+def test_the_first_percentage_of_a_minute_of_work_says_what_makes_it_shorter(often, capsys, monkeypatch):
+    monkeypatch.setattr(progress, "MINUTE", 0.0)
+    with progress_bar("Rendering", "--spp 4 takes a quarter") as bar:
+        printed(capsys, r"^mitsuba-plenoptic: Rendering: \d+ s$")
+        bar(1, 100)
+        printed(capsys, r"^mitsuba-plenoptic: Rendering: 1 %, \d+ s; --spp 4 takes a quarter$")
+        assert "quarter" not in printed(capsys, r"^mitsuba-plenoptic: Rendering: 1 %, \d+ s$")
+    monkeypatch.setattr(progress, "MINUTE", 1e9)
+    with progress_bar("Rendering", "--spp 4 takes a quarter") as bar:
+        bar(0, 100)
+        bar(50, 100)
+        assert "quarter" not in printed(capsys, r"^mitsuba-plenoptic: Rendering: 50 %, .*$")
+
+
 def test_what_is_quick_prints_nothing(capsys):
     before = threading.active_count()
     with progress_bar("Rendering") as bar:

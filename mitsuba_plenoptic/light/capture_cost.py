@@ -1,0 +1,91 @@
+"""The time that a capture takes, from a small part of its rays and, for waves, what these took for known scenes.
+
+The plan of a camera's diffraction takes longer than a small capture's rays, so estimates make no plan. Wave captures of
+the built-in scenes take a fixed part of the time of their ray captures, and times for each ray and each pixel that hold
+for all scenes. These are counted in the time that the machine's Fourier transforms take for a sample.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..runtime.backend import backend
+from ..runtime.batches import on_all_cores
+from ..runtime.fft import worker_count
+
+_RAYS = 2**20
+"""Largest count of rays from the detector that are traced at once."""
+
+_SECONDS, _PART = 0.6, 64
+"""Approximate time in seconds for which light paths are traced, but no more than about this part of the capture."""
+
+_FEW_PATHS = 16
+"""Largest count of samples that are traced for a pixel at once."""
+
+_TRACED, _OF_RAY, _OF_PIXEL, _OF_PLAN = 0.8, 0.7, 10.0, 1e8
+"""Time of a wave capture: its rays' over that of a ray capture's, and what each ray and each pixel of each wavelength
+takes, and the plan of a wavelength, over that of a sample of a Fourier transform."""
+
+_TRANSFORM = 512
+"""Samples across the Fourier transform that is timed."""
+
+
+def seconds_by_rays(scene: Any, sensor: Any, integrator: Any, *, seed: int, spp: int) -> float:
+    """Return the estimated seconds of a ray capture: evenly spaced rows of pixels are traced in Mitsuba's order."""
+    columns, rows = (int(size) for size in sensor.film().crop_size())
+    whole = rows * columns * spp
+    together = min(spp, _FEW_PATHS)
+    lines = min(rows, max(1, min(_RAYS, whole // _PART) // (columns * together)))
+    count = lines * columns * together
+    sampler = mi.load_dict({"type": "independent"})
+    pixel = dr.arange(mi.UInt32, count) // together
+    column, row = mi.Float(pixel % columns), mi.Float(pixel // columns * (rows // lines))
+
+    def trace() -> float:
+        # Seeded for each pass; otherwise Dr.Jit would trace its state from the first pass through all others.
+        sampler.seed(seed, count)
+        dr.sync_thread()
+        start = time.perf_counter()
+        offset = sampler.next_2d()
+        position = mi.Point2f((column + offset.x) / columns, (row + offset.y) / rows)
+        ray, weight = sensor.sample_ray_differential(0.0, sampler.next_1d(), position, sampler.next_2d())
+        radiance = mi.SamplingIntegrator.sample(integrator, scene, sampler, ray, sensor.get_medium(), True)[0]
+        dr.eval(mi.unpolarized_spectrum(radiance) * mi.unpolarized_spectrum(weight))
+        dr.sync_thread()
+        return time.perf_counter() - start
+
+    dr.eval(column, row)
+    trace()  # compiles the kernels
+    seconds, traced = trace(), count
+    while seconds < _SECONDS and traced * _PART < whole:
+        seconds += trace()
+        traced += count
+    return seconds * whole / traced
+
+
+def seconds_by_waves(by_rays: float, rays: float, pixels: float, images: int) -> float:
+    """Return the estimated seconds of a wave capture from those of equally many rays of a ray capture.
+
+    `images` are those of all wavelengths and channels together.
+    """
+    sample = _seconds_of_a_sample()
+    return _TRACED * by_rays + sample * images * (_OF_RAY * rays + _OF_PIXEL * pixels + _OF_PLAN)
+
+
+def _seconds_of_a_sample() -> float:
+    """Return the seconds that a Fourier transform takes for a sample, with one transform on each core."""
+    libraries, workers = backend(), 1 if backend().is_cuda else worker_count()
+    image = libraries.arrays.ones((_TRANSFORM, _TRANSFORM), np.float32)
+    seconds = []
+    for _ in range(2):
+        libraries.synchronize()
+        start = time.perf_counter()
+        on_all_cores(libraries.transforms.rfft2, [image] * workers)
+        libraries.synchronize()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds) / (workers * _TRANSFORM**2)
