@@ -10,7 +10,7 @@ import typer
 from ..choices import Against
 from ..errors import InputError, refuse_if, require_count
 from ..extension import hook
-from .inputs import camera_instead, named_camera, parse_definitions
+from .inputs import COLOURS, camera_instead, colours_of_film, named_camera, parse_definitions
 from .options import (
     EXISTING,
     SCENE,
@@ -71,8 +71,13 @@ def compare(
     unit: Unit = "mm",
     define: Definitions = None,
     variant: Annotated[
-        str, typer.Option(metavar="NAME", help="Mitsuba variant of one colour: llvm_ad_mono or cuda_ad_mono.")
-    ] = "llvm_ad_mono",
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
+            help="Mitsuba variant of one colour or in rgb, for example cuda_ad_mono.",
+        ),
+    ] = None,
 ) -> None:
     """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
@@ -106,13 +111,22 @@ def compare(
     if scene is None or not distance:
         raise InputError("scene, --distance: give a scene and a distance, or --real with a real light field")
     from ..light.render_capture import MOST_SAMPLES
+    from ..optics.spectrum import RGB_WAVELENGTHS
 
     # Figures need libraries that take a second to load, which other commands need not wait for.
     from ..report.comparison import compare as compute
     from ..report.experiment import Settings
     from ..report.metrics import ssim_text
+    from ..runtime.backend import DEFAULT_VARIANT
 
     parameters = parse_definitions(define)
+    if variant is None:
+        variant = COLOURS if colours_of_film(scene, parameters) else DEFAULT_VARIANT
+    in_colour = "mono" not in variant
+    refuse_if(
+        in_colour and wavelength is not None,
+        f"--wavelength = {wavelength}: a comparison in colour has three of its own; take --variant {DEFAULT_VARIANT}",
+    )
     settings = Settings(
         scene=scene,
         unit=unit,
@@ -120,7 +134,7 @@ def compare(
         parameters=parameters,
         camera=camera_instead(camera, scene, parameters),
         camera_name=camera,
-        wavelength=wavelength or 633.0,
+        wavelength=wavelength or (RGB_WAVELENGTHS[1] if in_colour else 633.0),
         spp=require_count("spp", spp, maximum=MOST_SAMPLES),
         noise=spp > 1,
         variant=variant,

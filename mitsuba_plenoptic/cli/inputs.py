@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _LARGEST_SCALE = 64
 
-_COLOURS = "llvm_ad_rgb"
+COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
 
 _log = logging.getLogger(__name__)
@@ -153,8 +153,8 @@ def open_scene(
     from ..runtime.backend import DEFAULT_VARIANT
 
     other = named_camera(camera)
-    colours = None if variant else _colours_of_film(scene, parameters)
-    chosen = variant or (_COLOURS if colours else DEFAULT_VARIANT)
+    colours = None if variant else colours_of_film(scene, parameters)
+    chosen = variant or (COLOURS if colours else DEFAULT_VARIANT)
     loaded = load_scene(scene, variant=chosen, parameters=parameters, unit=unit)
     if other is not None:
         require_in_use(scene, parameters)
@@ -163,7 +163,7 @@ def open_scene(
     sensor = plenoptic_sensor(loaded, index)
     seen = PlenopticCamera.from_sensor(sensor)
     if colours:
-        _log.info("variant %s, as the film records %s; --variant chooses another", _COLOURS, colours)
+        _log.info("variant %s, as the film records %s; --variant chooses another", COLOURS, colours)
     for text in design_warnings(seen):
         warn(text)
     return loaded
@@ -211,7 +211,7 @@ def scene_roots(scene: str, parameters: dict[str, str]) -> list[Element]:
     return check_scene_file(Path(scene) if Path(scene).is_file() else scene_path(scene), parameters)
 
 
-def _colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
+def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     """Return the colour channels that a scene's film records, None if it records none.
 
     Films of Mitsuba record rgb by default, as does a sensor without a film.

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import refuse_if
 from ..io.cache import StageOptions
 from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
-from .images import Brightness
+from .images import Brightness, luminance
 from .metrics import (
     capture_difference,
     common_scale,
@@ -65,16 +65,17 @@ def compare(
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages), against)
-    measured, ordinary = measure(experiment), {}
-    if experiment.ordinary is not None:
-        measured["ordinary"] = measure_ordinary(experiment, experiment.ordinary)
+    grey, ordinary = experiment.grey(), {}
+    measured = measure(grey)
+    if experiment.ordinary is not None and grey.ordinary is not None:
+        measured["ordinary"] = measure_ordinary(grey, grey.ordinary)
         ordinary = draw_ordinary(output, experiment, experiment.ordinary, measured["ordinary"])
-    zooms = [brightest_zoom(experiment)]
+    zooms = [brightest_zoom(grey)]
     columns, rows = experiment.camera.lens_count
     report = Report(
         title=f"Rays and waves: {scene_name(settings.scene)}",
         lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
-        f"{settings.wavelength:g} nm, and refocused from one capture.",
+        f"{experiment.light} nm, and refocused from one capture.",
         experiment=experiment,
         measured=measured,
         zooms=zooms,
@@ -92,11 +93,8 @@ def _command(settings: Settings, against: str | None) -> str:
     words += [f"--camera {settings.camera_name}"] * (settings.camera_name is not None)
     words += [f"--against {against}"] * (against is not None)
     words += [f"--unit {settings.unit}"] * (settings.unit != "mm")
-    words += [
-        f"--wavelength {settings.wavelength:g}",
-        f"--spp {settings.spp}",
-        f"--variant {settings.variant}",
-    ]
+    words += [f"--wavelength {settings.wavelength:g}"] * ("mono" in settings.variant)
+    words += [f"--spp {settings.spp}", f"--variant {settings.variant}"]
     return " ".join(words)
 
 
@@ -224,7 +222,7 @@ def draw_comparison(
         if "interference" in row
     }
     figure_grid(folder / "methods.png", experiment, metrics)
-    figure_interference(folder / "interference.png", experiment, interference)
+    figure_interference(folder / "interference.png", experiment.grey(), interference)
     figure_captures(folder / "captures.png", experiment, zooms)
     return {
         "methods.png": "All methods next to the thin lens. One bin a pixel shows a grid where the image is out of "
@@ -271,7 +269,7 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
         cuts = [image[zoom.rows, zoom.columns] for image in (ray, wave)]
         show(row[0], cuts[0], "", peak=peak)
         show(row[1], cuts[1], "", peak=peak)
-        drawn = show_difference(row[2], cuts[1] - cuts[0], 0.6 * peak)
+        drawn = show_difference(row[2], luminance(cuts[1] - cuts[0]), 0.6 * peak)
         for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
             first = zoom is zooms[0]
             annotate(axes, title=name if first else "", side=zoom.title if axes is row[0] else "")

@@ -24,11 +24,19 @@ from ..light.render_capture import pass_counts
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
+from .images import luminance
 
 _RAYS_PER_PASS = 2**24
 
 
-def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1) -> np.ndarray:
+def thin_lens_image(
+    scene: Any,
+    camera: PlenopticCamera,
+    distance: float,
+    spp: int,
+    oversample: int = 1,
+    pixel_format: str = "luminance",
+) -> np.ndarray:
     """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
 
     Reconstructions of the same distance have the same bins, and can be compared with the image bin by bin.
@@ -36,7 +44,7 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
     Parameters
     ----------
     scene : mitsuba.Scene
-        The scene, in a variant of one colour.
+        The scene.
     camera : PlenopticCamera
         The camera; its main lens is taken as ideal.
     distance : float
@@ -45,20 +53,25 @@ def thin_lens_image(scene: Any, camera: PlenopticCamera, distance: float, spp: i
         Samples per pixel.
     oversample : int
         Bins per lens along each axis.
+    pixel_format : {"luminance", "rgb"}
+        What the film records.
     """
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
     spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
     lens: dict[str, Any] = {"type": "thinlens", "aperture_radius": camera.aperture_radius, "focus_distance": distance}
     size = (columns * oversample, rows * oversample)
-    sensor = photographic_sensor(scene, camera, size, "luminance", **lens, **spread)
+    sensor = photographic_sensor(scene, camera, size, pixel_format, **lens, **spread)
     return photograph(scene, sensor, spp)
 
 
-def pinhole_image(scene: Any, camera: PlenopticCamera, columns: int, spp: int) -> np.ndarray:
+def pinhole_image(
+    scene: Any, camera: PlenopticCamera, columns: int, spp: int, pixel_format: str = "luminance"
+) -> np.ndarray:
     """Return the sharp image of the camera's field from the centre of its main lens, `columns` pixels wide."""
     rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
-    return photograph(scene, photographic_sensor(scene, camera, (columns, rows), type="perspective"), spp)
+    sensor = photographic_sensor(scene, camera, (columns, rows), pixel_format, type="perspective")
+    return photograph(scene, sensor, spp)
 
 
 _FARTHEST = 1e12
@@ -152,6 +165,8 @@ class Settings(CaptureSpec):
         Distances of the report's slider, in millimetres.
     camera_name : str, optional
         What the command calls the camera that replaces the scene's.
+    wavelength : float
+        Wavelength in nanometres; in colour that of figures of the design, as captures have three of their own.
     points : int, optional
         Points per lens of another wave capture, point by point, with which the one from signed rays is compared.
         Default: no such capture.
@@ -209,6 +224,37 @@ class Experiment:
     # What the captures are compared with besides each other.
     ordinary: Ordinary | None
 
+    @property
+    def light(self) -> str:
+        """The wavelengths of the wave capture in nanometres, as text."""
+        return ", ".join(f"{each:g}" for each in np.atleast_1d(np.array(self.wave.wavelength)).tolist())
+
+    def grey(self) -> Experiment:
+        """Return the experiment with the luminance of all images, in which colours are measured."""
+
+        def of_capture(capture: Capture) -> Capture:
+            noise = None if capture.noise is None else luminance(capture.noise)
+            wavelength = None if capture.wavelength is None else self.settings.wavelength
+            return replace(capture, image=luminance(capture.image), noise=noise, wavelength=wavelength)
+
+        if self.ray.image.ndim == 2:
+            return self
+        ordinary = self.ordinary and replace(
+            self.ordinary,
+            capture=of_capture(self.ordinary.capture),
+            edges={name: luminance(image) for name, image in self.ordinary.edges.items()},
+        )
+        return replace(
+            self,
+            ray=of_capture(self.ray),
+            wave=of_capture(self.wave),
+            points=self.points and of_capture(self.points),
+            truths={distance: luminance(image) for distance, image in self.truths.items()},
+            images={key: luminance(image) for key, image in self.images.items()},
+            pinhole=luminance(self.pinhole),
+            ordinary=ordinary,
+        )
+
     def image(self, method: str, distance: float) -> np.ndarray:
         """Return the reconstruction by a method at a distance, or for ``truth`` the thin lens's image."""
         return self.truths[distance] if method == "truth" else self.images[method, distance]
@@ -227,13 +273,18 @@ def run_experiment(
     if against is not None:
         require_choice("against", against, Against)
     refuse_if(
-        "mono" not in settings.variant,
-        f"variant = {settings.variant!r}: a comparison is made in one colour; use a mono variant",
+        not any(kind in settings.variant for kind in ("mono", "rgb")),
+        f"variant = {settings.variant!r}: a comparison is made in one colour or in three; use a mono or an rgb variant",
     )
     scene = settings.load()
     sensor = scene.sensors()[0]
     camera = PlenopticCamera.from_sensor(sensor)
     camera.require_array("compare")
+    colours = "luminance" if mi.is_monochromatic else "rgb"
+    refuse_if(
+        mi.is_rgb and sensor.film().base_channels_count() == 1,
+        f"variant = {settings.variant!r}: the film of {settings.scene} records one colour; use a mono variant",
+    )
     refuse_if(
         camera.is_cropped, f"{settings.scene}: a comparison needs the full detector; remove the film's crop window"
     )
@@ -243,6 +294,8 @@ def run_experiment(
 
     by_rays = settings.by("ray")
     by_waves = settings.by("wave")
+    if mi.is_rgb:
+        by_waves = replace(by_waves, wavelength=None)
     ray, ray_key = captured(store, "capture_ray", by_rays, scene, noise=settings.noise)
     refuse_if(not ray.image.any(), f"{settings.scene}: the capture is black: its camera sees no light")
     images: Images = {}
@@ -276,7 +329,7 @@ def run_experiment(
     pinhole, _ = store.image(
         "object",
         {"scene": seen, "columns": columns},
-        lambda _: (pinhole_image(scene, camera, columns, 64), {"kind": "photograph"}),
+        lambda _: (pinhole_image(scene, camera, columns, 64, colours), {"kind": "photograph"}),
     )
     truths = {}
     for distance in distances:
@@ -286,7 +339,8 @@ def run_experiment(
         def thin_lens(
             progress: Progress, distance: float = distance, spp: int = spp
         ) -> tuple[np.ndarray, dict[str, Any]]:
-            return thin_lens_image(scene, camera, distance, spp), {"kind": "photograph", "distance": distance}
+            image = thin_lens_image(scene, camera, distance, spp, pixel_format=colours)
+            return image, {"kind": "photograph", "distance": distance}
 
         inputs = {"scene": seen, "distance": distance, "spp": spp}
         truths[distance], _ = store.image(f"thin_lens_{distance:g}", inputs, thin_lens)
@@ -409,7 +463,7 @@ def refocused(
 
 def _grey(capture: Capture) -> Capture:
     """Return a mono variant's capture, whose film has three equal channels, with one channel."""
-    if capture.image.ndim == 2:
+    if capture.image.ndim == 2 or not mi.is_monochromatic:
         return capture
     noise = None if capture.noise is None else capture.noise[..., 1]
     return replace(capture, image=capture.image[..., 1], noise=noise)

@@ -42,6 +42,11 @@ def to_bytes(image: np.ndarray, peak: float | None = None) -> np.ndarray:
     return np.round(255 * srgb(values)).astype(np.uint8)
 
 
+def luminance(image: np.ndarray) -> np.ndarray:
+    """Return the luminance (rows, columns) of an image (rows, columns[, 3]) in linear sRGB."""
+    return image if image.ndim == 2 else image @ np.array([0.2126, 0.7152, 0.0722], image.dtype)
+
+
 def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
     """Return a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads the values.
 

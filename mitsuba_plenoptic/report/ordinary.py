@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter
 from ..errors import refusing
 from ..optics.waves import in_millimetres
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
-from .images import Brightness
+from .images import Brightness, luminance
 from .metrics import window_sharpness
 from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 
@@ -104,11 +104,11 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     """Draw the pictures in one frame of the plane in focus, and the place of most contrast with each pixel."""
     pictures = _pictures(experiment, ordinary)
     pixels = {name: _pixel(experiment, ordinary, name) for name in pictures}
-    sides = np.array([np.array(image.shape) * pixels[name] for name, image in pictures.items()])
+    sides = np.array([np.array(image.shape[:2]) * pixels[name] for name, image in pictures.items()])
     high, wide = sides.min(axis=0) / 2
     close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
     # Details that bins blur, without the noise of single pixels.
-    smooth = uniform_filter(pictures[ORDINARY], max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
+    smooth = uniform_filter(luminance(pictures[ORDINARY]), max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
     down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
     peak = Brightness().peak([pictures[ORDINARY]])
     plot = Plot(2.4 * len(pictures) + 0.1)

@@ -152,7 +152,7 @@ def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, 
         apart = f"{points['relative_error']:.2%} (relative L2, with the noise of both), energy {points['energy']:.4f}"
         against = [(f"Wave capture against {settings.points} points per lens, each propagated by itself", apart)]
     return [
-        ("Wavelength", f"{settings.wavelength:g} nm"),
+        ("Wavelength", f"{experiment.light} nm"),
         ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
         *against,
         ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
@@ -182,8 +182,8 @@ def captures(experiment: Experiment, window: Window) -> dict[str, str]:
 
 def geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
     """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
-    rows, columns = experiment.wave.image.shape
-    height, width = window.of(experiment.wave.image).shape
+    rows, columns = experiment.wave.image.shape[:2]
+    height, width = window.of(experiment.wave.image).shape[:2]
     top, left = round(window.top * rows), round(window.left * columns)
     return {
         "width": width,

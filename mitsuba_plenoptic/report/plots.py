@@ -183,7 +183,8 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
     for axis in (1, 0):
         ends = []
         for image in images:
-            lit = np.flatnonzero(image.max(axis=axis) > fraction * image.max())
+            most = image.max(axis=tuple(other for other in range(image.ndim) if other != 1 - axis))
+            lit = np.flatnonzero(most > fraction * image.max())
             middle = image.shape[1 - axis] / 2
             if lit.size:
                 ends.append(max(abs(lit[0] - middle), abs(lit[-1] + 1 - middle)) / (2 * middle))

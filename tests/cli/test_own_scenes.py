@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 
 import mitsuba as mi
+import numpy as np
 import pytest
+from PIL import Image
+from scene_cases import write_scene
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
@@ -108,3 +111,26 @@ def test_own_scenes_in_metres_are_compared(box, camera, tmp_path, monkeypatch, c
     scene = mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text()))
     known = mp.render_capture(scene, spp=4, noise=True)
     assert (mp.read_capture(out / "data" / "capture_ray.exr").image == known.image).all()
+
+
+def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, complaint):
+    monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
+    card = """<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="180"/><scale value="20"/>
+    <translate z="240"/></transform><emitter type="area"><rgb name="radiance" value="1, 0.4, 0.1"/></emitter></shape>"""
+    scene = write_scene(tmp_path, card, sensor='<float name="detector_width" value="0.256"/>', pixel_format="rgb")
+    out, words = tmp_path / "out", ("--distance", 240, "--spp", 4)
+    run("compare", scene, "-o", out, *words)
+    for model, wavelength in (("ray", None), ("wave", (611.4, 549.1, 464.3))):
+        capture = mp.read_capture(out / "data" / f"capture_{model}.exr")
+        assert capture.wavelength == wavelength
+        red, green, blue = capture.image.mean((0, 1)).tolist()
+        assert (green / red, blue / red) == pytest.approx((0.4, 0.1), rel=0.02)
+    # The figures have the colour of the card, which differences and texts do not have.
+    for name, least in (("methods", 0.4), ("captures", 0.1)):
+        drawn = np.asarray(Image.open(out / f"{name}.png").convert("RGB"), dtype=int)
+        assert np.mean((drawn[..., 0] - drawn[..., 1] > 60) & (drawn[..., 1] - drawn[..., 2] > 40)) > least
+    results = json.loads((out / "results.json").read_text())
+    assert results["reconstructions"][0]["bins"] == [4, 4] and results["command"].endswith("--variant llvm_ad_rgb")
+    assert "611.4, 549.1, 464.3 nm" in (out / "report.html").read_text()
+    message = complaint("compare", scene, "-o", out, *words, "--wavelength", 500)
+    assert message.startswith("--wavelength = 500") and message.endswith("take --variant llvm_ad_mono")
