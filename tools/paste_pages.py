@@ -2,8 +2,9 @@
 
 A page's blocks run in order, in a folder with the files that the page asks to save and the capture ``raw.exr``; Python
 has the names ``mp``, ``capture`` and ``camera``. A block that needs an extra says so in its first line, as
-``# pip install 'mitsuba-plenoptic[sweep]'``, and is left out without the extra. Wrong is what lacks a module, a
-name of the package, a command or an option. What lacks only what readers bring, or takes too long, is listed.
+``# pip install 'mitsuba-plenoptic[sweep]'`` or ``# pip install pylops``, and is left out without the extra. Wrong is
+what lacks a module, a name of the package, a command or an option. What lacks only what readers bring, or takes too
+long, is listed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from check_release import page_files
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(?:\{code-(?:block|cell)\} )?(python|console)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
-NEEDS = re.compile(r".*pip install '[\w-]+\[([\w,]+)\]'")
+NEEDS = re.compile(r".*pip install (?:'[\w-]+\[([\w,]+)\]'|([\w-]+)$)", flags=re.MULTILINE)
 WRONG = re.compile(
     r"ModuleNotFoundError|ImportError|AttributeError: module|[Nn]o such (?:option|command)|command not found"
     r"|pip install "
@@ -42,9 +43,12 @@ def blocks(text: str) -> list[tuple[str, str]]:
 
 
 def lacks(body: str) -> bool:
-    """Return whether a block states an extra that is not installed."""
+    """Return whether a block states an extra, or a package, that is not installed."""
     stated = NEEDS.match(body)
-    return bool(stated) and not all(find_spec(EXTRAS[extra]) for extra in stated[1].split(","))  # type: ignore[index]
+    if stated is None:
+        return False
+    modules = [EXTRAS[extra] for extra in stated[1].split(",")] if stated[1] else [stated[2]]
+    return not all(find_spec(module) for module in modules)
 
 
 def paste(page: Path, limit: int) -> None:
