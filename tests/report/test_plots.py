@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import decode
 from mitsuba_plenoptic.report.plots import (
+    Plot,
+    annotate,
     contact_sheet,
     depth_figure,
     epipolar_figure,
     lit_window,
+    scale_bar,
+    show,
     stack_figure,
     views_figure,
 )
@@ -191,3 +197,22 @@ def test_panels_of_a_wide_field_have_its_shape():
     window = lit_window([(np.hypot(x, y) < 20).astype(float)])
     rows, columns = window.of(np.zeros((86, 100))).shape
     assert window.aspect == pytest.approx(rows / columns, rel=0.05)
+
+
+def test_panels_are_of_one_size_and_no_text_is_cut():
+    plot = Plot(6.0, dpi=80)
+    panels = plot.panels(2, 3, (0.5, 1.0))
+    for axes in panels.flat:
+        show(axes, np.ones((4, 8)), "title")
+        annotate(axes, title="title", side="side" if axes is panels[0, 0] else "", foot="foot")
+        scale_bar(axes, 4.0, below=True)
+    plot.colour_bar(panels[0, 0].images[0], panels, "label")
+    image = Image.open(io.BytesIO(plot.png()))
+    boxes = [[axes.get_window_extent() for axes in row] for row in panels]
+    for row, aspect in zip(boxes, (0.5, 1.0), strict=True):
+        assert [box.width for box in row] == pytest.approx([boxes[0][0].width] * 3, rel=0.01)
+        assert [box.height / box.width for box in row] == pytest.approx([aspect] * 3)
+    seen = plot.get_tightbbox()
+    assert seen.x0 >= 0 and seen.y0 >= 0 and seen.x1 <= 6 and 80 * seen.y1 <= image.height
+    # What is not needed is taken off.
+    assert image.width == 480 and image.height < 1.1 * 80 * seen.height
