@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import refuse_if
 from ..io.cache import StageOptions
+from .comparison_page import write_report
 from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from .images import Brightness, luminance
 from .metrics import (
@@ -26,8 +27,8 @@ from .metrics import (
     square_sharpness,
     ssim_text,
 )
-from .ordinary import draw_ordinary, measure_ordinary
-from .page import Report, scene_name, write_report
+from .ordinary import measure_ordinary, ordinary_section
+from .pages import scene_name
 from .plots import (
     ON_DETECTOR,
     Plot,
@@ -65,25 +66,25 @@ def compare(
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages), against)
-    grey, ordinary = experiment.grey(), {}
+    grey, others = experiment.grey(), []
     measured = measure(grey)
     if experiment.ordinary is not None and grey.ordinary is not None:
         measured["ordinary"] = measure_ordinary(grey, grey.ordinary)
-        ordinary = draw_ordinary(output, experiment, experiment.ordinary, measured["ordinary"])
+        others.append(ordinary_section(output, experiment, experiment.ordinary, measured["ordinary"]))
     zooms = [brightest_zoom(grey)]
     columns, rows = experiment.camera.lens_count
-    report = Report(
-        title=f"Rays and waves: {scene_name(settings.scene)}",
-        lead=f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
+    return write_report(
+        output,
+        f"Rays and waves: {scene_name(settings.scene)}",
+        f"Recorded through {columns} x {rows} microlenses, once by rays and once by waves at "
         f"{experiment.light} nm, and refocused from one capture.",
-        experiment=experiment,
-        measured=measured,
+        experiment,
+        measured,
         zooms=zooms,
         plates=draw_comparison(output, experiment, measured, zooms),
         command=_command(settings, against),
-        ordinary=ordinary,
+        others=others,
     )
-    return write_report(output, report)
 
 
 def _command(settings: Settings, against: str | None) -> str:

@@ -17,6 +17,7 @@ from ..optics.waves import in_millimetres
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
 from .images import Brightness, luminance
 from .metrics import window_sharpness
+from .pages import Section, Table, pictures_in
 from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 
 _TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
@@ -84,19 +85,41 @@ def _pixel(experiment: Experiment, ordinary: Ordinary, name: str) -> float:
     return experiment.camera.bin_size(distance)
 
 
-def draw_ordinary(
-    folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Mapping[str, Any]
-) -> dict[str, str]:
-    """Draw the pictures and the transfer functions; return their captions by file name."""
+def ordinary_section(folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Mapping[str, Any]) -> Section:
+    """Draw the pictures and the transfer functions, and return the part of the report that shows them."""
     figure_pictures(folder / "ordinary.png", experiment, ordinary)
     figure_transfer(folder / "mtf.png", measured)
-    return {
+    captions = {
         "ordinary.png": f"The scene by waves: the camera without its microlens array, focused at {ordinary.distance:g} "
         "mm, and a capture with the array, refocused to this distance. Below, the framed part with every pixel.",
         "mtf.png": "Modulation transfer functions of a slanted edge in focus, pixels included, in the plane in focus. "
         "Thin: beyond half a cycle per pixel, where a picture cannot hold detail. Dashed: the limit by diffraction at "
         "the pupil.",
     }
+    columns = {
+        "Picture": "{title}",
+        "Pixels": "{pixels[0]} x {pixels[1]}",
+        "50 % contrast": "{mtf50_per_mm:.3g}",
+        "10 % contrast": "{mtf10_per_mm:.3g}",
+        "Half a cycle per pixel": "{nyquist_per_mm:.3g}",
+        "50 %, ordinary over this": "{ratio:.3g}",
+    }
+    best = measured["pictures"][0]["mtf50_per_mm"]
+    return Section(
+        "Against an ordinary camera",
+        [
+            f"The same main lens and pixels without the microlens array, focused at {measured['distance']:g} mm: what "
+            "the array costs in sharpness for views and distances to choose from after the capture.",
+            *pictures_in(folder, captions),
+            Table(
+                columns,
+                [row | {"ratio": best / row["mtf50_per_mm"]} for row in measured["pictures"]],
+                "Sharpness in the plane in focus, from a slanted edge. Frequencies in cycles per mm; beyond half a "
+                "cycle per pixel a picture holds no detail, and the slant of the edge tells the contrast. The pupil's "
+                f"cut-off is {measured['cutoff_per_mm']:.3g}.",
+            ),
+        ],
+    )
 
 
 @styled

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from ...report.page import template
-from ...runtime.files import write_text
+from ...report.pages import Block, Page, Picture, Section, Table
+from ...report.plots import ACCENT, FAINT, INK, Plot, styled
 from .board_model import UNITS
-from .calibration_result import Calibration, ResidualMap, field_cells, group_means, residual_map
-from .observations import Board, Table, placed
-
-_TEMPLATES = Path(__file__).parent / "templates"
+from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map
+from .observations import Board, placed
+from .observations import Table as Corners
 
 # Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
 _CELLS = 24
@@ -25,63 +24,110 @@ _ENLARGED = 100
 # Parts of which the residuals by field and by depth are listed.
 _PARTS = 6
 
-_WIDTH = 760
-"""Width of the drawings."""
+_WIDTH = 8.0
+"""Width of the figures in inches."""
+
+_NAMED = 100
+"""Lines of outliers that are named."""
 
 
 def write_calibration_report(
-    path: str | Path, calibration: Calibration, board: Board, corners: Table, centres: Table | None
+    path: str | Path, calibration: Calibration, board: Board, corners: Corners, centres: Corners | None
 ) -> None:
     """Write the report on a calibration as an HTML page."""
     size, seen = calibration.camera.crop_size, calibration.evaluation
     outliers = seen.outliers
     lens = residual_map(calibration, board, corners, "lens", 1)
     # Rows far off would hide in means what the others show.
-    calibration = replace(calibration, evaluation=seen.without_outliers())
+    usual = replace(calibration, evaluation=seen.without_outliers())
     corners = corners.keep(np.delete(np.arange(len(seen.residuals)), outliers))
     field, depth = (
-        residual_map(calibration, board, corners, by, parts) for by, parts in (("field", _CELLS), ("depth", _PARTS))
+        residual_map(usual, board, corners, by, parts) for by, parts in (("field", _CELLS), ("depth", _PARTS))
     )
-    maps = [("Corners", _arrows(field.key, field.mean, size))]
+    maps = [("Corners", field.key, field.mean)]
     if centres is not None:
         used = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
         middle, cell = field_cells(centres.pixel[used], size[0] / _CELLS)
-        means = group_means(-calibration.centre_residuals[used], cell)[1]
-        maps.append(("Centres of micro-images", _arrows(middle, means, size)))
+        maps.append(("Centres of micro-images", middle, group_means(-calibration.centre_residuals[used], cell)[1]))
+    shown = f"observed less predicted, outliers left out, means of cells of the detector, enlarged {_ENLARGED} times."
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
-    page = template("calibration.html", _TEMPLATES).render(
-        calibration=calibration,
-        seen=seen,
-        outliers=outliers + 2,
-        outliers_by_frame=np.bincount(seen.pose[outliers], minlength=len(seen.frames)).tolist(),
-        units=UNITS,
-        weak=calibration.weak_directions(),
-        maps=maps,
-        width=_WIDTH,
-        height=round(_WIDTH * size[1] / size[0]),
-        enlarged=_ENLARGED,
-        tables=[
-            ("Pixels from the detector's centre", _by(radius, calibration.evaluation.residuals)),
-            ("Distance of the corner, mm", [*zip(*depth.key.T, depth.count, depth.error, strict=True)]),
-        ],
-        lenses=_lenses(lens, size),
-        worst=float(lens.error.max()),
-        boards=_boards(calibration, board),
+    residuals = [
+        *(Picture(arrows(middle, mean, size).png(), f"{name}: {shown}") for name, middle, mean in maps),
+        Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
+        _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),
+        _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
+    ]
+    sections = [
+        Section("Numbers", _numbers(calibration)),
+        Section("Poses", [Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(seen)]),
+        Section("Residuals", residuals),
+    ]
+    Page("Calibration", _summary(calibration), sections).write(path)
+
+
+def _summary(calibration: Calibration) -> str:
+    """Return how well the camera explains the observations, and which of them did not count."""
+    seen, outliers = calibration.evaluation, calibration.evaluation.outliers
+    text = (
+        f"Reprojection error {seen.error:.4f} px over {len(seen.residuals)} observations of {len(seen.frames)} poses "
+        "(root mean square of two-dimensional distances, every row counted)"
     )
-    write_text(path, page, ".html")
+    if calibration.centre_error is not None:
+        text += f"; centres of micro-images {calibration.centre_error:.4f} px over {len(calibration.centre_residuals)}"
+    text += "."
+    if len(outliers):
+        lines = ", ".join(str(line) for line in outliers[:_NAMED] + 2)
+        more = " and more; the camera's file lists them all" if len(outliers) > _NAMED else ""
+        text += (
+            f" {len(outliers)} rows are outliers, more than six deviations from where they are predicted, and did not "
+            f"count in the fit: lines {lines}{more}. Without them the reprojection error is "
+            f"{seen.error_without_outliers:.4f} px."
+        )
+    if len(calibration.centre_outliers):
+        text += (
+            f" {len(calibration.centre_outliers)} centres of micro-images are doubtful or off the lattice and did not "
+            "count in the fit."
+        )
+    return text
 
 
-def _arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> list[tuple[float, float, float, float]]:
-    """Return mean residuals as lines from the middle of each cell of the detector, in units of the drawing."""
-    lines = np.concatenate([middle + 0.5, middle + 0.5 + _ENLARGED * mean], axis=1) * (_WIDTH / size[0])
-    return [tuple(line) for line in lines.round(1).tolist()]
+def _numbers(calibration: Calibration) -> list[Block]:
+    """Return the parameters, and what is known of them."""
+    records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
+    blocks: list[Block] = [
+        Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records),
+    ]
+    if calibration.by_frames:
+        blocks.append(
+            f"Frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains: the model "
+            "misses something, and the deviations are those of leaving out frames."
+        )
+    if calibration.blur is not None:
+        lengths = zip(calibration.blur.focal_lengths, calibration.blur.deviations, strict=True)
+        texts = ", ".join(f"{value:.5g} ± {deviation:.2g}" for value, deviation in lengths)
+        blocks.append(
+            f"Focal lengths of the microlenses from the corners' blur: {texts} mm; radii "
+            f"{calibration.blur.error:.4f} px RMS."
+        )
+    weak = [
+        f"{weakness:.1f}: " + ", ".join(f"{name} {part:+.2f}" for name, part in changes.items())
+        for weakness, changes in calibration.weak_directions()
+    ]
+    return [*blocks, "Combinations that the data determine worst, in deviations of each parameter:", weak]
 
 
-def _lenses(lens: ResidualMap, size: Sequence[int]) -> list[tuple[float, float, float]]:
-    """Return the position of each lens, and as its darkness the lens's error over the 95 % quantile of all errors."""
-    position = (lens.key[:, 2:] + 0.5) * (_WIDTH / size[0])
-    dark = (lens.error / max(float(np.quantile(lens.error, 0.95)), 1e-12)).clip(0.05, 1)
-    return [tuple(mark) for mark in np.column_stack([position.round(1), dark.round(2)]).tolist()]
+def _poses(seen: Evaluation) -> Table:
+    """Return the position and the error of each board."""
+    outliers = np.bincount(seen.pose[seen.outliers], minlength=len(seen.frames))
+    columns = {"frame": "{0}", "error, px": "{1:.4f}", "outliers": "{2}"}
+    columns |= {f"{axis}, mm": f"{{{number}:.2f}}" for number, axis in enumerate("xyz", 3)}
+    positions = np.asarray(seen.poses)[:, 3:].T
+    return Table(columns, zip(seen.frames, seen.pose_errors, outliers, *positions, strict=True))
+
+
+def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> Table:
+    """Return the errors in ranges of a quantity."""
+    return Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error, px": "{3:.4f}"}, ranges)
 
 
 def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
@@ -94,18 +140,54 @@ def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float,
     ]
 
 
-def _boards(calibration: Calibration, board: Board) -> list[dict[str, Any]]:
-    """Draw the boards obliquely from the side, with the camera at the left end of the axis."""
+@styled
+def arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> Plot:
+    """Return a figure of mean residuals as arrows from the middle of each cell of the detector."""
+    plot = Plot(_WIDTH)
+    axes = _detector(plot, size)
+    x, y = (middle + 0.5).T
+    axes.quiver(x, y, *(_ENLARGED * mean).T, angles="xy", scale_units="xy", scale=1, color="#9a5b00", width=0.0016)
+    axes.plot(x, y, ".", color=INK, markersize=2)
+    return plot
+
+
+@styled
+def lens_errors(lens: ResidualMap, size: Sequence[int]) -> Plot:
+    """Return a figure of the error of each lens, at its micro-image."""
+    plot = Plot(_WIDTH)
+    axes = _detector(plot, size)
+    most = max(float(np.quantile(lens.error, 0.95)), 1e-12)
+    x, y = (lens.key[:, 2:] + 0.5).T
+    drawn = axes.scatter(x, y, c=lens.error, s=6, cmap="YlOrBr", vmin=0, vmax=most)
+    end = "max" if lens.error.max() > most else "neither"
+    plot.colour_bar(drawn, axes, f"px; up to {lens.error.max():.2f}", extend=end)
+    return plot
+
+
+def _detector(plot: Plot, size: Sequence[int]) -> Axes:
+    """Return axes as wide and as high as the detector, in pixels from its upper left corner."""
+    ((axes,),) = plot.panels(1, 1, size[1] / size[0])
+    axes.set(xlim=(0, size[0]), ylim=(size[1], 0), frame_on=True)
+    axes.spines[:].set(linewidth=0.5, color=FAINT)
+    return axes
+
+
+@styled
+def boards(calibration: Calibration, board: Board) -> Plot:
+    """Return a figure of the boards, obliquely from the side, with the camera at the left end of the axis."""
     width, height = (board.columns - 1) * board.square, (board.rows - 1) * board.square
     outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
     seen = calibration.evaluation
-    outlines = [placed(outline, pose[None], np.zeros(len(outline), dtype=int)) for pose in seen.poses]
-    scale = (_WIDTH - 40) / max((corner[:, 2] + 0.35 * np.abs(corner[:, 0])).max() for corner in outlines)
-    drawings = []
-    for frame, corner in zip(seen.frames, outlines, strict=True):
+    plot = Plot(_WIDTH)
+    ((axes,),) = plot.panels(1, 1, 0.4)
+    axes.axhline(0, color=FAINT, linewidth=0.5)
+    axes.plot(0, 0, "o", color=INK, markersize=5)
+    axes.annotate("camera", (0, 0), (0, -8), textcoords="offset points", va="top", size=8, color=FAINT)
+    for frame, pose in zip(seen.frames, seen.poses, strict=True):
+        corner = placed(outline, pose[None], np.zeros(len(outline), dtype=int))
         # Oblique: depth to the right, x towards the reader.
-        across = 20 + scale * (corner[:, 2] + 0.35 * corner[:, 0])
-        down = 150 - scale * (corner[:, 1] - 0.35 * corner[:, 0])
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(across, down, strict=True))
-        drawings.append({"frame": int(frame), "points": points, "x": round(across[0], 1), "y": round(down[0], 1)})
-    return drawings
+        across, up = corner[:, 2] + 0.35 * corner[:, 0], corner[:, 1] - 0.35 * corner[:, 0]
+        axes.fill(across, up, facecolor=f"{ACCENT}26", edgecolor="#9a5b00", linewidth=0.8)
+        axes.annotate(f"{frame}", (across[0], up[0]), size=8, color=FAINT)
+    axes.set_aspect("equal", adjustable="datalim")
+    return plot

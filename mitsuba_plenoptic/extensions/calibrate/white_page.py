@@ -6,19 +6,16 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
 from ...light.render_capture import render_capture
-from ...report.images import data_url
-from ...report.page import template
+from ...report.pages import Page, Picture, Section
 from ...report.plots import INK, Plot, annotate, show, show_difference, styled
 from ...runtime.backend import set_variant
-from ...runtime.files import write_text
 from .fitted_camera import stray_fraction
 from .white_fit import WhiteFit
-
-_TEMPLATES = Path(__file__).parent / "templates"
 
 _LENSES = 12
 """Lenses along a side of the pictures that are shown side by side."""
@@ -36,10 +33,14 @@ _REACH = 0.6
 def write_white_report(path: Path, found: WhiteFit, summary: list[str]) -> None:
     """Write the page, for which a part of the white picture is simulated through the fitted camera."""
     light = "rays" if found.wavelength is None else f"waves of {found.wavelength:g} nm"
-    page = template("white.html", _TEMPLATES).render(
-        figure=data_url("png", white_figure(found).png()), light=light, lines=summary, samples=_SAMPLES, lenses=_LENSES
-    )
-    write_text(path, page, ".html")
+    lead = f"Simulated by {light}, {_SAMPLES} samples per pixel, for {_LENSES} x {_LENSES} lenses in the middle."
+    caption = "Recorded and simulated pixels of the white picture, their difference, and profiles."
+    lines = Markup("<pre>{}</pre>").format("\n".join(summary))
+    sections = [
+        Section("Pictures", [Picture(white_figure(found).png(), caption)]),
+        Section("Numbers", [lines]),
+    ]
+    Page("A camera fitted to its white picture", lead, sections).write(path)
 
 
 def side_by_side(found: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
+from markupsafe import Markup
+
 from ...report.comparison import find
-from ...report.experiment import Experiment
+from ...report.experiment import TITLES, Experiment
 from ...report.metrics import image_metrics, ssim_text
-from ...report.page import Claim
+from ...report.pages import Section, Table, prose
 
 CONFIRMED, PARTLY, DIFFERS = "confirmed", "partly", "differs"
 BY_CONSTRUCTION = "by construction"
@@ -44,6 +48,45 @@ _FOUR = {
         "Lenses of a subset are neighbours along one diagonal, whose fringes are finer than the bins.",
     ),
 }
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A conclusion of the paper beside this package's results."""
+
+    statement: str
+    measured: str
+    # ``confirmed``, ``partly`` or ``differs``; ``by construction`` where nothing could come out otherwise.
+    verdict: str
+    remark: str
+
+
+def claims_section(claims: Sequence[Claim], measured: dict[str, Any]) -> Section:
+    """Return the part of the report with the conclusions, and the interference that they rest on."""
+    texts = Markup('<div><p class="statement">{}</p><p>{}</p><p class="note">{}</p></div>')
+    items = [
+        Markup('<li><span class="verdict {}">{}</span>{}</li>').format(
+            claim.verdict.replace(" ", "-"),
+            claim.verdict,
+            texts.format(prose(claim.statement), prose(claim.measured), prose(claim.remark)),
+        )
+        for claim in claims
+    ]
+    columns = {
+        "Letter": "at {shape_distance:g} mm",
+        "Focus": "{distance:g} mm",
+        TITLES["coherent"]: "{coherent:.1%}",
+        TITLES["partial"]: "{partial:.1%}",
+    }
+    blurred = [row for row in measured["interference"] if row["shape_distance"] != row["distance"]]
+    return Section(
+        "The paper's conclusions",
+        [
+            "Each verdict is computed from the results next to it.",
+            Markup('<ul class="claims">{}</ul>').format(Markup("").join(items)),
+            Table(columns, blurred, "Interference within each letter that is out of focus."),
+        ],
+    )
 
 
 def check_claims(
@@ -111,6 +154,29 @@ def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict
         }
         for method, paper in PAPER_SECONDS.items()
     ]
+
+
+def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> Section:
+    """Return the part of the report with the rows of `timing_table`."""
+    columns = {"Method": "{title}", "Seconds": "{seconds:.3g}", "Paper": "{paper_seconds:g}"}
+    caption = "Ours: processor time, the shorter of two runs."
+    records = [row | {"title": TITLES[row["method"]]} for row in rows]
+    if experiment.camera.resolution == PAPER_RESOLUTION:
+        columns["Paper over ours"] = "{ratio}"
+        records = [row | {"ratio": _two_digits(row["paper_over_ours"])} for row in records]
+    else:
+        size = "{} x {}".format(*experiment.camera.resolution)
+        caption += f" This detector has {size} pixels and the paper's 4096 x 4096: no ratio."
+    text = (
+        "Seconds of a processor core to reconstruct one distance. The paper's core was one of about 2012: a part of "
+        "the ratio is due to the machine."
+    )
+    return Section("Time on one core", [text, Table(columns, records, caption)])
+
+
+def _two_digits(value: float) -> str:
+    """Return a number of two significant digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def verdict(holds: list[bool]) -> str:

@@ -18,8 +18,7 @@ from ... import design
 from ...camera import PlenopticCamera
 from ...prescription.lens_data import image_distance
 from ...refocus.ray_sums import pupil_radius, ray_sums
-from ...report.page import Claim
-from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, verdict
+from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
 VIRTUAL_DEPTHS = (3.0, 4.0, 6.0, 8.0)
 """Distances of the main lens's image before the array of focused cameras, over that of the detector behind it."""

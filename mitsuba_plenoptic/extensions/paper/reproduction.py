@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,9 @@ from ...io.cache import StageOptions
 from ...io.captures import Capture
 from ...refocus import Reconstruction, reconstruct
 from ...report.comparison import draw_comparison, measure
+from ...report.comparison_page import write_growing, write_report
 from ...report.experiment import METHODS, TITLES, Experiment, Images, Settings, open_store, run_experiment
 from ...report.images import Brightness, shrink
-from ...report.page import Report, write_growing, write_report
 from ...report.plots import (
     ON_DETECTOR,
     Plot,
@@ -34,7 +34,7 @@ from ...report.plots import (
     styled,
     zoom_at,
 )
-from .claims import PAPER_SECONDS, check_claims, timing_table
+from .claims import PAPER_SECONDS, check_claims, claims_section, timing_section, timing_table
 from .paper_limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
 from .readings import measure_readings
@@ -123,21 +123,21 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     claims += check_limits(experiment.camera, settings.wavelength, plain["seconds"], seconds["ray"])
     columns, rows = experiment.camera.lens_count
     confirmed = sum(claim.verdict == "confirmed" for claim in claims)
-    report = Report(
-        title="A plenoptic camera by rays and by waves",
-        lead=f"Three letters at 210, 240 and 280 mm, recorded through {columns} x {rows} microlenses at "
+    measured |= {"timing": timing_table(experiment, seconds), "claims": [asdict(claim) for claim in claims]}
+    return write_report(
+        output,
+        "A plenoptic camera by rays and by waves",
+        f"Three letters at 210, 240 and 280 mm, recorded through {columns} x {rows} microlenses at "
         f'{settings.wavelength:g} nm and refocused from one capture, after the paper "Wave-Optical '
         f'Reconstruction of Plenoptic Camera Images". Of its {len(claims)} conclusions {confirmed} are '
         f"confirmed with the preset {preset}.",
-        experiment=experiment,
-        measured=measured,
+        experiment,
+        measured,
         zooms=zooms,
         plates=_PLATES | draw_comparison(output, experiment, measured, zooms),
         command=f"mitsuba-plenoptic reproduce --preset {preset}",
-        claims=claims,
-        timing=timing_table(experiment, seconds),
+        others=[claims_section(claims, measured), timing_section(experiment, measured["timing"])],
     )
-    return write_report(output, report)
 
 
 def processor_seconds(capture: Capture, distance: float) -> dict[str, float]:

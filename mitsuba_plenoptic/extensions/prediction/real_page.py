@@ -5,16 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
-from ...report.images import data_url
-from ...report.page import template
+from ...report.pages import Page, Picture, Section, Table
 from ...report.plots import INK, Plot, annotate, show, show_difference, styled
-from ...runtime.files import write_text
 from .array_part import ArrayPart
 from .study import CAMERAS, LIGHTS, Answer, Setup, Study
 from .withheld import TESTS
-
-_TEMPLATES = Path(__file__).parent / "templates"
 
 _SHOWN = 10
 """Lenses along a side of the pictures that are shown."""
@@ -31,21 +28,54 @@ _BRIGHT = 0.998
 
 def write_page(path: Path, study: Study, answer: Answer) -> None:
     """Write the page, with all figures in it."""
-    figures = [data_url("png", plot.png()) for plot in (pictures(study), slices(study))]
-    rows = [
+    results = Table(
         {
-            "camera": camera,
-            "test": test,
-            "ratio": answer.ratios[camera][test],
-            "relative": {light: answer.relative[camera][light][test] for light in LIGHTS},
-        }
-        for camera in CAMERAS
-        for test in TESTS
-    ]
-    page = template("real.html", _TEMPLATES).render(
-        figures=figures, rows=rows, answer=answer, lights=LIGHTS, wavelength=study.wavelength
+            "camera": "{camera}",
+            "withheld": "{test}",
+            "over noise, waves": "{ratio.waves:.3f}",
+            "over noise, rays": "{ratio.rays:.3f}",
+            "rays over waves (95 %)": "{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f})",
+            "relative, waves": "{waves:.1f} %",
+            "relative, rays": "{rays:.1f} %",
+        },
+        [
+            {"camera": camera, "test": test, "ratio": answer.ratios[camera][test]}
+            | {light: 100 * answer.relative[camera][light][test] for light in LIGHTS}
+            for camera in CAMERAS
+            for test in TESTS
+        ],
+        "Residuals are root mean squares: over the noise of photons and of the sensor, and over the light of the "
+        "withheld pixels. The interval is from drawing lenses again.",
+        words=2,
     )
-    write_text(path, page, ".html")
+    controls = [
+        f"Of a picture simulated by {light}: {ratio.waves:.3f} by waves, {ratio.rays:.3f} by rays; better: "
+        f"{ratio.better}."
+        for light, ratio in answer.controls.items()
+    ]
+    controls += [
+        f"Waves of {length:g} nm: {residual:.3f} over the noise." for length, residual in answer.wavelengths.items()
+    ]
+    for light in LIGHTS:
+        strengths = ", ".join(f"{strength:g} for {test}" for test, strength in answer.strengths[light].items())
+        stray = f"{100 * answer.stray[light]:.1f} % of a lens's mean light"
+        controls.append(f"Stray light by {light}: {stray}; strength of the prior {strengths}.")
+    shown = (
+        "Recorded pixels, simulated ones by waves and by rays, their differences, and a line of pixels. Lenses that "
+        "differ as a whole are withheld ones."
+    )
+    volume = "Slices of the volume by waves and by rays, from all pixels, each slice as bright as it can be shown."
+    how = (
+        "Part of the pixels is withheld; a volume is found that explains the others, by waves of "
+        f"{study.wavelength:g} nm and by rays; it predicts those that are withheld."
+    )
+    sections = [
+        Section("Predictions", [how, Picture(pictures(study).png(), shown), results]),
+        Section("Controls", [controls]),
+        Section("The volume", [Picture(slices(study).png(), volume)]),
+    ]
+    verdict = Markup("<strong>{}</strong>").format(answer.verdict)
+    Page("A real light field beside simulated ones", verdict, sections).write(path)
 
 
 @styled

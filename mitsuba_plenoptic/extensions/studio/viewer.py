@@ -16,7 +16,7 @@ from ...errors import InputError, refuse_if
 from ...io.captures import Capture
 from ...refocus import Reconstruction
 from ...report.images import Brightness, encode, shrink
-from ...report.page import scene_name, template
+from ...report.pages import scene_name, template
 from ...runtime.files import write_text
 from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
 from ...views.coordinates import DIMS, light_field, require_light_field, view_steps

@@ -9,7 +9,7 @@ import pytest
 from mitsuba_plenoptic import InputError
 from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict_centres
-from mitsuba_plenoptic.extensions.calibrate.calibration_page import write_calibration_report
+from mitsuba_plenoptic.extensions.calibrate.calibration_page import arrows, lens_errors, write_calibration_report
 
 TABLE, SEEN = cases.corners()
 ODD = (TABLE["k"] == TABLE["k"][500]) & (TABLE["l"] == TABLE["l"][500])
@@ -68,12 +68,24 @@ def test_poses_and_depths_are_those_of_the_boards(calibration):
     assert 345 <= depth.key[-1, 1] < 365
 
 
-def test_the_report_shows_lenses(calibration, tmp_path):
+def test_the_report_shows_lenses_and_residuals(calibration, tmp_path):
     write_calibration_report(tmp_path / "report.html", calibration, cases.BOARD, TABLE, None)
     text = (tmp_path / "report.html").read_text()
-    lenses = len(residual_map(calibration, cases.BOARD, TABLE, "lens").count)
-    assert text.count('r="2"') == lenses
-    assert "Error of each lens" in text
+    assert "Error of the corners that each lens shows" in text and text.count("data:image/png") == 3
+    size = calibration.camera.crop_size
+    lenses = residual_map(calibration, cases.BOARD, TABLE, "lens")
+    (shown,) = lens_errors(lenses, size).axes[0].collections
+    assert len(shown.get_offsets()) == len(lenses.count)
+    assert shown.get_array().max() == lenses.error.max()
+
+
+def test_arrows_are_residuals_a_hundred_times_as_long():
+    plot = arrows(np.array([[100.0, 50.0]]), np.array([[0.25, -0.1]]), (400, 300))
+    (arrow,) = plot.axes[0].collections
+    # Pixels of the centre of the first are at 0.5; rows go down.
+    assert arrow.get_offsets()[0] == pytest.approx((100.5, 50.5))
+    assert (arrow.U[0], arrow.V[0]) == pytest.approx((25, -10))
+    assert plot.axes[0].get_ylim() == (300, 0)
 
 
 @pytest.mark.parametrize(("by", "parts"), [("colour", 6), ("depth", 0)])

@@ -1,0 +1,275 @@
+"""The page of a comparison of rays and waves: captures to swipe between, images to refocus, numbers and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from PIL import Image
+
+from .. import design
+from ..io.checkpoints import write_json
+from ..runtime.limits import software
+from .design_sheet import design_sheet
+from .experiment import SLIDER_METHODS, TITLES, Experiment
+from .images import Brightness, data_url, encoded, to_bytes
+from .metrics import ssim_text
+from .pages import Block, Page, Section, Table, pictures_in, prose, template
+from .plots import Window, Zoom, lit_window
+
+_EXPLANATIONS = {
+    "truth": "Mitsuba's own thin-lens camera, focused at the distance",
+    "ray": "each pixel is followed back as rays through its lens",
+    "coherent": "one field, propagated back as if all light were coherent",
+    "partial": "four subsets of lenses, each coherent in itself",
+}
+
+_FOOT = "Scalar waves and thin elements; objects do not diffract. Lengths in millimetres. Pictures are sRGB."
+
+
+def write_report(
+    folder: Path,
+    title: str,
+    lead: str,
+    experiment: Experiment,
+    measured: Mapping[str, Any],
+    *,
+    zooms: Sequence[Zoom],
+    plates: Mapping[str, str],
+    command: str,
+    others: Sequence[Section] = (),
+) -> dict[str, Any]:
+    """Write ``results.json`` and ``report.html`` into the folder that holds the figures; return the results.
+
+    The folder holds the figures, of which `plates` has the captions; buttons lead to the `zooms`; `others` are sections
+    that only some comparisons have.
+    """
+    camera, wavelength = experiment.camera, experiment.settings.wavelength
+    results = {
+        "command": command,
+        "settings": asdict(experiment.settings),
+        "camera": camera.to_dict(),
+        "software": software(),
+        "timing": [],
+        "claims": [],
+        **measured,
+        "stage_seconds": experiment.seconds,
+    }
+    write_json(folder / "results.json", results)
+    window = lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
+    geometry, distances = capture_geometry(experiment, zooms, window), shown_distances(experiment)
+    widgets: Any = template("comparison.html").module
+    viewer = widgets.viewer(captures(experiment, window), geometry, [zoom.title for zoom in zooms])
+    height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
+    titles = {name: TITLES[name] for name in _EXPLANATIONS}
+    first = distances.index(experiment.settings.distances[0])
+    sheet = groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
+    warnings = [
+        Markup('<p class="warning">{}.</p>').format(prose(warning[:1].upper() + warning[1:]))
+        for warning in design.design_warnings(camera, wavelength)
+    ]
+    sections = [
+        Section("On the detector", [_capture_text(experiment, measured), viewer]),
+        Section("Refocused", [_method_text(), widgets.refocus(width, height, titles, distances, first)]),
+        *others,
+        Section("In numbers", _numbers(measured)),
+        Section("Figures", pictures_in(folder, plates)),
+        Section("The camera", [*warnings, widgets.sheet([(group, list(rows)) for group, rows in sheet])]),
+        Section(
+            "Make it again",
+            [
+                Markup("<pre><code>{} -o {}</code></pre>").format(command, folder.name),
+                Markup(
+                    "<p>Captures and reconstructions lie next to this file as OpenEXR, in <code>data/</code>, and all "
+                    "numbers in <code>results.json</code>. What is there and still valid is not computed again.</p>"
+                ),
+                Table({"Setting": "{0}", "Value": "{1}"}, _facts(experiment, measured), words=2),
+            ],
+        ),
+    ]
+    data = {"capture": geometry, "refocus": reconstructions(experiment, measured, window)}
+    Page(title, lead, sections, _FOOT, "comparison.js", data).write(folder / "report.html")
+    return results
+
+
+def write_growing(folder: Path, plates: Mapping[str, str]) -> None:
+    """Write ``report.html`` with the figures that are there so far, by their captions, unless a finished one is."""
+    if not (folder / "results.json").exists():
+        lead = "The rest is being computed. This page shows more as it comes."
+        Page("First results", lead, [Section("Figures", pictures_in(folder, plates))], refresh=5).write(
+            folder / "report.html"
+        )
+
+
+def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
+    """Return what tells the captures apart."""
+    camera, captures = experiment.camera, measured["captures"]
+    spot = design.spot_radius(camera, experiment.settings.wavelength) / camera.pixel_size
+    text = (
+        "Every disc is the aperture of the main lens as one microlens images it. Rays give it sharp edges, waves blur "
+        f"it by diffraction at the microlens: {spot:.2g} pixels from the middle of a spot to its first zero. The two "
+        f"captures differ by {captures['relative_error']:.0%} (root mean square, relative), {captures['psnr']:.1f} dB."
+    )
+    every, middle, rim = (captures["difference"][name] for name in ("all", "middle", "rim"))
+    if every["noise"] is None:
+        return text
+    if every["noise_alone"]:
+        return f"{text} The noise of their samples is enough to explain all of that."
+    return (
+        f"{text} Of that {every['noise']:.1%} is the noise of their samples; diffraction makes {every['true']:.1%}, "
+        f"of it {middle['true']:.1%} in the middle of micro-images and {rim['true']:.1%} at their rim."
+    )
+
+
+def _method_text() -> Markup:
+    text = Markup("<p>One bin per microlens, from the wave capture.")
+    for name, explanation in _EXPLANATIONS.items():
+        text += Markup(" <strong>{}</strong>: {}.").format(TITLES[name], prose(explanation))
+    return text + Markup("</p>")
+
+
+def _numbers(measured: Mapping[str, Any]) -> list[Block]:
+    """Return the tables of reconstructions and of edges."""
+    rows = [
+        row | {"title": TITLES[row["method"]], "ssim": ssim_text(row["ssim"])} for row in measured["reconstructions"]
+    ]
+    blocks: list[Block] = [
+        Table(
+            {
+                "Focus": "{distance:g} mm",
+                "Method": "{title}",
+                "PSNR (dB)": "{psnr:.1f}",
+                "SSIM": "{ssim}",
+                "Energy": "{energy:.3f}",
+                "Interference": "{interference:.1%}",
+            },
+            sorted(rows, key=lambda row: float(row["distance"])),
+            "Reconstructions against the thin lens. PSNR and SSIM after one scale per method; energy before it: light "
+            "that diffraction carries out of the aperture's image is left out of the reconstructions. Interference: "
+            "distance from the limit in which no two lenses interfere, over all that is lit.",
+            words=2,
+            grouped=True,
+        )
+    ]
+    if measured["edges"]:
+        columns = {
+            "Edge": "{distance:g} mm",
+            "Method": "{title}",
+            "10 to 90 % (mm)": "{width_mm:.3f}",
+            "MTF50 (1/mm)": "{mtf50_per_mm:.2f}",
+        }
+        edges = [row | {"title": TITLES[row["method"]]} for row in measured["edges"]]
+        caption = "Slanted edges in focus, after ISO 12233: width in the object's plane, frequency at half contrast."
+        blocks.append(Table(columns, edges, caption, words=2))
+    return blocks
+
+
+def time_summary(seconds: dict[str, float]) -> str:
+    """Return a sentence on the total time of all stages and on the longest stage."""
+    total = sum(seconds.values())
+    longest = max(seconds, key=lambda name: seconds[name])
+    return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
+
+
+def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the settings and versions of an experiment as pairs of texts."""
+    settings, against, points = experiment.settings, [], measured["captures"]["points"]
+    if points is not None:
+        apart = f"{points['relative_error']:.2%} (relative L2, with the noise of both), energy {points['energy']:.4f}"
+        against = [(f"Wave capture against {settings.points} points per lens, each propagated by itself", apart)]
+    return [
+        ("Wavelength", f"{experiment.light} nm"),
+        ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
+        *against,
+        ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
+        ("Scene", settings.scene),
+        *((("Camera instead of the scene's", settings.camera_name),) if settings.camera_name else ()),
+        *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),
+        ("Mitsuba variant", settings.variant),
+        *(
+            (f"Version of {name}", str(version))
+            for name, version in sorted(experiment.wave.metadata.get("software", {}).items())
+        ),
+        ("Time", time_summary(experiment.seconds)),
+    ]
+
+
+# Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
+_CAPTURE_BYTES = 3_500_000
+_QUALITIES = (85, 70, 50, 30)
+
+
+def captures(experiment: Experiment, window: Window) -> dict[str, str]:
+    """Return the captures as pictures of bounded size, drawn on one scale."""
+    ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
+    peak = float(np.quantile(ray[ray > 0.05 * ray.max()], 0.98)) if ray.max() > 0 else 1.0
+    return {"ray": _webp(ray, peak), "wave": _webp(wave, peak)}
+
+
+def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
+    """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
+    rows, columns = experiment.wave.image.shape[:2]
+    height, width = window.of(experiment.wave.image).shape[:2]
+    top, left = round(window.top * rows), round(window.left * columns)
+    return {
+        "width": width,
+        "height": height,
+        "pixel": experiment.camera.pixel_size,
+        "regions": [
+            {
+                "x": ((zoom.columns.start + zoom.columns.stop) / 2 - left) / width,
+                "y": ((zoom.rows.start + zoom.rows.stop) / 2 - top) / height,
+                "size": (zoom.columns.stop - zoom.columns.start) / width,
+            }
+            for zoom in zooms
+        ],
+    }
+
+
+def shown_distances(experiment: Experiment) -> list[float]:
+    """Return the distances of the report's slider."""
+    return sorted({*experiment.settings.slider, *experiment.settings.distances})
+
+
+def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
+    """Return pictures by method and distance, with metrics where they are known."""
+    distances = shown_distances(experiment)
+    peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
+    facts: dict[str, dict[str, list[list[str]]]] = {}
+    for row in measured["reconstructions"]:
+        metrics = [
+            ["PSNR", f"{row['psnr']:.1f} dB"],
+            ["SSIM", ssim_text(row["ssim"])],
+            ["Energy", f"{row['energy']:.3f}"],
+        ]
+        if "interference" in row:
+            metrics.append(["Interference", f"{row['interference']:.1%}"])
+        facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = metrics
+
+    def png(name: str, distance: float) -> str:
+        shown = Image.fromarray(to_bytes(window.of(experiment.image(name, distance)), peak))
+        return data_url("png", encoded(shown, format="PNG", optimize=True))
+
+    return {
+        "distances": [float(f"{distance:g}") for distance in distances],
+        "images": {
+            name: {f"{distance:g}": png(name, distance) for distance in distances}
+            for name in ("truth", *SLIDER_METHODS)
+        },
+        "facts": facts,
+    }
+
+
+def _webp(image: np.ndarray, peak: float) -> str:
+    picture = Image.fromarray(to_bytes(image, peak))
+    content = b""
+    for quality in _QUALITIES:
+        content = encoded(picture, format="WEBP", quality=quality, method=4)
+        if len(content) <= _CAPTURE_BYTES:
+            break
+    return data_url("webp", content)
