@@ -1,7 +1,5 @@
 """Shared scenes and cameras for the tests."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import os
@@ -27,7 +25,7 @@ import mitsuba_plenoptic  # chooses LLVM before Dr.Jit loads
 
 import mitsuba as mi  # isort: skip
 from mitsuba_plenoptic.extension import installed  # isort: skip
-import scene_cases  # isort: skip
+import cameras  # isort: skip
 
 
 @pytest.hookimpl(wrapper=True)
@@ -99,7 +97,7 @@ def camera_dict():
         return {
             "type": "plenoptic",
             "detector_width": detector_width,
-            "film": scene_cases.film(resolution, resolution) | (film or {}),
+            "film": cameras.film(resolution, resolution) | (film or {}),
             "sampler": {"type": "independent", "sample_count": 16},
             **parameters,
         }

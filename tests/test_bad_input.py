@@ -1,7 +1,5 @@
 """Properties of every input: it is taken exactly if the documentation allows it, and refused in one line if not."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

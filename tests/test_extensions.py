@@ -1,7 +1,5 @@
 """Extensions can be deleted: the core works without them, and names one that is missing."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

@@ -1,7 +1,5 @@
 """What a wheel would hold, and what make needs."""
 
-from __future__ import annotations
-
 import os
 import re
 import runpy

@@ -1,7 +1,5 @@
 """What Python functions say of a wrong argument: one line with its name, not an error from within."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 import warnings
@@ -9,7 +7,7 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
-from scene_cases import letters
+from cameras import letters
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera

@@ -1,10 +1,9 @@
 """Every preset by every method: which of them refuse, by the name of what they do not support, and light elsewhere."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import sky
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import refocus
@@ -23,11 +22,6 @@ def cropped(name):
     return camera.replace(crop_offset=corner, crop_size=(width, width))
 
 
-def scene(camera):
-    """Return a white scene."""
-    return mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
-
-
 def operator(camera, distance, **options):
     return mp.CaptureOperator(camera, [(0.0, 0.0, distance)], wavelength=WAVELENGTH, **options)
 
@@ -41,8 +35,8 @@ def refocused(camera, distance, method, **options):
 
 
 METHODS = {
-    "rays": lambda c, g: mp.render_capture(scene(c), spp=4).image,
-    "signed rays": lambda c, g: mp.render_capture(scene(c), model="wave", spp=4).image,
+    "rays": lambda c, g: sky(c, 4),
+    "signed rays": lambda c, g: sky(c, 4, "wave"),
     "forward": lambda c, g: operator(c, g).forward([1.0]),
     "adjoint": lambda c, g: operator(c, g).adjoint(np.ones(c.shape, np.float32)),
     "gradient": lambda c, g: operator(c, g).gradient([1.0], np.ones(c.shape, np.float32))["detector_distance"],

@@ -1,16 +1,13 @@
 """Cameras from data sheets: their micro-images in closed form and in a capture, and what is said about other names."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
-import re
 
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture
+from mitsuba_plenoptic import PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.design import design_warnings, mended
 
@@ -121,84 +118,6 @@ def test_files_and_texts_state_the_same_camera(tmp_path, run):
         run("info", source, "--fix", tmp_path / "same.json")
         assert PlenopticCamera.from_json((tmp_path / "same.json").read_text()) == camera
     assert PlenopticCamera.from_json(camera.to_json()) == camera
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        *(({name: None}, f"^{name}: missing") for name in ("f_number", "pixel_size", "focal_length")),
-        ({"lenses": None}, "^lenses, resolution or sensor_size: missing"),
-        ({"pixels_per_lens": None}, "^pixels_per_lens or mla_pitch: missing"),
-        ({"focus_distance": None}, "^focus_distance or mla_distance: missing"),
-        ({"mla_distance": 60}, "give one of the two"),
-        ({"aperture_radius": 5}, "^aperture_radius = 5: it follows from f_number and focal_length; leave it out"),
-        ({"resolution": (8, 8)}, "^lenses, resolution: one of them follows from the others; leave it out"),
-        ({"mla_pitch": 0.05}, "^pixels_per_lens, mla_pitch: one of them follows"),
-        ({"lenses": None, "resolution": 64, "sensor_size": 1}, "^resolution, sensor_size, pixel_size: one of them"),
-        (
-            {"lenses": None, "pixel_size": None, "resolution": (64, 48), "sensor_size": (0.64, 0.5)},
-            r"^sensor_size = \(0.64, 0.5\): .*they must be square",
-        ),
-        ({"pixels_per_lens": None, "mla_pitch": 20}, "^mla_pitch = 20: it must be less than the pupil's 17.86 mm"),
-        ({"detector_width": 5}, "^detector_width = 5: it follows"),
-        ({"detector_distance": 0.2}, "^detector_distance = 0.2: it follows"),
-        ({"mla_focal_length": 0.2}, "^mla_focal_length = 0.2: it follows"),
-        ({"f_number": "2.8"}, "^f_number = '2.8': it must be a number"),
-        ({"f_number": -1}, "^f_number = -1: it must be at least"),
-        ({"lenses": 2.5}, "^lenses = 2.5: it must be a whole number"),
-        ({"lenses": 200_000}, "^lenses = 200000: with pixels of 0.005 mm the detector has 2000000"),
-        ({"lenses": (1, 2, 3)}, r"^lenses = \(1, 2, 3\): it must be a pair"),
-        ({"pixels_per_lens": 0.5}, "^pixels_per_lens = 0.5: it must be at least 1"),
-        ({"main_lens": "double_gauss"}, "^f_number = 2.8: aperture_radius = .* opens to"),
-        (
-            {"main_lens": {"magnification": 20, "numerical_aperture": 0.5}, "focus_distance": None, "mla_distance": 10},
-            "main_lens|mla_distance",
-        ),
-    ],
-)
-def test_too_few_and_contradictory_arguments_are_named(changes, words):
-    with pytest.raises(InputError, match=words):
-        PlenopticCamera.matched(**FOCUSED | changes)
-
-
-def test_a_misspelt_argument_is_answered_with_the_one_that_it_resembles():
-    sheet = {name: value for name, value in FOCUSED.items() if name != "f_number"}
-    with pytest.raises(
-        TypeError, match=r"matched\(\) got an unexpected keyword argument 'f_numbr'; did you mean f_number"
-    ):
-        PlenopticCamera.matched(**sheet, f_numbr=2.8)
-
-
-NAMES = {
-    "f_number": r"aperture_radius is focal_length / \(2 f_number\); PlenopticCamera.matched",
-    "lenses": r"detector_width is lenses \* pixels_per_lens \* pixel_size",
-    "pixels_per_lens": r"mla_pitch is pixels_per_lens \* pixel_size / \(1 \+ detector_distance / mla_distance\)",
-    "lattice": "mla_lattice is square or hexagonal",
-    "pitch": "mla_pitch is the distance",
-    "aperture": "aperture_radius is half the diameter",
-    "detector_size": "detector_width is its first number",
-    "sensor_size": "detector_width is its first number",
-    "pixel_pitch": r"detector_width is pixel_pitch \* columns of resolution",
-}
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_names_of_elsewhere_are_answered_with_the_parameter(name, tmp_path, complaint):
-    words = f"{name}.*; {NAMES[name]}"
-    path = tmp_path / "scene.xml"
-    sensor = PlenopticCamera().to_xml().replace("<film", f'<float name="{name}" value="2"/><film')
-    path.write_text(f'<scene version="3.0.0">{sensor}</scene>')
-    with pytest.raises(TypeError, match=words):
-        PlenopticCamera(**{name: 2})
-    for attempt in (
-        lambda: PlenopticCamera.from_json(json.dumps({name: 2})),
-        lambda: PlenopticCamera().replace(**{name: 2}),
-        lambda: load_scene("letters", variant="llvm_ad_mono", parameters={name: "2"}),
-        lambda: load_scene(path),
-    ):
-        with pytest.raises(InputError, match=words):
-            attempt()
-    assert re.search(words, complaint("info", f"{name}=2"))
 
 
 POOR = {

@@ -1,7 +1,5 @@
 """The table of a camera's parameters, and what is made from it."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import os

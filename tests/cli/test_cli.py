@@ -1,7 +1,5 @@
 """The command: what it prints and writes."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -17,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
+from cameras import SMALL_SENSOR, definitions, letters, write_scene
 from PIL import Image
-from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import start_command
 
 from mitsuba_plenoptic import (

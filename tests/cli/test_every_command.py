@@ -1,7 +1,5 @@
 """What all commands have in common: -q, -v, the line after Ctrl-C, and values that are refused at once."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

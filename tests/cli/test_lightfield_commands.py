@@ -1,7 +1,5 @@
 """The commands on light fields: what they write."""
 
-from __future__ import annotations
-
 import json
 import re
 

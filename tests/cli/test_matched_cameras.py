@@ -1,7 +1,5 @@
 """Cameras from data sheets on the command line, and the camera that `info --fix` writes."""
 
-from __future__ import annotations
-
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, read_capture

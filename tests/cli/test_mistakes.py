@@ -1,15 +1,13 @@
 """What the command says about a user's mistakes: one line, status 2, and nothing written."""
 
-from __future__ import annotations
-
 import gzip
 import os
 
 import numpy as np
 import OpenEXR
 import pytest
+from cameras import write_scene
 from PIL import Image
-from scene_cases import write_scene
 
 from mitsuba_plenoptic import InputError, read_capture, reconstruct
 from mitsuba_plenoptic.cli import main

@@ -1,7 +1,5 @@
 """Own scenes at the command: with another sensor, in metres, compared and swept by a camera that is named."""
 
-from __future__ import annotations
-
 import json
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """The command ``sheet``: reconstructions of several methods and distances in one figure."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

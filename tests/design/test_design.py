@@ -1,26 +1,15 @@
 """Focused and unfocused cameras: what they see sharply, how finely, and that rays and waves show it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import disk
 from cases import agreement, facing, radiating, scene_of
-from scene_cases import disk
 
-from mitsuba_plenoptic import (
-    InputError,
-    PlenopticCamera,
-    design,
-    load_scene,
-    point_spread_function,
-    reconstruct,
-    render_capture,
-    scene_path,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 
@@ -51,30 +40,30 @@ SMALL = {"detector_width": 1.024, "resolution": (512, 512)}
     [(0.512, "unfocused"), (0.5279, "unfocused"), (0.5281, "keplerian"), (0.4961, "unfocused"), (0.4959, "galilean")],
 )
 def test_the_focus_type_follows_from_the_spot_of_parallel_light(z, focus):
-    assert design.focus_type(PlenopticCamera(detector_distance=z)) == focus
+    assert mp.design.focus_type(mp.PlenopticCamera(detector_distance=z)) == focus
 
 
 def test_numbers_of_the_focused_cameras():
-    kepler, galileo = PlenopticCamera(**KEPLERIAN), PlenopticCamera(**GALILEAN)
-    assert (design.focus_type(kepler), design.focus_type(galileo)) == ("keplerian", "galilean")
-    assert design.mla_object_distances(kepler) == pytest.approx((1.536,))
-    assert design.mla_object_distances(galileo) == pytest.approx((-1.536,))
-    assert design.best_distances(kepler) == pytest.approx((240,))
-    assert design.best_distances(galileo) == pytest.approx((240,))
-    assert design.virtual_depth(kepler, 240) == pytest.approx(3)
-    assert design.virtual_depth(galileo, 240) == pytest.approx(-3)
+    kepler, galileo = mp.PlenopticCamera(**KEPLERIAN), mp.PlenopticCamera(**GALILEAN)
+    assert (mp.design.focus_type(kepler), mp.design.focus_type(galileo)) == ("keplerian", "galilean")
+    assert mp.design.mla_object_distances(kepler) == pytest.approx((1.536,))
+    assert mp.design.mla_object_distances(galileo) == pytest.approx((-1.536,))
+    assert mp.design.best_distances(kepler) == pytest.approx((240,))
+    assert mp.design.best_distances(galileo) == pytest.approx((240,))
+    assert mp.design.virtual_depth(kepler, 240) == pytest.approx(3)
+    assert mp.design.virtual_depth(galileo, 240) == pytest.approx(-3)
     assert kepler.focus_distance == pytest.approx(234.083, abs=1e-3)
-    assert design.best_distances(PlenopticCamera()) == pytest.approx((240,))
-    assert design.mla_object_distances(PlenopticCamera()) == (math.inf,)
-    assert design.crosstalk_lenses(kepler) == design.crosstalk_lenses(galileo) == 1
+    assert mp.design.best_distances(mp.PlenopticCamera()) == pytest.approx((240,))
+    assert mp.design.mla_object_distances(mp.PlenopticCamera()) == (math.inf,)
+    assert mp.design.crosstalk_lenses(kepler) == mp.design.crosstalk_lenses(galileo) == 1
 
 
 def test_a_multi_focus_camera_may_be_of_several_kinds():
-    camera = PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.512, 0.4, 0.7), detector_distance=0.512)
-    assert design.focus_types(camera) == ("unfocused", "keplerian", "galilean")
-    assert design.focus_type(camera) == "mixed"
-    assert design.best_distances(camera)[0] == pytest.approx(240)
-    assert all(len(limits) == 2 for limits in design.depth_ranges(camera))
+    camera = mp.PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.512, 0.4, 0.7), detector_distance=0.512)
+    assert mp.design.focus_types(camera) == ("unfocused", "keplerian", "galilean")
+    assert mp.design.focus_type(camera) == "mixed"
+    assert mp.design.best_distances(camera)[0] == pytest.approx(240)
+    assert all(len(limits) == 2 for limits in mp.design.depth_ranges(camera))
 
 
 @FOCUSED
@@ -95,7 +84,7 @@ def test_rays_of_a_pixel_meet_in_the_best_plane_and_nowhere_else(camera_dict, nu
 
     np.testing.assert_allclose(spread(240.0), 0, atol=1e-3)
     for distance in (236.0, 245.0):
-        expected = design.lens_footprint(camera, distance, camera.mla_focal_length) * camera.bin_size(distance)
+        expected = mp.design.lens_footprint(camera, distance, camera.mla_focal_length) * camera.bin_size(distance)
         np.testing.assert_allclose(spread(distance), expected, rtol=0.01)
 
 
@@ -108,90 +97,77 @@ def test_a_pixel_is_enlarged_by_the_virtual_depth(camera_dict, numbers):
     ray, _ = sensor.sample_ray(0, 0.5, place, mi.Point2f(0.5))
     step = abs(np.diff(np.array(ray(240.0 / ray.d.z))[0])[0])
     assert step == pytest.approx(3 * 0.002 * 240 / 120, rel=1e-3)
-    assert step == pytest.approx(design.pixel_footprint(camera, 240) * 240 / camera.mla_distance, rel=1e-3)
+    assert step == pytest.approx(mp.design.pixel_footprint(camera, 240) * 240 / camera.mla_distance, rel=1e-3)
 
 
 # -- resolution and depth of field ------------------------------------------------------------------
 
 
 def test_an_unfocused_camera_gives_one_sample_per_lens():
-    found = design.effective_resolution(PlenopticCamera(), 240)
+    found = mp.design.effective_resolution(mp.PlenopticCamera(), 240)
     assert found.samples_per_lens == pytest.approx(1)
     assert (found.columns, found.rows) == pytest.approx((128, 128))
     assert found.line_width == pytest.approx(0.128)
-    assert design.suitable_oversample(PlenopticCamera(), 240) == 1
+    assert mp.design.suitable_oversample(mp.PlenopticCamera(), 240) == 1
 
 
 @FOCUSED
 def test_a_focused_camera_gives_the_detectors_resolution_over_the_virtual_depth(numbers):
-    camera = PlenopticCamera(**numbers)
-    found = design.effective_resolution(camera, 240)
+    camera = mp.PlenopticCamera(**numbers)
+    found = mp.design.effective_resolution(camera, 240)
     # Perwass and Wietzke; the image is not as wide as the MLA by its distance from there.
     assert found.ratio == pytest.approx(1 / 3 * 120 / camera.mla_distance)
     assert found.columns == pytest.approx(4096 * found.ratio)
     assert found.line_width == pytest.approx(2 * 3 * 0.002)
-    assert design.suitable_oversample(camera, 240) == 10
+    assert mp.design.suitable_oversample(camera, 240) == 10
     # 633 nm make a spot of 5.06 um, more than a pixel.
-    assert design.effective_resolution(camera, 240, 633).ratio == pytest.approx(found.ratio * 2 / 5.064)
-
-
-@pytest.mark.parametrize(
-    ("distance", "wavelength", "message"),
-    [
-        (80.0, None, "distance = 80: it must be greater than the focal length 80"),
-        (math.nan, None, "distance = nan"),
-        (240.0, -1, "wavelength = -1"),
-    ],
-)
-def test_bad_arguments_are_refused(distance, wavelength, message):
-    with pytest.raises(InputError, match=message):
-        design.effective_resolution(PlenopticCamera(), distance, wavelength)
+    assert mp.design.effective_resolution(camera, 240, 633).ratio == pytest.approx(found.ratio * 2 / 5.064)
 
 
 @FOCUSED
 def test_at_the_ends_of_the_depth_range_a_point_is_a_pixel_wide(numbers):
-    camera = PlenopticCamera(**numbers)
-    ((near, far),) = design.depth_ranges(camera)
+    camera = mp.PlenopticCamera(**numbers)
+    ((near, far),) = mp.design.depth_ranges(camera)
     assert near < 240 < far
     for distance in (near, far):
         a = camera.mla_distance - 1 / (1 / camera.focal_length - 1 / distance)
         behind = 1 / (1 / camera.mla_focal_length - 1 / a)  # where the microlens images the point
         assert camera.mla_pitch * abs(1 - camera.detector_distance / behind) == pytest.approx(camera.pixel_size)
     # With diffraction less is asked for.
-    ((nearer, farther),) = design.depth_ranges(camera, 633)
+    ((nearer, farther),) = mp.design.depth_ranges(camera, 633)
     assert nearer < near < far < farther
 
 
 @FOCUSED
 def test_the_depth_range_ends_where_a_point_is_seen_once(numbers):
-    camera = PlenopticCamera(**numbers)
-    assert design.lenses_across(camera, 240) == pytest.approx(1.96)
-    (wide,), (narrow,) = (design.depth_ranges(c) for c in (camera, camera.replace(aperture_radius=2.4)))
+    camera = mp.PlenopticCamera(**numbers)
+    assert mp.design.lenses_across(camera, 240) == pytest.approx(1.96)
+    (wide,), (narrow,) = (mp.design.depth_ranges(c) for c in (camera, camera.replace(aperture_radius=2.4)))
     # Nearer to the MLA the main lens's image of a point spreads over fewer lenses: at its far end, or its near one.
-    side = 0 if design.focus_type(camera) == "keplerian" else 1
+    side = 0 if mp.design.focus_type(camera) == "keplerian" else 1
     assert narrow[1 - side] == wide[1 - side]
     assert narrow[side] != wide[side]
-    assert design.lenses_across(camera.replace(aperture_radius=2.4), narrow[side]) == pytest.approx(1)
-    assert design.depth_ranges(camera.replace(aperture_radius=1.0)) == [None]
+    assert mp.design.lenses_across(camera.replace(aperture_radius=2.4), narrow[side]) == pytest.approx(1)
+    assert mp.design.depth_ranges(camera.replace(aperture_radius=1.0)) == [None]
 
 
 @FOCUSED
 def test_the_refocusable_range_ends_at_one_sample_per_lens(numbers):
-    camera = PlenopticCamera(**numbers)
-    near, far = design.refocus_range(camera)
+    camera = mp.PlenopticCamera(**numbers)
+    near, far = mp.design.refocus_range(camera)
     assert near < 240 < far
     for distance in np.linspace(near, far, 9)[1:-1]:
-        assert design.effective_resolution(camera, distance).samples_per_lens > 1
+        assert mp.design.effective_resolution(camera, distance).samples_per_lens > 1
     for distance in (near, far):
-        assert design.effective_resolution(camera, distance).samples_per_lens == pytest.approx(1, rel=0.03)
-    assert design.refocus_range(PlenopticCamera()) == pytest.approx((188.521, 330.154), abs=1e-3)
+        assert mp.design.effective_resolution(camera, distance).samples_per_lens == pytest.approx(1, rel=0.03)
+    assert mp.design.refocus_range(mp.PlenopticCamera()) == pytest.approx((188.521, 330.154), abs=1e-3)
 
 
 def test_focused_at_infinity_there_is_a_far_end_at_infinity():
     # Keplerian: the image of what is far lies in the focal plane, 1.536 mm before the MLA.
-    camera = PlenopticCamera(**KEPLERIAN | {"mla_distance": 81.536})
-    assert design.best_distances(camera) == (pytest.approx(math.inf),) or design.best_distances(camera)[0] > 1e12
-    ((near, far),) = design.depth_ranges(camera)
+    camera = mp.PlenopticCamera(**KEPLERIAN | {"mla_distance": 81.536})
+    assert mp.design.best_distances(camera) == (pytest.approx(math.inf),) or mp.design.best_distances(camera)[0] > 1e12
+    ((near, far),) = mp.design.depth_ranges(camera)
     assert far == math.inf
     assert near > 10_000
 
@@ -205,22 +181,22 @@ def test_focused_at_infinity_there_is_a_far_end_at_infinity():
     ids=["keplerian", "galilean", "multi-focus"],
 )
 def test_a_white_scene_is_refocused_to_one(numbers):
-    camera = PlenopticCamera(**numbers, **SMALL)
+    camera = mp.PlenopticCamera(**numbers, **SMALL)
     white = white_image(camera)
     for distance, oversample in ((240, 1), (240, 10), (238, 3), (250, 2)):
-        image = reconstruct(white, distance, camera=camera, oversample=oversample).image
+        image = mp.reconstruct(white, distance, camera=camera, oversample=oversample).image
         inner = slice(4 * oversample, -4 * oversample)
         np.testing.assert_allclose(image[inner, inner], 1, atol=2e-3)
 
 
 @pytest.mark.parametrize("name", ["keplerian", pytest.param("galilean", marks=pytest.mark.slow)])
 def test_refocused_to_the_best_distance_it_is_the_thin_lenses_image(name):
-    scene = load_scene(name, parameters={"detector_width": 1.024, "resolution": 512})
-    capture = render_capture(scene, spp=64)
+    scene = mp.load_scene(name, parameters={"detector_width": 1.024, "resolution": 512})
+    capture = mp.render_capture(scene, spp=64)
     # The narrow detector's border sees the pupil in part only.
     for oversample, floor in ((1, 36.0), (8, 27.0)):
         reference = thin_lens_image(scene, capture.camera, 240, 512, oversample)
-        image = reconstruct(capture, 240, oversample=oversample).image.astype(float)
+        image = mp.reconstruct(capture, 240, oversample=oversample).image.astype(float)
         inner = slice(2 * oversample, -2 * oversample)
         scale, ((psnr, correlation),) = agreement([image[inner, inner]], [reference[inner, inner]])
         assert scale == pytest.approx(1, abs=0.01)
@@ -240,8 +216,8 @@ def test_a_focused_camera_resolves_what_an_unfocused_one_does_not(camera_dict):
     """Ten line pairs per mm, where a lens is 0.128 mm wide: two and a half samples per lens at least."""
     contrast = {}
     for name, numbers in (("unfocused", {}), ("keplerian", KEPLERIAN), ("galilean", GALILEAN)):
-        capture = render_capture(scene_of(camera_dict(**numbers), **grating(0.1)), spp=64)
-        result = reconstruct(capture, 240, oversample=10)
+        capture = mp.render_capture(scene_of(camera_dict(**numbers), **grating(0.1)), spp=64)
+        result = mp.reconstruct(capture, 240, oversample=10)
         rows, columns = result.image.shape
         x = (np.arange(columns) + 0.5 - columns / 2) * result.bin_size
         middle = np.abs(x) < 0.3
@@ -257,32 +233,25 @@ def test_a_focused_camera_resolves_what_an_unfocused_one_does_not(camera_dict):
 # -- waves ------------------------------------------------------------------------------------------
 
 
-@FOCUSED
-def test_patch_is_the_full_field(numbers):
-    camera = PlenopticCamera(**numbers, detector_width=0.512, resolution=(256, 256))
-    place = (0.05, -0.08, 238.5)
-    patch = point_spread_function(camera, place, wavelength=633)
-    reference = point_spread_function(camera, place, wavelength=633, method="full_field")
-    assert np.linalg.norm(patch - reference) <= 0.005 * np.linalg.norm(reference)
-
-
 @pytest.mark.slow
 @FOCUSED
 def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, numbers):
     disks = {"near": disk((0.3, 0.2, 238.0), 0.25), "best": disk((-0.3, -0.2, 240.0), 0.25)}
     scene = scene_of(camera_dict(**numbers), **disks)
-    ray = render_capture(scene, spp=64)
-    wave = render_capture(scene, model="wave", spp=16)
+    ray = mp.render_capture(scene, spp=64)
+    wave = mp.render_capture(scene, model="wave", spp=16)
     assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
 
 
 @FOCUSED
 def test_a_point_comes_back_by_waves_to_where_it_was(numbers):
-    camera = PlenopticCamera(**numbers, **SMALL)
+    camera = mp.PlenopticCamera(**numbers, **SMALL)
     X, Y = 0.21, -0.13
-    capture = point_spread_function(camera, (X, Y, 240.0), wavelength=633)
+    capture = mp.point_spread_function(camera, (X, Y, 240.0), wavelength=633)
     sharp, blurred = (
-        reconstruct(capture, g, camera=camera, wavelength=633, method="partial", interleave="auto", oversample=4).image
+        mp.reconstruct(
+            capture, g, camera=camera, wavelength=633, method="partial", interleave="auto", oversample=4
+        ).image
         for g in (240.0, 246.0)
     )
     row, column = np.unravel_index(np.argmax(sharp), sharp.shape)
@@ -301,11 +270,11 @@ def test_a_point_comes_back_by_waves_to_where_it_was(numbers):
 )
 @pytest.mark.parametrize("interleave", [pytest.param(2, marks=pytest.mark.slow), "auto"])
 def test_a_white_scene_comes_back_by_waves_to_one(numbers, interleave):
-    camera = PlenopticCamera(**numbers, **SMALL)
+    camera = mp.PlenopticCamera(**numbers, **SMALL)
     options = {"camera": camera, "wavelength": 633, "method": "partial", "interleave": interleave}
     white = white_image(camera)
     for oversample, noise in ((1, 0.01), (4, 0.01 if interleave == "auto" else 0.045)):
-        image = reconstruct(white, 240, oversample=oversample, **options).image
+        image = mp.reconstruct(white, 240, oversample=oversample, **options).image
         inner = image[4 * oversample : -4 * oversample, 4 * oversample : -4 * oversample]
         assert inner.mean() == pytest.approx(1, abs=0.01)
         assert inner.std() <= noise
@@ -315,24 +284,24 @@ def test_a_white_scene_comes_back_by_waves_to_one(numbers, interleave):
 
 
 def test_presets():
-    assert PlenopticCamera.preset("paper") == PlenopticCamera()
-    lytro, raytrix = PlenopticCamera.preset("lytro"), PlenopticCamera.preset("raytrix")
-    assert design.focus_type(lytro) == "unfocused"
+    assert mp.PlenopticCamera.preset("paper") == mp.PlenopticCamera()
+    lytro, raytrix = mp.PlenopticCamera.preset("lytro"), mp.PlenopticCamera.preset("raytrix")
+    assert mp.design.focus_type(lytro) == "unfocused"
     assert lytro.f_number == pytest.approx(1.92)
     assert lytro.pixels_per_lens == pytest.approx(10)
     assert lytro.focus_distance == pytest.approx(230, abs=0.1)
-    assert design.focus_type(raytrix) == "galilean"
+    assert mp.design.focus_type(raytrix) == "galilean"
     assert raytrix.f_number == pytest.approx(4, abs=1e-3)
     assert raytrix.pixel_size == pytest.approx(0.0055)
     # The three focal lengths make one depth range.
-    ranges = sorted(design.depth_ranges(raytrix))
+    ranges = sorted(mp.design.depth_ranges(raytrix))
     assert all(first[1] > second[0] for first, second in itertools.pairwise(ranges))
-    with pytest.raises(InputError, match=r"preset = 'nikon': it must be one of paper, lytro, raytrix"):
-        PlenopticCamera.preset("nikon")
+    with pytest.raises(mp.InputError, match=r"preset = 'nikon': it must be one of paper, lytro, raytrix"):
+        mp.PlenopticCamera.preset("nikon")
 
 
 def test_a_preset_takes_another_detector():
-    camera = PlenopticCamera.preset("lytro").replace(resolution=(328, 328), detector_width=0.4592)
+    camera = mp.PlenopticCamera.preset("lytro").replace(resolution=(328, 328), detector_width=0.4592)
     assert camera.crop_size == (328, 328)
     assert camera.pixel_size == pytest.approx(0.0014)
 
@@ -340,23 +309,23 @@ def test_a_preset_takes_another_detector():
 @pytest.mark.parametrize(
     ("name", "camera"),
     [
-        ("keplerian", PlenopticCamera(**KEPLERIAN)),
-        ("galilean", PlenopticCamera(**GALILEAN)),
-        ("lytro", PlenopticCamera.preset("lytro")),
-        ("raytrix", PlenopticCamera.preset("raytrix")),
+        ("keplerian", mp.PlenopticCamera(**KEPLERIAN)),
+        ("galilean", mp.PlenopticCamera(**GALILEAN)),
+        ("lytro", mp.PlenopticCamera.preset("lytro")),
+        ("raytrix", mp.PlenopticCamera.preset("raytrix")),
     ],
 )
 def test_scenes(name, camera):
-    assert PlenopticCamera.from_sensor(load_scene(name).sensors()[0]) == camera
+    assert mp.PlenopticCamera.from_sensor(mp.load_scene(name).sensors()[0]) == camera
     film = {"resolution": 64} | ({"rows": 48} if name == "raytrix" else {})
-    scene = load_scene(name, parameters=film | {"detector_width": 0.5, "aperture_radius": 3.0, "spp": 3})
+    scene = mp.load_scene(name, parameters=film | {"detector_width": 0.5, "aperture_radius": 3.0, "spp": 3})
     sensor = scene.sensors()[0]
     assert sensor.camera.resolution == (64, film.get("rows", 64))
     assert (sensor.camera.detector_width, sensor.camera.aperture_radius) == (0.5, 3.0)
     assert sensor.sampler().sample_count() == 3
     assert not [key for key in mi.traverse(scene).properties if "object_" in key]
     assert len(scene.shapes()) == 9
-    assert name in scene_path(name).name
+    assert name in mp.scene_path(name).name
 
 
 @pytest.mark.parametrize(
@@ -376,41 +345,41 @@ def test_scenes(name, camera):
     ],
 )
 def test_warnings(numbers, wavelength, words):
-    assert any(words in warning for warning in design.design_warnings(PlenopticCamera(**numbers), wavelength))
+    assert any(words in warning for warning in mp.design.design_warnings(mp.PlenopticCamera(**numbers), wavelength))
 
 
 def test_cameras_that_exist_have_no_warnings_of_their_sizes():
     """Nobody can mend them; the Raytrix's micro-images overlap by a tenth of a pixel."""
     for name in ("paper", "lytro", "raytrix", "raytrix_double_gauss"):
-        assert design.design_warnings(PlenopticCamera.preset(name)) == []
+        assert mp.design.design_warnings(mp.PlenopticCamera.preset(name)) == []
 
 
 def test_no_warnings_where_all_is_well():
     narrow = {"lens_model": "parabolic", "detector_width": 2.048, "resolution": (1024, 1024)}
     for numbers, wavelength in ((KEPLERIAN, None), (GALILEAN, None), ({}, None), ({}, 633), (narrow, 633)):
-        assert design.design_warnings(PlenopticCamera(**numbers), wavelength) == []
+        assert mp.design.design_warnings(mp.PlenopticCamera(**numbers), wavelength) == []
     # The MLA stands within the focal length, as it must to see what is far.
-    far = PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
-    assert not any("no object plane" in text for text in design.design_warnings(far))
+    far = mp.PlenopticCamera(**GALILEAN | {"mla_distance": 79.0})
+    assert not any("no object plane" in text for text in mp.design.design_warnings(far))
 
 
 def test_remedy_for_overlap_makes_micro_images_touch():
-    (warning,) = design.design_warnings(PlenopticCamera(aperture_radius=10))
+    (warning,) = mp.design.design_warnings(mp.PlenopticCamera(aperture_radius=10))
     diameter = float(warning.split("a diameter of ")[1].split(" mm")[0])
-    camera = PlenopticCamera(aperture_radius=diameter / 2)
+    camera = mp.PlenopticCamera(aperture_radius=diameter / 2)
     assert camera.micro_image_diameter == pytest.approx(camera.micro_image_pitch, rel=1e-3)
 
 
 @pytest.mark.parametrize("aperture, distance", [(5.0, 240.0), (8.0, 240.0), (5.0, 1000.0)])
 def test_the_spherical_aberration_of_a_parabolic_lens(aperture, distance):
     """On the axis, less defocus: a quarter of the path of third order at the edge."""
-    camera = PlenopticCamera(
+    camera = mp.PlenopticCamera(
         aperture_radius=aperture, focus_distance=distance, detector_width=0.008, resolution=(4, 4), mla_pitch=0.002
     )
     edge = aperture**4 / 8 * (1 / distance**3 + 1 / camera.mla_distance**3)
-    found = design.parabolic_aberration(camera, 550)
+    found = mp.design.parabolic_aberration(camera, 550)
     assert found == pytest.approx(edge / 4 / 550e-6, rel=0.01)
-    assert design.parabolic_aberration(camera.replace(lens_model="parabolic"), 1100) == pytest.approx(found / 2)
+    assert mp.design.parabolic_aberration(camera.replace(lens_model="parabolic"), 1100) == pytest.approx(found / 2)
 
 
 @pytest.mark.parametrize("width", [1.0, 8.0])
@@ -419,7 +388,7 @@ def test_the_aberration_of_a_parabolic_lens_over_the_field(width):
 
     Fitted on a grid over the pupil: piston, tilt and defocus of each height, then the mean defocus.
     """
-    camera = PlenopticCamera(detector_width=width, resolution=(256, 256))
+    camera = mp.PlenopticCamera(detector_width=width, resolution=(256, 256))
     a, b, g, f = camera.aperture_radius, camera.mla_distance, camera.focus_distance, camera.focal_length
     x, y = np.meshgrid(*[np.linspace(-a, a, 401)] * 2)
     x, y = x[x * x + y * y <= a * a], y[x * x + y * y <= a * a]
@@ -432,10 +401,10 @@ def test_the_aberration_of_a_parabolic_lens_over_the_field(width):
         found.append((path - terms @ fitted, fitted[3]))
     mean = np.mean([defocus for _, defocus in found])
     worst = max(np.ptp(path + (defocus - mean) * square) for path, defocus in found) / 633e-6
-    assert design.parabolic_aberration(camera, 633) == pytest.approx(worst, rel=0.03)
+    assert mp.design.parabolic_aberration(camera, 633) == pytest.approx(worst, rel=0.03)
 
 
 def test_only_thin_lenses_are_parabolic():
     for name in ("paper_double_gauss", "lfm", "shack_hartmann"):
-        assert design.parabolic_aberration(PlenopticCamera.preset(name), 550) == 0
-    assert design.parabolic_aberration(PlenopticCamera(mla_distance=70.0), 550) == 0
+        assert mp.design.parabolic_aberration(mp.PlenopticCamera.preset(name), 550) == 0
+    assert mp.design.parabolic_aberration(mp.PlenopticCamera(mla_distance=70.0), 550) == 0

@@ -1,7 +1,5 @@
 """The examples in the docstrings of the main functions give what they state."""
 
-from __future__ import annotations
-
 import doctest
 import pkgutil
 import re

@@ -1,7 +1,5 @@
 """What pages ask the reader to type: commands, options and Python names exist, and the recipes' code cells run."""
 
-from __future__ import annotations
-
 import functools
 import os
 import re

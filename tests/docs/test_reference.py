@@ -1,7 +1,5 @@
 """Everything public is documented, and the site's reference has it."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

@@ -1,7 +1,5 @@
 """The check of the site finds its faults; the gallery is complete; pictures are small."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

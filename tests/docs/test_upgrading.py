@@ -1,7 +1,5 @@
 """What the README of version 1.0 asks the reader to type works, at a smaller size."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """Write the files next to this one, with version 1.0: ``PYTHONPATH=CLONE_OF_1.0 python make.py FOLDER``."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

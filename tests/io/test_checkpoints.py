@@ -1,7 +1,5 @@
 """Wave captures that are stopped: they go on from their checkpoint, with the bits of one that was not."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -17,9 +15,8 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from scene_cases import definitions, letters
+from cameras import definitions, letters, scattered, small_camera
 from stopped_runs import CheckpointStore, StoppedError, start_command, stopped_before
-from wave_cases import scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, load_scene, read_capture, render_capture
 from mitsuba_plenoptic.cli import main

@@ -1,7 +1,5 @@
 """The captures that come with the package: what they hold, and that their tool makes them."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

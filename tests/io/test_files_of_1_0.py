@@ -1,7 +1,5 @@
 """Files that version 1.0 wrote, whose waves were parabolic, and the version that files state now."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from importlib.metadata import version

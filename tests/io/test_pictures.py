@@ -33,23 +33,6 @@ def test_samples_of_tiff_mean_what_they_say(tmp_path, numbers, options, expected
     np.testing.assert_allclose(read_picture(tmp_path / "a.tiff", linear=True), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "options", "words"),
-    [
-        (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
-        (np.stack([RAMP] * 5).astype("f4"), {"imagej": True, "truncate": True}, "it holds 5 pictures"),
-        ((RAMP * 100).astype("i2"), {}, "int16"),
-        (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
-        ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
-        ((RAMP[..., None].repeat(4, 2) * 9).astype("u1"), {"photometric": "separated"}, "SEPARATED"),
-    ],
-)
-def test_other_tiff_are_refused(tmp_path, numbers, options, words):
-    tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
-    with pytest.raises(InputError, match=rf"a\.tiff: it cannot be read as a picture: it holds [^\n]*{words[-8:]}"):
-        read_picture(tmp_path / "a.tiff")
-
-
 def window(left, top, columns, rows):
     return np.array([left, top], np.int32), np.array([left + columns - 1, top + rows - 1], np.int32)
 
@@ -85,25 +68,6 @@ def test_units_in_fits_are_converted(tmp_path):
     hdu.header["BUNIT"], hdu.header["WAVELEN"] = "radians", 550e-9
     hdu.writeto(tmp_path / "a.fits")
     np.testing.assert_allclose(mp.PhaseScreen(tmp_path / "a.fits", width=12).waves, waves * 550 / 633, rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "take",
-    [
-        lambda image: mp.Capture(image, CAMERA),
-        lambda image: mp.decode(image, camera=CAMERA),
-        lambda image: mp.reconstruct(image, 240, camera=CAMERA),
-        lambda image: mp.edge_sharpness(image),
-        lambda image: mp.CaptureOperator(CAMERA, [[0, 0, 236.0]], wavelength=633).adjoint(image),
-        lambda image: mp.volume_points([image], lower=(0, 0, 230), upper=(1, 1, 240)),
-    ],
-)
-def test_masks_and_imaginary_parts_are_not_lost(take):
-    image = np.random.default_rng(0).random((64, 64))
-    with pytest.raises(InputError, match="of its values are masked"):
-        take(np.ma.masked_greater(image, 0.5))
-    with pytest.raises(InputError, match="it must hold real numbers"):
-        take(image + 1j)
 
 
 def test_names_are_followed_and_buffers_copied():

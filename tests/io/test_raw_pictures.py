@@ -41,20 +41,3 @@ def test_pictures_of_other_programs_need_a_camera(tmp_path, complaint):
     tifffile.imwrite(tmp_path / "other.tiff", np.full((33, 40), 1064, np.uint16))
     said = complaint("reconstruct", tmp_path / "other.tiff", "-o", tmp_path / "a.exr", "--distance", "240")
     assert "other.tiff: it states no camera and detector; such a raw picture needs its --camera" in said
-
-
-def test_what_is_no_raw_capture_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"capture: no detector has recorded it; expose it first"):
-        write_raw(tmp_path / "raw.tiff", capture_of())
-    raw = expose(capture_of(), Detector(mosaic="RGGB"), photons=2000)
-    with pytest.raises(InputError, match=r"capture: its values are no digital numbers of its detector"):
-        write_raw(tmp_path / "raw.tiff", Capture(raw.image * 1.03, raw.camera, metadata=raw.metadata))
-    with pytest.raises(InputError, match=r"give a name that ends in .png or .tif or .tiff"):
-        write_raw(tmp_path / "raw.jpg", raw)
-    (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
-    with pytest.raises(InputError, match=r"broken.png: it cannot be read as a picture"):
-        read_raw(tmp_path / "broken.png")
-    for text in ('{"mitsuba_plenoptic": {"camera": {}, "metadata": {"exposure": {}}}}', "[]", "{" * 9):
-        tifffile.imwrite(tmp_path / "lies.tiff", np.zeros((3, 3), np.uint16), description=text, metadata=None)
-        with pytest.raises(InputError, match=r"lies.tiff: "):
-            read_raw(tmp_path / "lies.tiff")

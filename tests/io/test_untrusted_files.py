@@ -1,7 +1,5 @@
 """Captures, light fields and scenes from strangers: they run nothing, and pixels take no more than memory."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import json
@@ -15,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from cameras import SMALL_SENSOR, write_scene
 from foreign_files import large, png, write_exr_parts
-from scene_cases import SMALL_SENSOR, write_scene
 
 import mitsuba_plenoptic
 from mitsuba_plenoptic import (

@@ -1,7 +1,5 @@
 """Microlens lattices: cells, centres, apertures and neighbours, and what it takes to add one."""
 
-from __future__ import annotations
-
 import math
 
 import drjit as dr

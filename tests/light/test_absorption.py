@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from cases import facing, radiating, scene_of
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
+from mitsuba_plenoptic import PlenopticCamera, render_capture
 
 STEEP = {
     "focal_length": 50.0, "aperture_radius": 16.0, "mla_distance": 51.0, "mla_pitch": 0.04, "mla_medium": 1.5,
@@ -58,11 +58,3 @@ def test_white_walls_against_the_mean_over_paths():
     assert expected < 0.97 * np.exp(-15 * 0.06)
     assert transmitted(model="ray", spp=64) == pytest.approx(expected, rel=0.003)
     assert transmitted(model="wave", wavelength=550.0, spp=16) == pytest.approx(expected, rel=0.005)
-
-
-def test_what_does_not_know_absorption_refuses_it():
-    camera = PlenopticCamera(**STEEP, mla_absorption=1.0)
-    with pytest.raises(InputError, match=r"mla_absorption = 1.0: waves of points"):
-        point_spread_function(camera, (0.0, 0.0, 900.0), wavelength=550.0)
-    with pytest.raises(InputError, match="mla_absorption = -1"):
-        PlenopticCamera(mla_absorption=-1.0)

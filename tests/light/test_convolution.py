@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy
-from wave_cases import small_camera
+from cameras import small_camera
 
 from mitsuba_plenoptic.light.convolution import Convolution
 from mitsuba_plenoptic.runtime.batches import Box, Part, add

@@ -1,12 +1,10 @@
 """What a capture is estimated to take."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
 
-from mitsuba_plenoptic import InputError, estimate_capture, load_scene, render_capture
+from mitsuba_plenoptic import estimate_capture, load_scene, render_capture
 
 
 @pytest.fixture(autouse=True)
@@ -28,10 +26,3 @@ def test_by_rays_the_time_is_about_right():
     finally:
         time.perf_counter = clock
     assert estimate == pytest.approx(taken, rel=0.5)
-
-
-def test_what_would_be_refused_is_refused():
-    with pytest.raises(InputError, match=r"batch_map: a ray capture does not take it"):
-        estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(()))
-    with pytest.raises(InputError, match="spp = 0"):
-        estimate_capture(load_scene("letters"), spp=0)

@@ -1,7 +1,5 @@
 """The camera by rays at the paper's full size, 4096 x 4096 pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

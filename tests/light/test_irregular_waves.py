@@ -3,9 +3,9 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import HALF, error, small_camera
+from cameras import HALF, error, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.light.lens_kinds import FigureError, irregularities
 from tools.bench.cases.arrays import GREEN, SHAPES, propagated
 
@@ -70,11 +70,3 @@ def test_a_figure_error_deflects_rays(lens_model):
     expected = 120 * np.stack(FigureError.of(camera).slopes(*(centre + offset)))
     within = np.abs(origins[0]).max(0) < 5
     assert np.abs(origins[1] - origins[0] - expected)[:, within].max() < 0.02 * np.abs(expected).max()
-
-
-def test_methods_with_orders_refuse_irregular_arrays():
-    for changes in ({"mla_jitter": (0.001, 0.0)}, {"mla_figure_error": (1e-5, 0.02)}):
-        with pytest.raises(InputError, match=f"{next(iter(changes))} = .*waves of points are followed"):
-            CaptureOperator(small_camera(2, **changes), [POINT], wavelength=GREEN)
-    with pytest.raises(InputError, match="correlation length must be greater than 0"):
-        PlenopticCamera(mla_figure_error=(1e-5, 0.0))

@@ -4,9 +4,9 @@ import pickle
 
 import numpy as np
 import pytest
+from cameras import LATTICES, WAVELENGTH, error, small_camera
 from drjit.llvm import Float64
 from scipy.special import j1
-from wave_cases import LATTICES, WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic.lattice import turn
 from mitsuba_plenoptic.light.microlens_orders import AxisFactor, MicrolensArray, PlaneFactor, axis_orders

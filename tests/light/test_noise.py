@@ -1,22 +1,11 @@
 """The noise of captures: that the estimate is the spread of seeds, and how it is kept and told."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest
-from scene_cases import letters
+from cameras import letters
 
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    InputError,
-    expose,
-    load_scene,
-    read_capture,
-    render_capture,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 
 
 def lit_wall(sensor):
@@ -56,20 +45,22 @@ def test_the_noise_is_the_spread_of_seeds(camera_dict, variant, pixels, options)
     film = {"pixel_format": pixels}
     # Wide apertures give rays weights of their own.
     scene = lit_wall(camera_dict(resolution=32, detector_width=0.128, aperture_radius=8.0, film=film))
-    captures = [render_capture(scene, seed=seed, noise=seed < 3, **options) for seed in range(10)]
+    captures = [mp.render_capture(scene, seed=seed, noise=seed < 3, **options) for seed in range(10)]
     noise = np.mean([rms(capture.noise) for capture in captures[:3]], axis=0)
     spread = rms(np.std([capture.image for capture in captures], axis=0, ddof=1))
     np.testing.assert_allclose(noise, spread, rtol=0.1)
     assert captures[0].noise.shape == captures[0].image.shape
 
 
-@pytest.mark.parametrize("blur", [0.0, 0.001])
+@pytest.mark.parametrize("blur", [pytest.param(0.0, marks=pytest.mark.slow), 0.001])
 def test_the_noise_of_waves_is_that_of_compensated_pixels(blur):
     """Letters on black with few samples: many pixels in the dark are negative before their compensation."""
-    scene = load_scene("letters", variant="llvm_ad_mono", parameters=letters(6))
+    scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=letters(6))
     camera = scene.sensors()[0].camera.replace(detector_blur=blur)
     sensor = mi.load_dict(camera.to_sensor())
-    captures = [render_capture(scene, sensor=sensor, model="wave", spp=4, seed=seed, noise=True) for seed in range(8)]
+    captures = [
+        mp.render_capture(scene, sensor=sensor, model="wave", spp=4, seed=seed, noise=True) for seed in range(8)
+    ]
     images, deviations = (np.stack([getattr(each, name) for each in captures]) for name in ("image", "noise"))
     assert (images == 0).mean() > 0.3 or blur
     dark = images.mean(0) < 0.02
@@ -89,23 +80,23 @@ def test_what_does_not_vary_has_no_noise_and_one_sample_tells_none(camera_dict):
         }
     )
     # At the rim of the pupil chance decides.
-    assert (render_capture(scene, spp=3, noise=True).noise == 0).mean() > 0.4
+    assert (mp.render_capture(scene, spp=3, noise=True).noise == 0).mean() > 0.4
     for model in ("ray", "wave"):
-        with pytest.raises(InputError, match="spp = 1: it must be at least 2 for an estimate of the noise"):
-            render_capture(scene, model=model, spp=1, noise=True)
+        with pytest.raises(mp.InputError, match="spp = 1: it must be at least 2 for an estimate of the noise"):
+            mp.render_capture(scene, model=model, spp=1, noise=True)
 
 
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_noise_survives_the_disk_and_not_an_exposure(tmp_path, camera_dict, channels):
     camera = mi.load_dict(camera_dict(resolution=64)).camera
     image, noise = np.random.default_rng(0).random((2, 64, 64, *channels), dtype=np.float32)
-    capture = Capture(image, camera, noise=noise)
-    write_capture(tmp_path / "raw.exr", capture)
-    read = read_capture(tmp_path / "raw.exr")
+    capture = mp.Capture(image, camera, noise=noise)
+    mp.write_capture(tmp_path / "raw.exr", capture)
+    read = mp.read_capture(tmp_path / "raw.exr")
     np.testing.assert_array_equal(read.image, image)
     np.testing.assert_array_equal(read.noise, noise)
     assert read.relative_noise == pytest.approx(np.sqrt((noise.astype(float) ** 2).mean()) / image.mean())
-    assert expose(read, Detector(), photons=100.0).noise is None
+    assert mp.expose(read, mp.Detector(), photons=100.0).noise is None
     for bad, message in ((noise[:5], "it must be as the image"), (-noise, "are negative")):
-        with pytest.raises(InputError, match=message):
-            Capture(image, camera, noise=bad)
+        with pytest.raises(mp.InputError, match=message):
+            mp.Capture(image, camera, noise=bad)

@@ -9,7 +9,6 @@ from scipy.ndimage import gaussian_filter, shift
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.light.oblique import Oblique, changes, directions, moved, terms
-from mitsuba_plenoptic.light.phase_space import PhaseSpace
 from mitsuba_plenoptic.light.signed_colours import plan_of
 from mitsuba_plenoptic.light.signed_draws import Draws, Pixels
 from mitsuba_plenoptic.runtime.batches import Box
@@ -141,6 +140,7 @@ def test_changes_are_those_of_polynomials(degree):
     assert moved(step, degree) @ [1, *terms(*s, degree)] == pytest.approx([1, *terms(*(s + step), degree)])
 
 
+@pytest.mark.slow
 def test_oblique_kernels_have_no_light_of_their_own():
     camera = PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.48, 0.512, 0.55))
     plan = plan_of(camera, 633.0, False, 633.0)
@@ -148,18 +148,6 @@ def test_oblique_kernels_have_no_light_of_their_own():
     for kind in range(3):
         kernels = plan.kernels(camera.pixel_size, plan.reach, kind)
         assert abs(kernels[plan.functions.count :].sum((1, 2))).max() < 1e-4 * abs(kernels[0]).sum()
-
-
-def test_fewer_kernels_leave_more_of_the_change():
-    camera = PlenopticCamera()
-    counts = [plan_of(camera, 633.0, fine, 633.0).oblique.count for fine in (False, True)]
-    assert 0 < counts[0] < counts[1]
-
-
-def test_there_are_at_most_so_many_combinations_over_polynomials(monkeypatch):
-    monkeypatch.setattr("mitsuba_plenoptic.light.array_kernels._MOST_OBLIQUE", 1)
-    fast = PlenopticCamera(mla_focal_length=0.128, detector_distance=0.128, aperture_radius=24.0)
-    assert PhaseSpace(fast, 633.0).oblique.count == 15
 
 
 @pytest.mark.parametrize("degree", [2, 4])

@@ -1,7 +1,5 @@
 """The main lens of a bound camera: which one it is, what it holds, and its pupil against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.lenses.thin import DistortedLens, ThinLens
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.prescription.lens_data import LensData
 
 WAVELENGTH = 550.0
 SMALL = {"detector_width": 0.256, "resolution": (64, 64)}
@@ -33,19 +30,6 @@ def test_the_factory_makes_the_lens_of_a_camera():
 def test_waves_of_a_bound_camera_refract_as_its_rays_do(model):
     camera = THIN.replace(lens_model=model)
     assert OpticalSystem(camera, WAVELENGTH).lens.model == main_lens(camera).model == model
-
-
-def test_data_without_optics_are_refused():
-    class Unknown(LensData):
-        """Of no lens."""
-
-    with pytest.raises(InputError, match="no function is marked"):
-        main_lens(PlenopticCamera(main_lens=Unknown(), **SMALL))
-
-
-def test_what_waves_do_not_know_is_refused():
-    with pytest.raises(InputError, match="mla_tilt"):
-        OpticalSystem(REAL.replace(mla_tilt=(1.0, 0.0)), WAVELENGTH).waves_of(POINTS)
 
 
 def test_fits_are_held_and_shared_by_systems_of_the_same_camera_and_wavelength():

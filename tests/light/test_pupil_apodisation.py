@@ -1,13 +1,11 @@
 """Apodised pupils: rays against the transmission itself, waves against sums over the pupil."""
 
-from __future__ import annotations
-
-import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import sky
 from scipy.special import j0
 
-from mitsuba_plenoptic import Capture, CaptureOperator, InputError, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.design import white_mean
 from mitsuba_plenoptic.views.white_image import white_image
 
@@ -15,13 +13,6 @@ A2, A4 = -0.6, 0.2
 
 CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256, pupil_apodisation=(A2, A4))
 """Of 4 x 4 lenses with 16 x 16 pixels."""
-
-
-def sky(camera, spp, model="ray"):
-    """Return the capture of a scene of radiance 1 everywhere."""
-    path = {"type": "direct"}
-    scene = {"type": "scene", "camera": camera.to_sensor(), "sky": {"type": "constant"}, "integrator": path}
-    return render_capture(mi.load_dict(scene), spp=spp, model=model).image
 
 
 def transmission(r, a2=A2, a4=A4):
@@ -95,6 +86,7 @@ def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
     assert np.linalg.norm(found - expected) < 0.004 * np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 def test_objectives_by_rays_waves_and_points():
     whole = PlenopticCamera.preset("lfm")
     camera = whole.replace(pupil_apodisation=(A2, A4), crop_offset=(1012, 1012), crop_size=(23, 23), lens_model="ideal")
@@ -126,24 +118,3 @@ def test_ordinary_cameras_read_the_mean_transmission():
     camera = PlenopticCamera(mla_lattice="none", resolution=(8, 8), detector_width=0.128, pupil_apodisation=(A2, A4))
     for model in ("ray", "wave"):
         assert sky(camera, 16, model) == pytest.approx(np.full((8, 8), 1 + A2 / 2 + A4 / 3), abs=1e-4)
-
-
-def test_refusals():
-    objective = {"magnification": 20, "numerical_aperture": 0.5, "arrangement": "fourier"}
-    objective["fourier_focal_length"] = 100
-    fourier = {"main_lens": objective, "mla_focal_length": 40, "mla_pitch": 1, "detector_width": 8}
-    for given, message in (
-        ({"pupil_apodisation": (0, 5)}, "pupil_apodisation = 5: it must be at most 4"),
-        (
-            {"pupil_apodisation": (-0.2, 0), "aperture_blades": 5},
-            "aperture_blades, pupil_apodisation: give one of them",
-        ),
-        ({"pupil_apodisation": (-0.2, 0), **fourier}, r"pupil_apodisation = \(-0.2, 0.0\): .* image of the stop"),
-    ):
-        with pytest.raises(InputError, match=message):
-            PlenopticCamera(**given)
-    with pytest.raises(InputError, match=r"pupil_apodisation = .*: method coherent .*use method ray"):
-        reconstruct(Capture(np.ones(CAMERA.shape, np.float32), CAMERA, 633.0), distance=240, method="coherent")
-    points = CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
-    with pytest.raises(InputError, match=r"pupil_apodisation"):
-        points.gradient([1.0], np.ones(CAMERA.shape), ["focal_length"])

@@ -1,7 +1,5 @@
 """Scenes in metres: scaled by the loader as by hand, what cannot be scaled refused, and warned of everywhere."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from pathlib import Path
@@ -9,7 +7,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from scene_cases import BUILT_IN
+from cameras import BUILT_IN
 
 import mitsuba_plenoptic as mp
 
@@ -137,31 +135,10 @@ def test_lamps_of_any_colour_are_scaled(variant):
         assert small.min() > 0
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"lamp": {"type": "point", "intensity": {"type": "d65"}}}, "unit: point 'lamp': intensity: it must be given"),
-        ({"cam": {"type": "orthographic"}}, "unit: orthographic 'cam': its lengths cannot be scaled, only those of "),
-        ({"hair": {"type": "linearcurve", "filename": "x"}}, "unit: linearcurve 'hair': its lengths cannot be scaled"),
-        ({"made": "made"}, "unit: scene: made: an object that is already made cannot be scaled; give its dictionary"),
-    ],
-)
-def test_what_cannot_be_scaled_is_refused_by_name(change, words):
-    mi.set_variant("llvm_ad_mono")
-    change = {name: mi.load_dict({"type": "sphere"}) if one == "made" else one for name, one in change.items()}
-    with pytest.raises(mp.InputError, match=f"^{re.escape(words)}"):
-        mp.load_scene({"type": "scene", **change}, unit="m")
-
-
 def test_files_next_to_a_scene_are_found_in_any_unit():
     size = {"resolution": 64, "detector_width": 0.128}
     boxes = [mp.load_scene("letters", parameters=size, unit=unit).bbox() for unit in ("mm", "cm")]
     np.testing.assert_allclose(np.ravel(boxes[1].max), 10 * np.ravel(boxes[0].max), rtol=1e-5)
-
-
-def test_units_are_refused_by_name():
-    with pytest.raises(mp.InputError, match=r"^unit = 'km': it must be one of 'mm', 'cm', 'm'|^unit = "):
-        mp.load_scene("letters", unit="km")
 
 
 @pytest.mark.parametrize(

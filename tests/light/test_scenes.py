@@ -1,7 +1,5 @@
 """The built-in scenes: what stands where, that parameters reach it, and that the meshes can be made again."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -11,8 +9,8 @@ import numpy as np
 import pytest
 from built_in_scenes import figures, solids
 from built_in_scenes.mesh import flat_mesh
+from cameras import BUILT_IN
 from make_meshes import write_all
-from scene_cases import BUILT_IN
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
 from mitsuba_plenoptic.light.render_capture import pass_counts
@@ -354,15 +352,6 @@ def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
         load_scene({"type": "sphere"})
     with pytest.raises(InputError, match=r"scene: .*focal_lenght"):
         load_scene({"type": "scene", "sensor": camera_dict(focal_lenght=3.0)})
-
-
-def test_a_parameter_that_a_scene_lacks_is_refused_with_those_it_has(tmp_path):
-    with pytest.raises(InputError, match=r"parameter widht: the scene .* has none of that name \(.*resolution.*\)"):
-        load_scene("white", parameters={"widht": "4"})
-    fixed = tmp_path / "fixed.xml"
-    fixed.write_text("<scene version='3.0.0'><sensor type='plenoptic'/></scene>")
-    with pytest.raises(InputError, match=r"parameter widht: the scene .* has no parameters$"):
-        load_scene(fixed, parameters={"widht": "4"})
 
 
 def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch):

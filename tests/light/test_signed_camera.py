@@ -7,7 +7,7 @@ import pytest
 import scipy.ndimage
 import scipy.signal
 
-from mitsuba_plenoptic import InputError, Job, PlenopticCamera
+from mitsuba_plenoptic import Job, PlenopticCamera
 from mitsuba_plenoptic.light.array_kernels import REACH, displaced
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.light.phase_space import PhaseSpace, coefficients_of
@@ -17,7 +17,6 @@ from mitsuba_plenoptic.light.signed_camera import (
     CameraTangents,
     hold,
     parameters_of,
-    require_parameters,
     varying_parameters,
 )
 from mitsuba_plenoptic.light.signed_colours import Node
@@ -180,10 +179,8 @@ def test_against_differences_of_held_rays(node, name):
     assert found == pytest.approx(expected, rel=0.05 if moves else 0.015, abs=1.0 if name == "detector_width" else None)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["mla_offset", *(pytest.param(name, marks=pytest.mark.slow) for name in ("detector_distance", "detector_width"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mla_offset", "detector_distance", "detector_width"])
 def test_coarse_pixels_are_the_means_of_fine_ones(name):
     fine, parts = MODELS["ideal"], 3
     found = []
@@ -201,9 +198,10 @@ def test_coarse_pixels_are_the_means_of_fine_ones(name):
     ("array", "changes"),
     [
         ({}, {"focal_length": np.ones(1)}),
-        (
+        pytest.param(
             {"mla_lattice": "hexagonal", "mla_focal_length": (0.48, 0.512, 0.55)},
             {"mla_focal_length": np.array([0.1, -0.2, 0.3])},
+            marks=pytest.mark.slow,
         ),
         ({}, {"focal_length": np.ones(1), "mla_distance": np.ones(1), "mla_offset": np.array([0.01, -0.02])}),
     ],
@@ -260,22 +258,3 @@ def test_what_displaces_kernels_is_their_slope():
     for found, axis, centre in ((along_x, x, 15), (along_y, x[:, None], 3)):
         # Ends and all: against a smooth figure it is the figure's slope that counts.
         assert np.sum(found * smooth) == pytest.approx(np.sum(kernel * inner * -(axis - centre) / 100), rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "names", "message"),
-    [
-        ({}, ["aperture_radius"], "aperture_radius: captures by signed rays have derivatives by focal_length, "),
-        ({"mla_pitch": (0.064, 0.07)}, ["mla_pitch"], "mla_pitch: .* no derivative by one of two pitches"),
-        ({"main_lens": "double_gauss"}, ["mla_offset"], "mla_offset: .* no derivative by it with main_lens"),
-        ({"distortion": (1e-4, 0, 0, 0, 0)}, ["focal_length"], "focal_length: .* with distortion"),
-        ({"mla_jitter": (1e-3, 0)}, ["mla_pitch"], "mla_pitch: .* with mla_jitter"),
-        ({"mla_tilt": (1, 0)}, ["mla_pitch"], "mla_pitch: .* with mla_tilt"),
-        ({"pixel_response": (0, 1, 3, 0.5)}, ["mla_pitch"], "mla_pitch: .* with pixel_response"),
-        ({"glass": 1.5}, ["focal_length"], "focal_length: .* with glass"),
-        ({"detector_distance": 0.3}, ["focal_length"], "focal_length: .*detector_distance = 0.3 is far from it"),
-    ],
-)
-def test_parameters_without_derivatives_are_refused_by_name(parameters, names, message):
-    with pytest.raises(InputError, match=message):
-        require_parameters(PlenopticCamera(**parameters), names, "detector_distance" in parameters)

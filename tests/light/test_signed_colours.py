@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import facing, radiating, scene_of, sensor
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.light import colour
 from mitsuba_plenoptic.light.signed_colours import span
 
@@ -54,6 +54,7 @@ def seen(wavelengths, values):
     return np.trapezoid(colour.SRGB.at(places) * np.interp(places, wavelengths, values), places, axis=1)
 
 
+@pytest.mark.slow
 def test_a_narrow_line_has_its_colour_and_energy():
     mi.set_variant("llvm_ad_spectral")
     wavelengths, values, radiance = line(532, 2)
@@ -249,17 +250,6 @@ def test_captures_at_a_common_node_are_those_of_each_line():
     )
     for channel in range(3):
         assert 0 < relative(common[..., channel], own[..., channel]) < 0.01
-
-
-def test_colours_that_have_no_spectrum_are_refused(tmp_path):
-    mi.set_variant("llvm_ad_rgb")
-    table = tmp_path / "silicon.csv"
-    table.write_text("400,1,1,1\n1000,1,1,1\n")
-    with pytest.raises(InputError, match="colours have the spectrum of D65, from 360 to 830 nm"):
-        by_waves(wall(1.0), responses=str(table))
-    mi.set_variant("llvm_ad_spectral")
-    with pytest.raises(InputError, match="wavelength = 850: emitter wall has light from 360 to 830 nm only"):
-        by_waves(wall({"type": "d65"}), wavelength=850.0)
 
 
 class _Elsewhere:

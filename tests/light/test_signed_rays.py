@@ -9,7 +9,7 @@ import pytest
 from cases import bars_through, facing, radiating, scene_of, sensor, spot_filtered
 from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Checkpoint, InputError, PlenopticCamera, estimate_capture, render_capture
+from mitsuba_plenoptic import Checkpoint, PlenopticCamera, estimate_capture, render_capture
 from mitsuba_plenoptic.light.lens_kinds import LensKinds, irregularities
 
 BLACK = {"type": "diffuse", "reflectance": 0.0}
@@ -141,15 +141,6 @@ def test_lenses_of_uneven_focal_lengths_are_of_the_nearest_kind():
     assert len(set(number)) == len(kinds.every) > 3
 
 
-@pytest.mark.parametrize(
-    "name, parameters",
-    [("mla_jitter", {"mla_jitter": (0.0, 0.08)}), ("mla_tilt", {"mla_jitter": (0.0, 0.03), "mla_tilt": (0.3, 0.3)})],
-)
-def test_arrays_of_too_many_kinds_of_lenses_are_refused(name, parameters):
-    with pytest.raises(InputError, match=rf"{name} = .* a wave capture would need \d+ kinds of microlenses"):
-        LensKinds(PlenopticCamera(**parameters))
-
-
 def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
     pane = facing(1.0, (10.0, 20.0), (10.0, 0.0), bsdf={"type": "mask", "opacity": 0.7, "nested": BLACK})
     scene = scene_of(sensor(10, 16), pane=pane, wall=wall())
@@ -233,28 +224,9 @@ def test_black_scenes_are_black_and_said_to_be():
     assert not image.any()
 
 
-@pytest.mark.parametrize(
-    "parameters, message",
-    [
-        ({"detector_distance": 1.0}, "detector_distance"),
-    ],
-)
-def test_cameras_that_are_not_served_are_refused_by_name(parameters, message):
-    scene = scene_of(sensor(4, 8, **parameters), wall=wall())
-    with pytest.raises(InputError, match=rf"{message} = .*: for signed rays it must be"):
-        by_waves(scene)
-
-
 def test_plans_are_the_same_in_another_process():
     from mitsuba_plenoptic.light.phase_space import PhaseSpace
 
     plan = PhaseSpace(PlenopticCamera(), 550.0, degree=2)
     other = pickle.loads(pickle.dumps(plan))
     assert np.array_equal(plan.kernels(0.002, 0.08), other.kernels(0.002, 0.08))
-
-
-def test_thousands_of_lenses_before_a_pixel_are_refused():
-    camera = PlenopticCamera(aperture_radius=2000.0, detector_width=0.128, resolution=(64, 64))
-    scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera.to_sensor(), "e": {"type": "constant"}})
-    with pytest.raises(InputError, match=r"aperture_radius = 2000: \d{4,} lenses may light a pixel; waves of scenes"):
-        render_capture(scene, model="wave", spp=1)

@@ -3,18 +3,16 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import HALF, LATTICES, error, small_camera
+from cameras import HALF, error, sky, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function, render_capture
+from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function, render_capture
 from mitsuba_plenoptic.lattice import Displacement
 from mitsuba_plenoptic.lattice.lens_shifts import WARP_POWERS
-from mitsuba_plenoptic.light.signed_camera import require_parameters
 from mitsuba_plenoptic.views import decode, lens_grid, white_image
 from tools.bench.cases.arrays import GREEN
 
 ACROSS = (0.5, -0.4, 0.3, 0.5, -0.35, 0.25, 0.2)
 UP = (-0.3, 0.5, 0.4, -0.3, 0.5, 0.2, -0.35)
-POINT = np.array([-0.09, 0.08, 117.0])
 
 
 def warped(camera, farthest):
@@ -44,7 +42,7 @@ def centroids(image, camera, centres, half=13.0):
     return np.array(found)
 
 
-@pytest.mark.parametrize("light", ["rays", "waves", "computed", "grid"])
+@pytest.mark.parametrize("light", ["rays", pytest.param("waves", marks=pytest.mark.slow), "computed", "grid"])
 def test_micro_images_are_displaced_by_the_polynomial(light):
     """To 0.02 pixels, of displacements by up to 3 pixels; the centres are c (b + z) / b."""
     mi.set_variant("llvm_ad_mono")
@@ -63,9 +61,7 @@ def test_micro_images_are_displaced_by_the_polynomial(light):
     if light == "computed":
         image = white_image(camera)
     else:
-        parts = {"camera": camera.to_sensor(), "sky": {"type": "constant"}, "integrator": {"type": "direct"}}
-        waves = {"model": "wave", "wavelength": 550} if light == "waves" else {}
-        image = render_capture(mi.load_dict({"type": "scene", **parts}), spp=128, **waves).image
+        image = sky(camera, 128, **({"model": "wave", "wavelength": 550} if light == "waves" else {}))
     assert np.abs(centroids(image, camera, expected)).max() < 0.02
 
 
@@ -84,20 +80,6 @@ def test_a_point_in_focus_sees_a_lens_of_a_moved_array():
     )
     assert error(found, expected) < 0.01
     assert error(unmoved, expected) > 0.03
-
-
-@pytest.mark.parametrize(
-    "name", ["square", *(pytest.param(name, marks=pytest.mark.slow) for name in ("turned", "hexagonal"))]
-)
-def test_patches_agree_with_full_fields(name):
-    camera, _ = warped(small_camera(8, **HALF, **LATTICES.get(name, {})), 1.5)
-    points = np.array([(0.39, -0.35, 118.0), (-0.4, 0.42, 122.0)])
-    for point in points:
-        exact = CaptureOperator(camera, [point], wavelength=550, method="full_field").forward([1.0])
-        fast = CaptureOperator(camera, [point], wavelength=550).forward([1.0])
-        assert error(fast, exact) < 0.01
-        straight = CaptureOperator(camera.replace(mla_warp=()), [point], wavelength=550).forward([1.0])
-        assert error(straight, exact) > 0.02
 
 
 def test_polynomials_turn_with_their_frame():
@@ -153,17 +135,6 @@ def test_a_steep_warp_is_refused_and_zeros_are_none():
         small_camera(10).replace(mla_warp=(0.125, 0.125))
     assert PlenopticCamera(mla_warp=[0.0] * 9) == PlenopticCamera()
     assert len(PlenopticCamera(mla_warp=(1e-6,)).mla_warp) == 14
-
-
-def test_what_has_no_derivatives_refuses_by_name():
-    camera, _ = warped(small_camera(4, **HALF), 1.0)
-    operator = CaptureOperator(camera, [POINT], wavelength=GREEN)
-    with pytest.raises(InputError, match=r"mla_warp = .*points have derivatives through cameras without it only"):
-        operator.derivative([1.0], {"focal_length": 1.0})
-    with pytest.raises(
-        InputError, match="focal_length: captures by signed rays have no derivative by it with mla_warp"
-    ):
-        require_parameters(camera, ["focal_length"], by_points=False)
 
 
 def test_lenses_in_a_rectangle_are_those_whose_displaced_centres_lie_in_it():

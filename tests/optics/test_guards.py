@@ -1,7 +1,5 @@
 """Guards of the physics: each fires on what it is there for, with the right number, and is silent otherwise."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from math import erf
@@ -11,19 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from mitsuba_plenoptic import (
-    CaptureOperator,
-    PhysicsError,
-    PhysicsWarning,
-    PlenopticCamera,
-    design,
-    load_scene,
-    point_spread_function,
-    read_capture,
-    reconstruct,
-    render_capture,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.exr import read_exr
 from mitsuba_plenoptic.optics import guards
@@ -61,7 +47,7 @@ class TestPropagation:
     def test_content_at_the_band_limit(self, n, column, row):
         """A beam with a twentieth of its power in one plane wave, wherever that is in the outer eighth."""
         field = np.sqrt(0.95) * beam(n, n / 10) + np.sqrt(0.05) * wave(n, column, row)
-        with pytest.warns(PhysicsWarning) as caught:
+        with pytest.warns(mp.PhysicsWarning) as caught:
             propagate(field, 2e-3, 0.05, WAVELENGTH)
         found = [str(warning.message) for warning in caught if "under-sampled" in str(warning.message)]
         assert len(found) == 1
@@ -69,27 +55,29 @@ class TestPropagation:
 
     def test_noise_is_refused(self):
         noise = np.random.default_rng(0).standard_normal((200, 200, 2)) @ (1, 1j)
-        with pytest.raises(PhysicsError, match=r"^2[234]\.\d+% of a field's power .* under-sampled; use a finer pitch"):
+        with pytest.raises(
+            mp.PhysicsError, match=r"^2[234]\.\d+% of a field's power .* under-sampled; use a finer pitch"
+        ):
             propagate(noise, 2e-3, 1.0, WAVELENGTH)
 
     def test_what_goes_round_a_small_window(self):
         """A beam in a window of six widths is warned of and, at ten widths, refused; a wider window is fine."""
         rayleigh = np.pi * (20 * 2e-3) ** 2 / (WAVELENGTH * 1e-6)
-        with pytest.warns(PhysicsWarning, match="outer eighth of its window"):
+        with pytest.warns(mp.PhysicsWarning, match="outer eighth of its window"):
             propagate(beam(128, 20), 2e-3, 2.5 * rayleigh, WAVELENGTH)
-        with pytest.raises(PhysicsError, match="gone round the window"):
+        with pytest.raises(mp.PhysicsError, match="gone round the window"):
             propagate(beam(128, 20), 2e-3, 10 * rayleigh, WAVELENGTH)
         propagate(beam(1024, 20), 2e-3, 10 * rayleigh, WAVELENGTH)
 
     def test_the_share_in_the_rim_is_that_of_the_beam(self):
         """The closed form: a gaussian of width w has erf(2^1/2 a / w)^2 of its power within +-a."""
         inside = (erf(2**0.5 * 56 / 50) / erf(2**0.5 * 64 / 50)) ** 2
-        with pytest.warns(PhysicsWarning) as caught:
+        with pytest.warns(mp.PhysicsWarning) as caught:
             propagate(beam(128, 50), 2e-3, 1e-4, WAVELENGTH)
         assert float(str(caught[0].message).split("%")[0]) == pytest.approx(100 * (1 - inside), rel=0.03)
 
     def test_a_warning_names_the_callers_line(self):
-        with pytest.warns(PhysicsWarning) as caught:
+        with pytest.warns(mp.PhysicsWarning) as caught:
             propagate(np.ones((64, 64)), 2e-3, 1.0, WAVELENGTH)
         assert [warning.filename for warning in caught] == [__file__]
 
@@ -98,18 +86,18 @@ class TestPropagation:
 
 
 class TestPointSpreads:
-    CAMERA = PlenopticCamera(**SMALL)
+    CAMERA = mp.PlenopticCamera(**SMALL)
     PLACE = (0.0, 0.0, 240.0)
 
     @pytest.mark.parametrize("cone, width, outcome", [(1.0, 25, "warned"), (0.5, 60, "refused")])
     def test_a_patch_with_a_narrow_band(self, monkeypatch, cone, width, outcome):
         monkeypatch.setattr(patch_plan, "band_for", lambda accuracy, count: Band(cone, width, 0, 0))
         if outcome == "refused":
-            with pytest.raises(PhysicsError, match="lost by the patches"):
-                point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
+            with pytest.raises(mp.PhysicsError, match="lost by the patches"):
+                mp.point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
             return
-        with pytest.warns(PhysicsWarning, match="lost by the patches") as caught:
-            psf = point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
+        with pytest.warns(mp.PhysicsWarning, match="lost by the patches") as caught:
+            psf = mp.point_spread_function(self.CAMERA, self.PLACE, wavelength=WAVELENGTH)
         # the detector holds all of the patch
         assert float(str(caught[0].message).split("%")[0]) == pytest.approx(100 * (1 - psf.sum()), abs=0.05)
 
@@ -118,7 +106,7 @@ class TestPointSpreads:
         weights = np.ones((2, 4, 4), bool)
         weights[1] = False
         with guards.watch() as shares:
-            CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
+            mp.CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633, pupil_weights=weights).forward([1, 1])
         assert 0 < shares["patch_loss"] < 0.02
 
     @pytest.mark.parametrize(
@@ -133,39 +121,39 @@ class TestPointSpreads:
     )
     def test_what_gaps_between_the_lenses_stop_is_no_loss(self, change):
         """The closed form of a wide blur: the lenses' fraction of the area is behind the apertures."""
-        camera = PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5, **change)
+        camera = mp.PlenopticCamera(detector_width=1.536, resolution=(768, 768), mla_fill=0.5, **change)
         with guards.watch() as fractions:
-            psf = point_spread_function(camera, (0.0, 0.0, 205.0), wavelength=WAVELENGTH)
+            psf = mp.point_spread_function(camera, (0.0, 0.0, 205.0), wavelength=WAVELENGTH)
         behind = camera.lattice.lens_area / camera.lattice.cell_area
         assert fractions["patch_loss"] == pytest.approx(1 - psf.sum() / behind, abs=0.015)
         assert 0.005 < fractions["patch_loss"] < 0.03
 
     def test_no_loss_is_told_of_weights_that_cancel(self):
         with guards.watch() as shares:
-            CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
+            mp.CaptureOperator(self.CAMERA, [self.PLACE] * 2, wavelength=633).forward([1, -1])
         assert "patch_loss" not in shares
 
     def test_a_full_field_on_a_coarse_grid(self, monkeypatch):
         monkeypatch.setattr(full_field_grids, "_KEPT_BENDS", 0.3)
         monkeypatch.setattr(full_field_grids, "_KEPT_ORDERS", 3)
-        camera = PlenopticCamera(detector_width=1.024, resolution=(256, 256))
-        with pytest.raises(PhysicsError, match="directions that the grid does not hold"):
-            point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
+        camera = mp.PlenopticCamera(detector_width=1.024, resolution=(256, 256))
+        with pytest.raises(mp.PhysicsError, match="directions that the grid does not hold"):
+            mp.point_spread_function(camera, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 
     def test_a_full_field_on_a_coarse_grid_at_the_pupil(self, monkeypatch):
         monkeypatch.setattr(full_field_grids, "_PUPIL_BAND", 0.5)
-        with pytest.raises(PhysicsError, match=r"under-sampled|round the window"):
-            point_spread_function(self.CAMERA, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
+        with pytest.raises(mp.PhysicsError, match=r"under-sampled|round the window"):
+            mp.point_spread_function(self.CAMERA, (0.0, 0.0, 210.0), wavelength=WAVELENGTH, method="full_field")
 
 
 class TestReconstruction:
-    CAMERA = PlenopticCamera(**SMALL)
+    CAMERA = mp.PlenopticCamera(**SMALL)
 
     @pytest.mark.parametrize("interleave", [pytest.param(1, marks=pytest.mark.slow), "auto"])
     def test_grey_is_no_capture_and_one_warning_says_so(self, interleave):
         """Light beside the micro-images: 1 - pi/4 (43 / 64)^2 = 65 % of it, and three channels still warn once."""
-        with pytest.warns(PhysicsWarning) as caught:
-            result = reconstruct(
+        with pytest.warns(mp.PhysicsWarning) as caught:
+            result = mp.reconstruct(
                 np.ones((512, 512, 3)),
                 240,
                 camera=self.CAMERA,
@@ -174,7 +162,7 @@ class TestReconstruction:
                 interleave=interleave,
             )
         assert len(caught) == 1
-        beside = 1 - design.white_mean(self.CAMERA)
+        beside = 1 - mp.design.white_mean(self.CAMERA)
         assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
 
     @pytest.mark.filterwarnings("ignore:.*does not go back through the main lens")
@@ -184,8 +172,8 @@ class TestReconstruction:
         camera = self.CAMERA.replace(aperture_radius=0.22)
         image = np.zeros((512, 512), np.float32)
         image[261:283, 261:283] = 1
-        with pytest.warns(PhysicsWarning, match="diffracted beyond the computed window"):
-            result = reconstruct(image, 240, camera=camera, wavelength=633, **{"method": "partial", **options})
+        with pytest.warns(mp.PhysicsWarning, match="diffracted beyond the computed window"):
+            result = mp.reconstruct(image, 240, camera=camera, wavelength=633, **{"method": "partial", **options})
         edge = 2 * np.pi * 0.22 * bins * 0.064 / (633e-6 * 120)
         radius = (np.arange(1000) + 0.5) / 1000 * edge
         within = ((2 * j1(radius) / radius) ** 2 * radius).sum() * edge / 1000 / 2
@@ -194,7 +182,7 @@ class TestReconstruction:
     def test_the_number_is_in_the_header(self, tmp_path):
         image = np.zeros((512, 512), np.float32)
         image[261:283, 261:283] = 1
-        result = reconstruct(image, 240, camera=self.CAMERA, wavelength=633, method="coherent")
+        result = mp.reconstruct(image, 240, camera=self.CAMERA, wavelength=633, method="coherent")
         assert 0 < result.guards["outside_pupil"] < 0.5
         assert 0 <= result.guards["object_window"] < 0.05
         write_reconstruction(tmp_path / "out.exr", result)
@@ -205,17 +193,17 @@ class TestCrosstalk:
     def test_one_lens_where_three_are_needed(self, camera_dict):
         """The ray camera is made to try one lens only: a quarter of the light is missed, and nothing is rendered."""
         scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
-        render_capture(scene, spp=1)
+        mp.render_capture(scene, spp=1)
         sensor = scene.sensors()[0]
         sensor._rays = replace(sensor._rays, around=Candidates([mi.Float(0), mi.Float(0)]))
-        with pytest.raises(PhysicsError, match=r"^27\..*through microlenses that are too far"):
-            render_capture(scene, spp=1)
+        with pytest.raises(mp.PhysicsError, match=r"^27\..*through microlenses that are too far"):
+            mp.render_capture(scene, spp=1)
 
     def test_a_wide_field_of_parabolic_lenses(self, camera_dict):
         """Parabolic lenses bend direction cosines: their light reaches farther than slopes say."""
         sensor = camera_dict(detector_width=80.0, aperture_radius=7.2, lens_model="parabolic", resolution=64)
         scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": sensor})
-        assert render_capture(scene, spp=1).metadata["guards"]["crosstalk_missed"] == 0.0
+        assert mp.render_capture(scene, spp=1).metadata["guards"]["crosstalk_missed"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -224,17 +212,17 @@ class TestCrosstalk:
 def test_built_in_scenes_are_silent_by_rays_and_waves(name, tmp_path):
     """And their files tell the shares."""
     parameters = {"detector_width": "0.512", "resolution": "256"}
-    scene = load_scene(name, parameters=parameters)
+    scene = mp.load_scene(name, parameters=parameters)
     with warnings.catch_warnings():
-        warnings.simplefilter("error", PhysicsWarning)
-        ray = render_capture(scene, spp=4)
-        wave = render_capture(scene, model="wave", method="points", spp=2)
-        reconstruct(wave, 240, method="partial", interleave="auto")
-        reconstruct(ray, 240, method="partial", wavelength=633)
+        warnings.simplefilter("error", mp.PhysicsWarning)
+        ray = mp.render_capture(scene, spp=4)
+        wave = mp.render_capture(scene, model="wave", method="points", spp=2)
+        mp.reconstruct(wave, 240, method="partial", interleave="auto")
+        mp.reconstruct(ray, 240, method="partial", wavelength=633)
     assert ray.metadata["guards"] == {"crosstalk_missed": 0.0}
     assert 0.003 < wave.metadata["guards"]["patch_loss"] < 0.02
-    write_capture(tmp_path / "wave.exr", wave)
-    assert read_capture(tmp_path / "wave.exr").metadata["guards"] == wave.metadata["guards"]
+    mp.write_capture(tmp_path / "wave.exr", wave)
+    assert mp.read_capture(tmp_path / "wave.exr").metadata["guards"] == wave.metadata["guards"]
 
 
 @pytest.mark.filterwarnings("default::mitsuba_plenoptic.PhysicsWarning")
@@ -242,7 +230,7 @@ def test_the_command_shows_one_line(tmp_path, capsys):
     given = tmp_path / "camera.json"
     # The lenses that are tried are those around the chief ray's lens, which is found for slow changes of its shift.
     cra = {"mla_cra": (0, 0, 0.25, 0, 0.2505, 8.0)}
-    camera = PlenopticCamera(resolution=(64, 64), detector_width=1.024, aperture_radius=7.3, **cra)
+    camera = mp.PlenopticCamera(resolution=(64, 64), detector_width=1.024, aperture_radius=7.3, **cra)
     given.write_text(camera.to_json())
     assert main(["render", "white", "-o", str(tmp_path / "raw.exr"), "--spp", "1", "--camera", str(given)]) == 0
     # One more line tells that so large pixels do not refocus.

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scene_cases import definitions, letters
+from cameras import definitions, letters
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, capture_spec

@@ -1,10 +1,9 @@
 """Wave captures of scenes whose light comes through mirrors, panes, glass and fog, or from infinity."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import WAVELENGTH, error
 from cases import (
     TRANSPARENT,
     bars_through,
@@ -23,7 +22,6 @@ from cases import (
     square_behind,
 )
 from scipy.ndimage import convolve1d
-from wave_cases import WAVELENGTH, error
 
 from mitsuba_plenoptic import design, reconstruct
 
@@ -83,7 +81,7 @@ def test_a_sky_does_not_shine_through_a_black_card():
     "scene",
     [
         pytest.param(in_fog, marks=pytest.mark.slow),
-        lambda: lamp_behind_glass(True),
+        pytest.param(lambda: lamp_behind_glass(True), marks=pytest.mark.slow),
         lambda: lamp_behind_glass(False),
         lambda: lit_mirror(2),
         lambda: plastic(6),

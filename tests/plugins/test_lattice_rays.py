@@ -1,27 +1,15 @@
 """Captures and refocused images of cameras with other lattices than the default, by rays."""
 
-from __future__ import annotations
-
 import math
 import warnings
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import disk
 from cases import agreement, best_shift, scene_of
-from scene_cases import disk
 
-from mitsuba_plenoptic import (
-    Capture,
-    InputError,
-    PlenopticCamera,
-    design,
-    load_scene,
-    read_capture,
-    reconstruct,
-    render_capture,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera.parameters import PARAMETERS
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
@@ -36,7 +24,7 @@ MULTI_FOCUS = {**HEXAGONAL, "mla_focal_length": "0.47, 0.512, 0.56", "detector_d
 
 
 def white_capture(sensor, spp):
-    return render_capture(scene_of(sensor, sky={"type": "constant"}), spp=spp)
+    return mp.render_capture(scene_of(sensor, sky={"type": "constant"}), spp=spp)
 
 
 def model_centres(camera):
@@ -75,7 +63,7 @@ def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner)
 @pytest.mark.slow
 @pytest.mark.parametrize("lattice", [HEXAGONAL, ROTATED, RECTANGULAR, STRETCHED], ids=str)
 def test_micro_images_stand_in_their_places_on_the_whole_detector(lattice):
-    capture = render_capture(load_scene("white", parameters={k: str(v) for k, v in lattice.items()}), spp=64)
+    capture = mp.render_capture(mp.load_scene("white", parameters={k: str(v) for k, v in lattice.items()}), spp=64)
     centres = model_centres(capture.camera)
     centres = centres[((centres > 14) & (centres < 4096 - 14)).all(1)]
     assert len(centres) > 15_000
@@ -101,10 +89,10 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
     # Under this window the pattern of the lenses averages out.
     window = np.hanning(258)[1:-1]
     mean = window @ capture.image.astype(np.float64) @ window / window.sum() ** 2
-    assert mean == pytest.approx(design.white_mean(camera), rel=5e-3)
+    assert mean == pytest.approx(mp.design.white_mean(camera), rel=5e-3)
     area = math.prod(camera.mla_pitches) * (ROOT3 / 2 if camera.mla_lattice == "hexagonal" else 1)
     by_hand = math.pi * (camera.aperture_radius * 0.512 / 120.512) ** 2 / area
-    assert design.white_mean(camera) == pytest.approx(by_hand, rel=1e-6)
+    assert mp.design.white_mean(camera) == pytest.approx(by_hand, rel=1e-6)
     inner = (slice(20, -20), slice(20, -20))
     difference = (white_image(camera) - capture.image)[inner]
     assert abs(difference.mean()) < 2e-3
@@ -120,7 +108,7 @@ def test_mean_of_a_white_capture_is_the_closed_form_and_the_computed_one(camera_
 def test_every_lens_that_can_light_a_pixel_is_tried(camera_dict, lattice, aperture_radius):
     sensor = mi.load_dict(camera_dict(aperture_radius=aperture_radius, **lattice))
     assert sensor.crosstalk_missed() == 0
-    assert (len(design.crosstalk_neighbours(sensor.camera)) > 1) == (aperture_radius > 8)
+    assert (len(mp.design.crosstalk_neighbours(sensor.camera)) > 1) == (aperture_radius > 8)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +128,7 @@ def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
     Rays are even over the detector. In a medium their weights make them even over the pupil.
     """
     crop = {"crop_offset": (corner, corner), "crop_size": (80, 80)}
-    camera = PlenopticCamera.preset("lytro").replace(lens_model="parabolic", **crop, **more)
+    camera = mp.PlenopticCamera.preset("lytro").replace(lens_model="parabolic", **crop, **more)
     # A warning of missed light fails the test.
     capture = white_capture(camera.to_sensor(), 128)
     window = np.hanning(82)[1:-1]
@@ -154,13 +142,13 @@ def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
     sine = slope / np.sqrt(1 + (slope**2).sum(0)) / camera.mla_medium + d / camera.mla_focal_length
     areas = (1 + (slope**2).sum(0)) ** -2 * (1 - (sine**2).sum(0)) ** -2
     lit = areas.mean() if camera.mla_medium == 1 else 1.0
-    assert mean == pytest.approx(design.white_mean(camera) * lit, rel=0.012)
+    assert mean == pytest.approx(mp.design.white_mean(camera) * lit, rel=0.012)
 
 
 def test_cameras_with_slow_lenses_try_no_more_of_them(camera_dict):
     """The paper's lenses need one each, by slopes or direction cosines."""
     for model in ("ideal", "parabolic"):
-        camera = PlenopticCamera(lens_model=model)
+        camera = mp.PlenopticCamera(lens_model=model)
         assert len(mi.load_dict(camera.to_sensor())._rays.around.steps[0]) == 1
 
 
@@ -171,7 +159,7 @@ def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
         # The lens at the axis's upper right has its centre at 0.032 mm on both axes.
         source = disk([-2 * x, -2 * 0.032, 240], 2e-3)
         scene = scene_of(camera_dict(resolution=64, detector_width=0.128, mla_fill=fill), source=source)
-        return render_capture(scene, spp=4096, seed=1).image.sum()
+        return mp.render_capture(scene, spp=4096, seed=1).image.sum()
 
     assert brightness(0.052, 0.5) == 0
     assert brightness(0.052, 1.0) > 0
@@ -221,33 +209,33 @@ def test_three_types_of_lenses_have_three_sizes_of_white_spots_and_no_neighbours
 )
 @pytest.mark.parametrize("footprint", ["lens", "point"])
 def test_a_white_capture_is_refocused_to_one(lattice, footprint):
-    camera = PlenopticCamera(detector_width=1.28, resolution=(640, 480), **lattice)
+    camera = mp.PlenopticCamera(detector_width=1.28, resolution=(640, 480), **lattice)
     # By points, bins stay empty in focus where they hold no lens's centre.
     distances = (210.0, 240.0, 280.0) if footprint == "lens" else (210.0, 280.0)
-    for result in reconstruct(white_image(camera), distances, camera=camera, footprint=footprint):
+    for result in mp.reconstruct(white_image(camera), distances, camera=camera, footprint=footprint):
         assert result.image.shape == (16, 20)
         np.testing.assert_allclose(result.image[4:-4, 4:-4], 1, atol=2e-3)
 
 
 def test_the_two_ways_to_refocus_agree_on_a_square_lattice():
-    camera = PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
+    camera = mp.PlenopticCamera(detector_width=2.048, resolution=(1024, 1024))
     # Too little to matter, but not upright.
     turned = camera.replace(mla_rotation=1e-7)
     y, x = np.mgrid[0:1, 0:1:1024j], np.mgrid[0:1:1024j][:, None]
     image = (white_image(camera) * (1 + 0.5 * np.sin(9 * x) * np.cos(7 * y[1]))).astype(np.float32)
     for distance in (210.0, 240.0, 280.0):
-        fast, slow = (reconstruct(image, distance, camera=c).image[6:-6, 6:-6] for c in (camera, turned))
+        fast, slow = (mp.reconstruct(image, distance, camera=c).image[6:-6, 6:-6] for c in (camera, turned))
         assert np.abs(fast - slow).max() < 0.01
         assert fast.std() > 0.1
 
 
 def test_the_same_bits_every_time_on_any_lattice():
-    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), mla_lattice="hexagonal")
+    camera = mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), mla_lattice="hexagonal")
     image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
-    first = reconstruct(image, 250, camera=camera).image
+    first = mp.reconstruct(image, 250, camera=camera).image
     assert first.shape == (8, 8, 3)
-    assert np.array_equal(first, reconstruct(image, 250, camera=camera).image)
-    np.testing.assert_allclose(first[..., 1], reconstruct(image[..., 1], 250, camera=camera).image, rtol=1e-5)
+    assert np.array_equal(first, mp.reconstruct(image, 250, camera=camera).image)
+    np.testing.assert_allclose(first[..., 1], mp.reconstruct(image[..., 1], 250, camera=camera).image, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -261,10 +249,10 @@ def test_the_same_bits_every_time_on_any_lattice():
 )
 def test_any_camera_refocuses_as_a_thin_lens_focuses(lattice):
     small = {"detector_width": "2.048", "resolution": "1024", "letter_scale": "0.25"}
-    scene = load_scene("letters", parameters={**small, **lattice})
-    capture = render_capture(scene, spp=16)
+    scene = mp.load_scene("letters", parameters={**small, **lattice})
+    capture = mp.render_capture(scene, spp=16)
     distances = (210.0, 240.0, 280.0)
-    images = [result.image.astype(np.float64) for result in reconstruct(capture, distances)]
+    images = [result.image.astype(np.float64) for result in mp.reconstruct(capture, distances)]
     references = [thin_lens_image(scene, capture.camera, g, 256) for g in distances]
     scale, scores = agreement(images, references)
     assert scale == pytest.approx(1, abs=0.06)
@@ -275,7 +263,7 @@ def test_any_camera_refocuses_as_a_thin_lens_focuses(lattice):
 
 
 def test_lattices_survive_the_header_of_a_capture_and_older_headers_are_square(tmp_path):
-    camera = PlenopticCamera(
+    camera = mp.PlenopticCamera(
         detector_width=0.128,
         resolution=(64, 64),
         mla_lattice="hexagonal",
@@ -287,56 +275,11 @@ def test_lattices_survive_the_header_of_a_capture_and_older_headers_are_square(t
         mla_focal_length=(0.5, 0.55, 0.6),
     )
     assert camera.mla_focal_length == camera.detector_distance == 0.5
-    write_capture(tmp_path / "raw.exr", Capture(np.zeros((64, 64)), camera))
-    assert read_capture(tmp_path / "raw.exr").camera == camera
-    old = {name: value for name, value in PlenopticCamera().to_dict().items() if PARAMETERS[name].in_first_files}
-    assert len(old) < len(PlenopticCamera().to_dict())
-    assert PlenopticCamera.from_dict(old) == PlenopticCamera()
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"mla_lattice": "round"}, "mla_lattice = 'round': it must be one of hexagonal, square"),
-        ({"mla_aperture": 3}, "mla_aperture = 3: it must be one of cell, circle"),
-        ({"mla_fill": 1.5}, "mla_fill = 1.5: it must be at most 1"),
-        ({"mla_fill": 0.0}, "mla_fill = 0: it must be greater than 0"),
-        ({"mla_rotation": math.inf}, "mla_rotation = inf: it must be finite"),
-        ({"mla_offset": 3}, "mla_offset = 3: it must be a pair (x, y)"),
-        ({"mla_offset": (1, math.nan)}, "mla_offset = nan: it must be finite"),
-        ({"mla_focal_length": (0.5, 0.6, 0.7)}, "several need mla_lattice = hexagonal"),
-        ({"mla_focal_length": (0.5, 0.6), "mla_lattice": "hexagonal"}, "it must be one number or 3"),
-        ({"mla_focal_length": (0.5, 0.6, -1), "mla_lattice": "hexagonal"}, "mla_focal_length = -1"),
-        ({"mla_focal_length": "wide"}, "mla_focal_length = 'wide': it must be a number"),
-        ({"mla_pitch": (0.06, -1)}, "mla_pitch = -1: it must be greater than 0"),
-        ({"mla_pitch": (0.06, 0.06, 0.06)}, "it must be one number, or two, along the rows and across them"),
-        ({"mla_pitch": (0.06, 0.61)}, "mla_pitch = (0.06, 0.61): neither may be more than 10 times the other"),
-    ],
-)
-def test_impossible_lattices_are_refused(parameters, message):
-    with pytest.raises(InputError) as caught:
-        PlenopticCamera(**parameters)
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"mla_offset": "a, b"}, "plenoptic: mla_offset = 'a, b': it must be a number, or several with commas"),
-        ({"mla_offset": [1.0, 2.0, 3.0]}, "plenoptic: mla_offset = (1.0, 2.0, 3.0): it must be a pair"),
-        ({"mla_offset": 0.1}, "plenoptic: mla_offset = (0.1,): it must be a pair"),
-        ({"mla_rotation": "steep"}, "plenoptic: mla_rotation = 'steep': it must be a number"),
-        ({"mla_lattice": 3}, "plenoptic: mla_lattice = 3: it must be one of hexagonal, square"),
-        ({"mla_focal_length": "0.5, 0.6, 0.7"}, "several need mla_lattice = hexagonal"),
-        ({"mla_focal_length": "0.5;0.6"}, "plenoptic: mla_focal_length = '0.5;0.6': it must be a number, or several"),
-        ({"mla_focal_length": -0.5}, "plenoptic: mla_focal_length = -0.5: it must be greater than 0"),
-    ],
-)
-def test_the_sensor_refuses_impossible_lattices(camera_dict, parameters, message):
-    with pytest.raises(RuntimeError) as caught:
-        mi.load_dict(camera_dict(**parameters))
-    assert message in str(caught.value)
+    mp.write_capture(tmp_path / "raw.exr", mp.Capture(np.zeros((64, 64)), camera))
+    assert mp.read_capture(tmp_path / "raw.exr").camera == camera
+    old = {name: value for name, value in mp.PlenopticCamera().to_dict().items() if PARAMETERS[name].in_first_files}
+    assert len(old) < len(mp.PlenopticCamera().to_dict())
+    assert mp.PlenopticCamera.from_dict(old) == mp.PlenopticCamera()
 
 
 def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_dict):
@@ -352,7 +295,7 @@ def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_
     assert sensor.camera.mla_pitches == (0.05, 0.05)
     parameters["mla_pitch"] = [0.06, 0.064]
     parameters.update()
-    expected = PlenopticCamera(
+    expected = mp.PlenopticCamera(
         detector_width=1.024,
         resolution=(512, 512),
         mla_lattice="hexagonal",
@@ -370,17 +313,17 @@ def test_offsets_may_be_points_and_numbers_of_the_lattice_can_be_changed(camera_
         again = mi.load_dict(expected.to_sensor())
     np.testing.assert_array_equal(*(white_capture(s, spp=4).image for s in (sensor, again)))
     parameters["mla_fill"] = 1.25
-    with pytest.raises(InputError, match="must be at most 1"):
+    with pytest.raises(mp.InputError, match="must be at most 1"):
         parameters.update()
 
 
 def test_footprints_spread_by_transforms_as_bin_by_bin(monkeypatch):
-    camera = PlenopticCamera(mla_lattice="hexagonal", detector_width=0.512, resolution=(256, 256))
+    camera = mp.PlenopticCamera(mla_lattice="hexagonal", detector_width=0.512, resolution=(256, 256))
     image = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
     images = []
     for most in (0, 100):
         monkeypatch.setattr("mitsuba_plenoptic.refocus.splatting._MOST_TAPS", most)
-        images.append(reconstruct(image, 225.0, camera=camera, oversample=3).image)
+        images.append(mp.reconstruct(image, 225.0, camera=camera, oversample=3).image)
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5)
 
 

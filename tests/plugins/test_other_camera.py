@@ -6,9 +6,9 @@ import time
 import mitsuba as mi
 import numpy as np
 import pytest
-from scene_cases import SMALL_SENSOR, write_scene
+from cameras import SMALL_SENSOR, write_scene
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, with_camera
+from mitsuba_plenoptic import InputError, PlenopticCamera, load_scene, render_capture, with_camera
 
 ORDINARY = PlenopticCamera(
     mla_lattice="none",
@@ -44,14 +44,6 @@ def test_a_scene_without_a_camera_is_seen_from_the_origin(tmp_path):
     sensor = with_camera(load_scene(tmp_path / "scene.xml"), camera).sensors()[0]
     assert PlenopticCamera.from_sensor(sensor) == camera
     assert np.array_equal(np.ravel(sensor.world_transform().translation()), [0, 0, 0])
-
-
-def test_a_sensor_that_scales_is_refused(tmp_path):
-    scaled = '<transform name="to_world"><scale value="2"/></transform>'
-    path = write_scene(tmp_path, sensor=scaled)
-    path.write_text(path.read_text().replace("plenoptic", "orthographic"))
-    with pytest.raises(InputError, match="plenoptic: to_world: it must not scale"):
-        with_camera(load_scene(path), PlenopticCamera())
 
 
 def garden(sensor, size=1.0):
@@ -148,22 +140,6 @@ def test_samplers_are_asked_for_no_other_count_and_keep_theirs(kind, count, capf
     render_capture(scene, model="ray", spp=4)
     assert scene.sensors()[0].sampler().sample_count() == count
     assert "WARN" not in "".join(capfd.readouterr())
-
-
-def test_an_integrator_that_ignores_the_medium_around_the_camera_is_refused():
-    fog = {"type": "ref", "id": "fog"}
-    scene = load_scene(
-        {
-            "type": "scene",
-            "integrator": {"type": "prbvolpath"},
-            "fog": {"type": "homogeneous", "sigma_t": 1e-3},
-            "camera": ORDINARY.to_sensor() | {"medium": fog},
-        }
-    )
-    for model in ("ray", "wave"):
-        for capture in (render_capture, estimate_capture):
-            with pytest.raises(InputError, match="prbvolpath ignores the medium around the camera; use volpath"):
-                capture(scene, model=model)
 
 
 def test_plugins_are_made_in_the_thread_that_loads(tmp_path):

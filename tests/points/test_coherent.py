@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
+from cameras import HALF, WAVELENGTH, error, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.points import pupil_sums
 from mitsuba_plenoptic.points.nonuniform import PlaneWaves
 from mitsuba_plenoptic.points.point_spread import point_fields
@@ -15,8 +15,6 @@ FAST = PlenopticCamera(
     detector_width=0.032, resolution=(160, 160),
 )  # fmt: skip
 """A camera of f/2, of a fiftieth of the size of common ones."""
-
-WIDE = PlenopticCamera(**HALF, resolution=(40000, 40000), detector_width=40)
 
 NEAR = scattered(12, distances=(119.5, 120.5))
 """Points within one layer."""
@@ -187,43 +185,3 @@ def test_plane_waves():
     samples = amplitudes(37 * 37).reshape(37, 37).astype(np.complex64)
     back = waves.adjoint(iter([(slice(0, 37), samples)]))
     assert error(back, np.einsum("yxj,yx->j", exact.conj(), samples)) < 1e-6
-
-
-@pytest.mark.parametrize(
-    "make, message",
-    [
-        (lambda: operator_of(NEAR).field([1.0]), r"amplitudes of shape \(1,\): it must be \(12,\)"),
-        (lambda: operator_of(NEAR).field(np.full(12, np.nan)), "amplitudes: all must be finite"),
-        (lambda: operator_of(NEAR).field(["a"] * 12), "amplitudes: they must be complex numbers"),
-        (lambda: operator_of(NEAR).field(np.ones(12), plane="mla"), "plane = 'mla'"),
-        (lambda: operator_of(NEAR).field_adjoint(np.ones((2, 2))), r"samples of shape \(2, 2\)"),
-        (lambda: operator_of(np.empty((0, 3))).field_adjoint([[1]]), "points: coherent fields need at least one"),
-        (
-            lambda: CaptureOperator(
-                CAMERA, NEAR, spectrum=Spectrum([500, 600], [[1, 1]]), method="full_field"
-            ).field(np.ones(12)),
-            "spectrum of 2 wavelengths: a coherent field has one",
-        ),
-        (
-            lambda: CaptureOperator(CAMERA, NEAR, spectrum=Spectrum([500], [[0.5]])).field(np.ones(12)),
-            "spectrum: a coherent field has no channels and no response",
-        ),
-        (
-            lambda: CaptureOperator(
-                PlenopticCamera.preset("shack_hartmann"), NEAR, wavelength=500, method="full_field"
-            ).field(np.ones(12)),
-            "main_lens = collimator: coherent fields need a thin main lens, whose pupil",
-        ),
-        (
-            lambda: CaptureOperator(CAMERA, NEAR, wavelength=500, pupil_weights=np.ones((12, 4, 4))).field(np.ones(12)),
-            "pupil_weights: coherent fields take none",
-        ),
-        (
-            lambda: operator_of([(0, 0, 120.0)], WIDE).field([1]),
-            "coherent field of 1 points: it would need",
-        ),
-    ],
-)  # fmt: skip
-def test_refusals(make, message):
-    with pytest.raises(InputError, match=message):
-        make()

@@ -1,32 +1,15 @@
 """Point spreads and their sums through microlens arrays that are no product of a function of x and one of y."""
 
-from __future__ import annotations
-
-import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import HALF, LATTICES, WAVELENGTH, capture, error, scattered, small_camera
+from cameras import LATTICES, WAVELENGTH, capture, error, scattered, small_camera
 
-from mitsuba_plenoptic import PlenopticCamera, point_spread_function, render_capture
+from mitsuba_plenoptic import PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.lattice import turn
 
 SMALL = small_camera()
 
 lattices = pytest.mark.parametrize("lattice", LATTICES.values(), ids=LATTICES)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n not in ("turned", "gaps", "stretched"))) for n in LATTICES]
-)
-@pytest.mark.parametrize(
-    "position", [(0.2, -0.1, 112.5), pytest.param((-0.1, 0.2, 120.0), marks=pytest.mark.slow)], ids=["blurred", "sharp"]
-)
-def test_patch_against_full_field(name, position):
-    camera = small_camera(**LATTICES[name], **HALF)
-    patch, full = (
-        point_spread_function(camera, position, wavelength=WAVELENGTH, method=way) for way in ("patch", "full_field")
-    )
-    assert error(patch, full) < 0.01
 
 
 @pytest.mark.slow
@@ -64,20 +47,3 @@ def test_pupil_weights_do_not_turn_with_the_lattice():
         for camera in (SMALL, SMALL.replace(mla_rotation=90.0))
     )
     assert error(again, image) < 2e-3
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) for name in ("circles", "hexagonal", "turned")]
-)
-def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, name):
-    lattice = {k: ", ".join(map(str, v)) if isinstance(v, tuple) else v for k, v in LATTICES[name].items()}
-    wall = {
-        "type": "disk",
-        "to_world": mi.ScalarTransform4f().translate([0.1, -0.05, 250]).rotate([0, 1, 0], 180).scale(0.4),
-        "emitter": {"type": "area", "radiance": 1.0},
-    }
-    sensor = camera_dict(**lattice)
-    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, "wall": wall})
-    ray = render_capture(scene, spp=64)
-    wave = render_capture(scene, model="wave", method="signed_rays", spp=64)
-    assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)

@@ -7,21 +7,13 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
-from mitsuba_plenoptic import (
-    Capture,
-    CaptureOperator,
-    InputError,
-    Objective,
-    PlenopticCamera,
-    point_spread_function,
-    reconstruct,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lenses.telecentric import TelecentricLens
 from mitsuba_plenoptic.points.point_spread import point_fields
 
-AIR, OIL = Objective(20, 0.5), Objective(40, 1.3, 1.515, tube_focal_length=180)
-WATER = Objective(25, 1.0, 1.33, tube_focal_length=180)
-FOURIER = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
+AIR, OIL = mp.Objective(20, 0.5), mp.Objective(40, 1.3, 1.515, tube_focal_length=180)
+WATER = mp.Objective(25, 1.0, 1.33, tube_focal_length=180)
+FOURIER = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
 WAVELENGTH = 550.0
 
 
@@ -33,7 +25,7 @@ def camera_with(objective, **numbers):
         "detector_width": 1.35,
         "resolution": (135, 135),
     }
-    return PlenopticCamera(main_lens=objective, **(usual | numbers))
+    return mp.PlenopticCamera(main_lens=objective, **(usual | numbers))
 
 
 def fourier_camera(**numbers):
@@ -113,22 +105,13 @@ def test_rays_are_perpendicular_to_the_waves(objective):
     assert np.allclose(at_point, point[:2], atol=1e-9)
 
 
-@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (0.004, -0.007, -0.02), (-0.01, 0.002, 0.015)])
-def test_patches_agree_with_full_fields(point):
-    camera = camera_with(AIR)
-    patch = point_spread_function(camera, point, wavelength=WAVELENGTH)
-    full = point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field")
-    assert difference(patch, full) < 5e-3
-    assert patch.sum() == pytest.approx(1, abs=0.01)
-
-
 def test_every_image_moves_alike():
     """Points a lens apart share a pattern, without error: the wavefront of a plane's points is one."""
     camera = camera_with(AIR)
     points = np.array([[-0.007, -0.006, 0.012]] * 3) - np.array([[0, 0, 0], [0.15, 0, 0], [0, 0.3, 0]]) / 20
-    shared = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.02)
+    shared = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.02)
     assert shared.estimate().patterns == 1
-    alone = [CaptureOperator(camera, points[[n]], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3)]
+    alone = [mp.CaptureOperator(camera, points[[n]], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3)]
     apart = sum(operator.forward([weight]) for weight, operator in enumerate(alone, start=1))
     assert difference(shared.forward([1, 2, 3]), apart) < 1e-4
     image = np.random.default_rng(0).random(camera.shape)
@@ -147,7 +130,7 @@ def lens_images(camera, spread, lens):
 @pytest.mark.parametrize("depth", [0.0, 0.04, -0.04])
 def test_each_lens_of_a_fourier_microscope_sees_the_parallax_of_its_direction(depth):
     camera, X, M, f = fourier_camera(), 0.01, 20, 50
-    spread = point_spread_function(camera, (X, 0.0, depth), wavelength=WAVELENGTH, method="full_field")
+    spread = mp.point_spread_function(camera, (X, 0.0, depth), wavelength=WAVELENGTH, method="full_field")
     for lens in ((0, 0), (1, 0), (-1, 0), (0, 1)):
         part, x, y = lens_images(camera, spread, lens)
         bright = np.where(part > 0.3 * part.max(), part, 0) / part[part > 0.3 * part.max()].sum()
@@ -160,7 +143,7 @@ def test_each_lens_of_a_fourier_microscope_sees_the_parallax_of_its_direction(de
 
 def test_each_lens_of_a_fourier_microscope_has_its_part_of_the_stop():
     camera = fourier_camera()
-    spread = point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
+    spread = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
     half, f = camera.mla_pitch / 2, FOURIER.last_focal_length
     nodes, weights = leggauss(12)
     for lens in ((0, 0), (1, 0), (1, -1)):
@@ -175,28 +158,16 @@ def test_each_lens_of_a_fourier_microscope_has_its_part_of_the_stop():
 def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
     """Its width at half of the peak is 1.029 wavelengths times its f-number."""
     camera = fourier_camera(mla_aperture="circle", detector_width=0.5, resolution=(300, 300))
-    spread = point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
+    spread = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
     row = spread[149:151].mean(0)
     x = camera.pixel_coordinates(0)
     edge = np.interp(-row.max() / 2, -row[150:], x[150:])
     assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
 
 
-def test_what_does_not_know_objectives_says_so():
-    points = [(0.0, 0.0, 0.0)]
-    with pytest.raises(InputError, match="method = patch: light covers all of the stop's image"):
-        CaptureOperator(fourier_camera(), points, wavelength=WAVELENGTH)
-    with pytest.raises(InputError, match="derivatives of wave captures are found for thin main lenses"):
-        CaptureOperator(camera_with(AIR), points, wavelength=WAVELENGTH).gradient([1.0], np.ones((135, 135)))
-    with pytest.raises(InputError, match=r"position = \(0, 0, -10\): .* g more than -10: before the objective"):
-        CaptureOperator(camera_with(AIR), [(0.0, 0.0, -10.0)], wavelength=WAVELENGTH)
-    with pytest.raises(Exception, match="no stop bounds its micro-images"):
-        mi.load_dict(fourier_camera().to_sensor())
-
-
 def test_rays_of_white_fill_the_micro_images():
     """Mean of a white capture: the stop's image under a lens, over a cell."""
-    camera = camera_with(Objective(20, 0.4), resolution=(270, 270))
+    camera = camera_with(mp.Objective(20, 0.4), resolution=(270, 270))
     scene = mi.load_dict(
         {"type": "scene", "sensor": camera.to_sensor(), "light": {"type": "constant", "radiance": 1.0}}
     )
@@ -217,7 +188,7 @@ def test_rays_see_a_small_light_where_waves_do(depth):
     # A surface shines with the cosine, which a point does not.
     cells = (np.arange(64) + 0.5) / 32 - 1
     cosine = np.sqrt(1 - 0.25 * np.minimum(cells**2 + cells[:, None] ** 2, 1))
-    operator = CaptureOperator(camera, [(X, Y, depth)], wavelength=WAVELENGTH, pupil_weights=cosine[None])
+    operator = mp.CaptureOperator(camera, [(X, Y, depth)], wavelength=WAVELENGTH, pupil_weights=cosine[None])
     by_waves = operator.forward([1.0])
     x = camera.pixel_coordinates(0)
     for image in (by_rays, by_waves):
@@ -243,9 +214,9 @@ def test_a_bead_comes_back_to_its_place():
     """From other light than the response's: an exact spread of one point between bins."""
     camera = camera_with(AIR, detector_width=1.05, resolution=(105, 105))
     place, depth = (0.0041, -0.0023), 0.02
-    spread = point_spread_function(camera, (*place, depth), wavelength=WAVELENGTH)
-    capture = Capture(spread, camera, WAVELENGTH, "wave", {})
-    found = reconstruct(capture, depth, method="deconvolved", oversample=3, iterations=15)
+    spread = mp.point_spread_function(camera, (*place, depth), wavelength=WAVELENGTH)
+    capture = mp.Capture(spread, camera, WAVELENGTH, "wave", {})
+    found = mp.reconstruct(capture, depth, method="deconvolved", oversample=3, iterations=15)
     image = np.nan_to_num(found.image)
     # Pictures have +x to the left and +y up.
     rows, columns = ((size / 2 - np.arange(size) - 0.5) * found.bin_size for size in image.shape)

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cameras import HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, scattered, small_camera
 from scipy.sparse.linalg import lsqr
-from wave_cases import CAMERAS, HALF, LATTICES, WAVELENGTH, capture, error, in_every_lens, scattered, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, Job, PlenopticCamera, Spectrum, point_spread_function
+from mitsuba_plenoptic import CaptureOperator, InputError, Job, Spectrum, point_spread_function
 from mitsuba_plenoptic.points.operator import PLANS
 from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from mitsuba_plenoptic.runtime.batches import Threads
@@ -63,13 +63,6 @@ def test_a_surface_seen_slantwise_sends_more_light_to_one_side_of_the_pupil(meth
     # The blur of a point before the focus is upright.
     assert max(left, right) / (left + right) == pytest.approx(0.5 + 0.2 / np.pi, abs=0.003)
     assert right > left
-
-
-def test_crop_is_a_part_of_the_whole():
-    positions = scattered(8)
-    whole = capture(SMALL, positions, np.ones(8))
-    crop = SMALL.replace(crop_offset=(65, 101), crop_size=(75, 51))
-    assert error(capture(crop, positions, np.ones(8)), whole[101:152, 65:140]) < 1e-5
 
 
 @pytest.mark.parametrize("points", [[(50.0, 0.0, 240.0)], np.zeros((0, 3))], ids=["out of sight", "none"])
@@ -136,42 +129,6 @@ def test_a_job_that_fails_leaves_nothing_under_way():
 
 
 # -- linear, with an adjoint -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("accuracy", "name"),
-    [
-        # A camera is quickly tested at one accuracy, and the next camera at the other.
-        pytest.param(accuracy, name, marks=[pytest.mark.slow] * ((number + bool(accuracy)) % 2))
-        for accuracy in (0, 0.01)
-        for number, name in enumerate(CAMERAS)
-    ],
-)
-def test_adjoint(name, accuracy):
-    """<A x, y> = <x, A' y> to 1e-5 of |x| |A' y|, for three channels of mixed signs."""
-    camera = small_camera(**CAMERAS[name])
-    _check_adjoint(camera, scattered(6), accuracy=accuracy, weighted=accuracy > 0)
-
-
-def test_adjoint_of_whole_pupils_that_share():
-    _check_adjoint(SMALL, scattered(6), accuracy=0.01, weighted=False)
-
-
-def test_adjoint_of_full_fields():
-    points = scattered(2, distances=(112.5, 127.5))
-    _check_adjoint(small_camera(4, **HALF), points, method="full_field", weighted=True)
-
-
-def _check_adjoint(camera, points, *, weighted, **options):
-    rng, count = np.random.default_rng(4), len(points)
-    pupil = rng.uniform(0, 1, (count, 4, 4)) if weighted else None
-    points[-1] = points[0] + (1e-4, 0, 0)
-    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, pupil_weights=pupil, **options)
-    x, y = rng.normal(size=(count, 3)), rng.normal(size=(*camera.shape, 3)).astype(np.float32)
-    forward, adjoint = operator.forward(x), operator.adjoint(y)
-    assert forward.shape == y.shape and adjoint.shape == x.shape
-    difference = np.vdot(forward.astype(np.float64), y.astype(np.float64)) - np.vdot(x, adjoint)
-    assert abs(difference) < 1e-5 * np.linalg.norm(x) * np.linalg.norm(adjoint)
 
 
 def test_forward_is_linear_in_weights_of_any_sign():
@@ -356,81 +313,6 @@ def test_the_estimate_is_of_the_right_size(method, count, trials_of_a_second):
     # The trials are of two patches of each size, and of one full field.
     assert cost.seconds == {"patch": count / 2, "full_field": count}[method]
     assert 0 < cost.memory < 2**32
-
-
-@pytest.mark.parametrize(
-    "change, word",
-    [
-        ({"points": np.zeros((2, 2))}, "positions of shape"),
-        ({"points": [(0, 0, 240), (0, np.nan, 240)]}, "position"),
-        ({"points": [(0, 0, 240), (0, 0, 0)]}, "position.*g at least"),
-        ({"wavelength": 0}, "wavelength"),
-        ({"wavelength": None}, "wavelength, spectrum: give one of the two"),
-        ({"spectrum": Spectrum.lines(633)}, "wavelength, spectrum: give one of the two"),
-        ({"method": "rays"}, "method"),
-        ({"accuracy": "best"}, "accuracy"),
-        ({"accuracy": -0.1}, "accuracy.*from 0"),
-        ({"accuracy": 1}, "accuracy.*below 1"),
-        ({"accuracy": 0.02, "method": "full_field"}, "accuracy = 0.02: method = full_field takes none"),
-        ({"pupil_weights": np.ones((2, 4, 5), bool)}, "pupil_weights of shape"),
-        ({"pupil_weights": np.ones((3, 4, 4), bool)}, "pupil_weights of shape"),
-        ({"pupil_weights": -np.ones((2, 4, 4))}, "pupil_weights"),
-        ({"pupil_weights": np.full((2, 4, 4), np.nan)}, "pupil_weights"),
-        ({"pupil_weights": np.full((2, 4, 4), "x")}, "pupil_weights"),
-    ],
-)
-def test_mistakes(change, word):
-    arguments = {"points": [(0, 0, 240), (1, 0, 240)], "wavelength": WAVELENGTH} | change
-    with pytest.raises(InputError, match=f"^{word}"):
-        CaptureOperator(SMALL, **arguments)
-
-
-@pytest.mark.parametrize(
-    "weights", [np.ones(3), np.ones((2, 0)), np.ones((2, 1, 1)), [1.0, np.inf], "ab", np.ones((2, 3))]
-)
-def test_mistakes_in_weights(weights):
-    operator = CaptureOperator(SMALL, scattered(2), spectrum=Spectrum.lines(633, 532))
-    with pytest.raises(InputError, match=r"^weights"):
-        operator.forward(weights)
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (256, 256), (256, 256, 3), (256 * 256 * 2,)])
-def test_mistakes_in_images(shape):
-    operator = CaptureOperator(SMALL, scattered(2), spectrum=Spectrum.lines(633, 532))
-    with pytest.raises(InputError, match=r"^image of shape"):
-        operator.adjoint(np.ones(shape))
-
-
-def test_images_that_are_no_numbers_are_refused():
-    operator = CaptureOperator(SMALL, scattered(2), wavelength=WAVELENGTH)
-    for image in (np.full(SMALL.shape, np.nan), "image", [[1.0], [1.0, 2.0]]):
-        with pytest.raises(InputError, match=r"^image"):
-            operator.adjoint(image)
-
-
-def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
-    monkeypatch.setattr("mitsuba_plenoptic.runtime.limits.MEMORY_LIMIT", 2**20)
-    operator = CaptureOperator(SMALL, [(0.0, 0.0, 240.0)], wavelength=WAVELENGTH)
-    for work in (operator.estimate, lambda: operator.forward([1.0]), lambda: operator.adjoint(np.ones(SMALL.shape))):
-        with pytest.raises(InputError, match=r"1 points by patches.*GiB"):
-            work()
-
-
-@pytest.mark.parametrize("distance", [0.24, 10.0])
-def test_points_in_metres_are_recognised(distance):
-    camera, points = PlenopticCamera(), [(0.0, 0.0, distance)]
-    words = r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$"
-    for method in ("patch", "full_field"):
-        with pytest.raises(InputError, match=words):
-            CaptureOperator(camera, points, wavelength=WAVELENGTH, method=method).forward([1.0])
-
-
-def test_many_points_at_infinity_are_refused():
-    """Their blur of 5 mm covers 2,500 pixels; a few are allowed."""
-    x = np.random.default_rng(0).uniform(-2e5, 2e5, (100, 2))
-    positions = np.column_stack([x, np.full(100, 1e7)])
-    with pytest.raises(InputError, match=r"^100 points by patches.*GiB"):
-        capture(PlenopticCamera(), positions, np.ones(100))
 
 
 def test_many_points_keep_their_power_whatever_hides_others():

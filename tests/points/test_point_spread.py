@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from cameras import HALF, WAVELENGTH, capture, error, in_every_lens, small_camera
 from scipy.special import j0, j1
-from wave_cases import HALF, WAVELENGTH, capture, error, in_every_lens, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, point_spread_function
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
@@ -13,31 +13,6 @@ from mitsuba_plenoptic.points.pupil_weights import PupilWeights
 from tools.bench.cases import lens_models, point_spreads
 
 SMALL = small_camera(16)
-# Other numbers throughout; 20.2 pixels to a lens, fewer rows than columns.
-OTHER = PlenopticCamera(
-    focal_length=50, aperture_radius=4, mla_distance=70, mla_focal_length=0.4, mla_pitch=0.05,
-    detector_width=0.75, resolution=(303, 250),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "camera, position, wavelength",
-    [
-        (SMALL, (0.4, -0.3, 240.0), 633),
-        pytest.param(SMALL, (0.2, 0.1, 215.0), 633, marks=pytest.mark.slow),
-        pytest.param(SMALL, (-0.3, 0.5, 270.0), 450, marks=pytest.mark.slow),
-        (OTHER, (0.5, 0.4, 175.0), 532),
-        pytest.param(OTHER, (-0.2, 0.6, 190.0), 700, marks=pytest.mark.slow),
-    ],
-)
-def test_patch_against_full_field(camera, position, wavelength):
-    patch, full = (
-        point_spread_function(camera, position, wavelength=wavelength, method=name) for name in ("patch", "full_field")
-    )
-    assert patch.shape == full.shape == camera.shape
-    assert patch.dtype == np.float32
-    assert patch.min() >= 0
-    assert error(patch, full) < 0.005
 
 
 def behind_a_fast_lens(f_number, pixels, blur, scale=1.0):
@@ -115,7 +90,14 @@ def test_hidden_cells_of_the_pupil(cells):
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"aperture_blades": 6}, {"vignetting": {"radius": [0.8]}}, {"mla_lattice": "hexagonal"}]
+    "changes",
+    [
+        {"aperture_blades": 6},
+        *(
+            pytest.param(changes, marks=pytest.mark.slow)
+            for changes in ({}, {"vignetting": {"radius": [0.8]}}, {"mla_lattice": "hexagonal"})
+        ),
+    ],
 )
 def test_spreads_by_rays_share_the_pupils_image_on_the_array_among_lenses(changes):
     """The image of a point off the focus is even; the power is that of waves. Without array it is on the detector."""
@@ -146,15 +128,6 @@ def test_orientation():
     for index, place in ((columns, -X / 2), (rows, -Y / 2)):
         centre = (psf * index).sum() / psf.sum()
         assert centre == pytest.approx(256 - 0.5 + place / SMALL.pixel_size, abs=16)
-
-
-@pytest.mark.parametrize("method", ["patch", "full_field"])
-def test_crop_is_a_part_of_the_whole(method):
-    position = (0.2, 0.1, 225.0)
-    whole = point_spread_function(SMALL, position, wavelength=WAVELENGTH, method=method)
-    crop = SMALL.replace(crop_offset=(132, 173), crop_size=(150, 101))
-    part = point_spread_function(crop, position, wavelength=WAVELENGTH, method=method)
-    assert error(part, whole[173:274, 132:282]) < 2e-3
 
 
 def test_airy_pattern_of_the_bare_main_lens():
@@ -217,25 +190,6 @@ def test_light_that_converges_behind_the_lens_lands_where_its_rays_do():
     assert slow.sum() == pytest.approx(0.512**2 / (np.pi * blur**2), rel=0.03)
 
 
-@pytest.mark.parametrize(
-    "change, word",
-    [
-        ({"position": (0, 0)}, "position"),
-        ({"position": (0, 0, 0)}, "position"),
-        ({"position": (0, 0, -240)}, "position"),
-        ({"position": (0, np.nan, 240)}, "position"),
-        ({"position": ("a", 0, 240)}, "position"),
-        ({"wavelength": -1}, "wavelength"),
-        ({"wavelength": None}, "wavelength"),
-        ({"method": "fast"}, "method"),
-    ],
-)
-def test_mistakes(change, word):
-    arguments = {"position": (0, 0, 240), "wavelength": 633} | change
-    with pytest.raises(InputError, match=f"^{word}"):
-        point_spread_function(SMALL, **arguments)
-
-
 def test_stars_are_airy_patterns_behind_ideal_lenses_and_aberrated_behind_parabolic_ones():
     """On the axis and off it; the light that a parabolic phase leaves within the Airy disc by a sum over the pupil."""
     rows = list(lens_models.stars(f_numbers=(5.6,), places=(0.0,)))
@@ -281,12 +235,6 @@ def test_light_that_never_reaches_the_mla_is_refused():
     with pytest.raises(InputError, match=r"^position.*too steeply"):
         point_spread_function(SMALL.replace(lens_model="parabolic"), **steep)
     assert not point_spread_function(SMALL, **steep).any()
-
-
-def test_a_field_too_large_for_memory_is_refused_with_the_estimate():
-    huge = PlenopticCamera(detector_width=24, resolution=(12000, 12000))
-    with pytest.raises(InputError, match=r"full field of position.*GiB"):
-        point_spread_function(huge, (0, 0, 240), wavelength=633, method="full_field")
 
 
 @pytest.mark.slow

@@ -5,8 +5,8 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from cases import PANES, THIN_FOG, facing, radiating, scene_of, sensor
-from wave_cases import error
+from cameras import error
+from cases import facing, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import Checkpoint, InputError, estimate_capture, render_capture
 from mitsuba_plenoptic.io import checkpoints
@@ -158,35 +158,6 @@ def test_the_noise_is_refused_and_the_cost_estimated(trials_of_a_second):
     cost = estimate_capture(scene, model="wave", method="points", spp=8)
     assert cost.points == 8 * 8**2
     assert 0 < cost.seconds < 600
-
-
-@pytest.mark.parametrize(
-    "objects, message",
-    [
-        ({"sky": {"type": "constant"}}, "emitter .* is infinitely far"),
-        (
-            {"pane": {"type": "rectangle", "bsdf": {"type": "thindielectric"}}},
-            "surface pane of type ThinDielectric is not",
-        ),
-        (
-            {"pane": {"type": "rectangle", "bsdf": PANES["half-open mask"]}},
-            "surface pane of type MaskBSDF is not matte",
-        ),
-        (
-            {"pane": {"type": "rectangle", "bsdf": {"type": "roughplastic"}}},
-            "surface pane of type RoughPlastic is not matte",
-        ),
-        ({"fog": {"type": "cube", "interior": THIN_FOG, "bsdf": {"type": "diffuse"}}}, "surface fog bounds a medium"),
-        ({"integrator": {"type": "path", "hide_emitters": True}}, "hide_emitters"),
-        ({"camera": sensor(2, 8, medium=THIN_FOG)}, "the sensor is in a medium"),
-        ({"camera": sensor(2, 8, shutter_open=0.0, shutter_close=1.0)}, "the shutter is open for 1"),
-    ],
-    ids=["sky", "glass", "mask", "gloss", "medium", "hidden emitters", "fog", "motion"],
-)
-def test_what_is_no_matte_surface_is_refused_by_name(objects, message):
-    described = {"type": "scene", "integrator": {"type": "path"}, "camera": sensor(2, 8), "wall": wall()}
-    with pytest.raises(InputError, match=f"method = points: .*{message}"):
-        by_points(mi.load_dict(described | objects))
 
 
 def test_black_scenes_are_black_and_said_to_be():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wave_cases import HALF, LATTICES, WAVELENGTH, error, in_every_lens, small_camera
+from cameras import HALF, LATTICES, WAVELENGTH, error, in_every_lens, small_camera
 
 from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.light.optical_system import OpticalSystem

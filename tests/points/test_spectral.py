@@ -107,15 +107,6 @@ def test_the_adjoint_of_interpolated_sums():
         assert forward == pytest.approx(back, rel=1e-5)
 
 
-def test_what_has_no_derivatives():
-    spectrum = Spectrum.band(550, 40, 4).interpolated(2)
-    with pytest.raises(InputError, match=r"spectrum: nodes = \(.*\): there are no derivatives between nodes"):
-        CaptureOperator(CAMERA, POINTS, spectrum=spectrum).derivative(np.ones(3), {"focal_length": 1})
-    with pytest.raises(InputError, match="glass = abbe: there are no derivatives of cameras that disperse"):
-        operator = CaptureOperator(CAMERA.replace(glass={"index": 1.5, "abbe": 50}), POINTS, wavelength=633)
-        operator.gradient(np.ones(3), np.ones((192, 192)))
-
-
 def lamp(radiance, board="emitter", **film):
     """A wall that shines, or is lit by a sky of the radiance."""
     described = CAMERA.replace(resolution=(64, 64), detector_width=0.128).to_sensor()
@@ -153,6 +144,7 @@ def test_light_of_a_narrow_band_has_its_colour():
     assert found == pytest.approx(expected * one, abs=0.01 * expected[1] * one)
 
 
+@pytest.mark.slow
 def test_a_band_takes_all_light_of_a_line_within_it():
     mi.set_variant("llvm_ad_spectral")
     wavelengths, values, radiance = line(532, 2)
@@ -192,7 +184,7 @@ def test_a_given_wavelength_is_that_of_a_film_of_colours():
             "the reflectance of surface board is a table from 400 to 700 nm",
         ),
         pytest.param({"type": "uniform", "value": 1.0}, "emitter", None, marks=pytest.mark.slow),
-        ({"type": "uniform", "value": 1.0}, 0.5, None),
+        pytest.param({"type": "uniform", "value": 1.0}, 0.5, None, marks=pytest.mark.slow),
     ],
 )
 def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
@@ -211,7 +203,8 @@ def test_light_that_mitsuba_does_not_know_is_refused(radiance, board, message):
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("variant", [pytest.param("llvm_ad_mono", marks=pytest.mark.slow), "llvm_ad_rgb"])
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_rgb"])
 def test_numbers_are_as_bright_in_the_infrared_as_in_the_visible(variant):
     """Without spectra a number as radiance holds at every wavelength."""
     mi.set_variant(variant)

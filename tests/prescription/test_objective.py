@@ -7,137 +7,95 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import (
-    Capture,
-    InputError,
-    Objective,
-    PlenopticCamera,
-    decode,
-    design,
-    read_capture,
-    reconstruct,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.report.design_sheet import design_sheet
 
-AIR = Objective(20, 0.5)
-FOURIER = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
+AIR = mp.Objective(20, 0.5)
+FOURIER = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
 
 
-@pytest.mark.parametrize("objective", [AIR, Objective(40, 1.3, 1.515, tube_focal_length=164.5), FOURIER])
+@pytest.mark.parametrize("objective", [AIR, mp.Objective(40, 1.3, 1.515, tube_focal_length=164.5), FOURIER])
 def test_a_camera_keeps_its_objective(objective, tmp_path):
-    camera = PlenopticCamera(main_lens=objective, detector_width=0.128, resolution=(64, 64))
+    camera = mp.PlenopticCamera(main_lens=objective, detector_width=0.128, resolution=(64, 64))
     assert camera.objective == objective
     assert camera.focal_length == pytest.approx(objective.tube_focal_length / objective.magnification)
     assert camera.aperture_radius == pytest.approx(camera.focal_length * objective.numerical_aperture)
-    assert PlenopticCamera.from_dict(camera.to_dict()) == camera
-    assert PlenopticCamera.from_json(camera.to_json()) == camera
+    assert mp.PlenopticCamera.from_dict(camera.to_dict()) == camera
+    assert mp.PlenopticCamera.from_json(camera.to_json()) == camera
     assert camera.replace(mla_pitch=0.1).main_lens == objective
     path = tmp_path / "capture.exr"
-    write_capture(path, Capture(np.zeros((64, 64), np.float32), camera, 550.0, "wave", {}))
-    assert read_capture(path).camera == camera
+    mp.write_capture(path, mp.Capture(np.zeros((64, 64), np.float32), camera, 550.0, "wave", {}))
+    assert mp.read_capture(path).camera == camera
 
 
 def test_a_sensor_takes_an_objective_as_text_and_as_a_file(tmp_path):
-    camera = PlenopticCamera(main_lens=AIR, detector_width=0.128, resolution=(64, 64))
-    assert PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor())) == camera
+    camera = mp.PlenopticCamera(main_lens=AIR, detector_width=0.128, resolution=(64, 64))
+    assert mp.PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor())) == camera
     file = tmp_path / "objective.json"
     file.write_text(json.dumps(AIR.to_plain()))
     sensor = camera.to_sensor() | {"main_lens": str(file)}
-    assert PlenopticCamera.from_sensor(mi.load_dict(sensor)) == camera
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"numerical_aperture": 1.0}, "numerical_aperture = 1: it must be less than the index of the immersion, 1"),
-        ({"magnification": -20}, "magnification = -20: it must be greater than 0"),
-        ({"magnification": 4}, "magnification = 4: their quotient must be at most 0.1"),
-        ({"immersion": 0.9}, "immersion = 0.9: it must be at least 1"),
-        ({"arrangement": "Fourier"}, "arrangement = 'Fourier': it must be one of image, fourier"),
-        ({"arrangement": "fourier"}, "fourier_focal_length: it is missing"),
-        ({"fourier_focal_length": 50}, "fourier_focal_length = 50: it is for arrangement = fourier"),
-        ({"tube_focal_length": "long"}, "tube_focal_length = 'long': it must be a number"),
-        ({"working_distance": 2}, "main_lens: working_distance: it is not one of magnification"),
-    ],
-)
-def test_what_no_objective_has_is_refused(values, message):
-    with pytest.raises(InputError, match=message):
-        PlenopticCamera(main_lens=AIR.to_plain() | values)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"focal_length": 12}, "focal_length = 12: with this main_lens it is 10"),
-        ({"aperture_radius": 4}, "aperture_radius = 4: with this main_lens it is 5"),
-        ({"mla_distance": 190}, "mla_distance = 190: with this main_lens it is 200"),
-        ({"focus_distance": 10}, "focus_distance = 10: an objective is focused on its native object plane"),
-        ({"wavefront": (0, 0, 0, 0.1)}, "a main_lens brings its own"),
-    ],
-)
-def test_what_does_not_go_with_an_objective_is_refused(values, message):
-    with pytest.raises(InputError, match=message):
-        PlenopticCamera(main_lens=AIR, **values)
+    assert mp.PlenopticCamera.from_sensor(mi.load_dict(sensor)) == camera
 
 
 def test_arrays_in_the_image_of_the_stop_stand_upright():
-    assert PlenopticCamera(main_lens=AIR, mla_tilt=(1.0, 0.0)).mla_tilt == (1.0, 0.0)
+    assert mp.PlenopticCamera(main_lens=AIR, mla_tilt=(1.0, 0.0)).mla_tilt == (1.0, 0.0)
     with pytest.raises(
-        InputError, match=r"mla_tilt = \(1.0, 0.0\): an array in the image of the stop must stand upright"
+        mp.InputError, match=r"mla_tilt = \(1.0, 0.0\): an array in the image of the stop must stand upright"
     ):
-        PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, mla_tilt=(1.0, 0.0))
+        mp.PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, mla_tilt=(1.0, 0.0))
 
 
 def test_presets_have_touching_micro_images():
     for name, half_angle in (("lfm", math.asin(0.5)), ("lfm_water", math.asin(0.5 / 1.33))):
-        camera = PlenopticCamera.preset(name)
+        camera = mp.PlenopticCamera.preset(name)
         assert camera.objective.half_angle == pytest.approx(half_angle)
         # The lenses of the real one are f/19.5, not f/20.
         touching = 1 if name == "lfm" else 19.464 / 20
         assert camera.micro_image_diameter == pytest.approx(touching * camera.mla_pitch)
         assert camera.micro_image_pitch == camera.mla_pitch
         assert camera.blur_diameter(-0.02) == pytest.approx(2 * 20 * 0.02 * math.tan(half_angle))
-        assert design.white_mean(camera) == pytest.approx(math.pi / 4 * touching**2)
+        assert mp.design.white_mean(camera) == pytest.approx(math.pi / 4 * touching**2)
     # The file that describes the real one tells its tube lens.
-    assert PlenopticCamera.preset("lfm_water").objective.tube_focal_length == 180
+    assert mp.PlenopticCamera.preset("lfm_water").objective.tube_focal_length == 180
 
 
 def test_the_sheet_of_a_microscope():
-    rows = {(row.group, row.quantity): row.value for row in design_sheet(PlenopticCamera.preset("lfm"), 550)}
+    rows = {(row.group, row.quantity): row.value for row in design_sheet(mp.PlenopticCamera.preset("lfm"), 550)}
     assert rows["Objective", "object seen"] == "665.6"
     assert rows["Array", "lens pitch in the object"] == "7.5"
     assert rows["Diffraction at 550 nm", "objective's limit"] == "1818"
-    fourier = PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, detector_width=4)
+    fourier = mp.PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, detector_width=4)
     rows = {(row.group, row.quantity): row.value for row in design_sheet(fourier, 550)}
     assert rows["Array", "image of the stop"] == "2.5"
     assert rows["Array", "numerical aperture of a lens"] == "0.1"
-    assert design.design_warnings(fourier, 550) == []
-    slow = design.design_warnings(PlenopticCamera.preset("lfm").replace(mla_focal_length=1.0, detector_distance=1.0))
+    assert mp.design.design_warnings(fourier, 550) == []
+    slow = mp.design.design_warnings(
+        mp.PlenopticCamera.preset("lfm").replace(mla_focal_length=1.0, detector_distance=1.0)
+    )
     assert any("micro-images fill 33% of their pitch; a microlens of 20 times its pitch suits" in text for text in slow)
 
 
 def test_limits_of_deconvolution_follow_the_depth():
-    camera = PlenopticCamera.preset("lfm")
-    near, far = (design.resolution_limit(camera, depth, 550) for depth in (0.03, -0.1))
+    camera = mp.PlenopticCamera.preset("lfm")
+    near, far = (mp.design.resolution_limit(camera, depth, 550) for depth in (0.03, -0.1))
     assert near.in_focus and not far.in_focus
     assert far.waves == pytest.approx(0.15 / (0.94 * 550e-6 * 20 * 0.1))
     assert far.pixels == pytest.approx(3 / (2 * 20 * 0.0065 * 0.1))
     assert far.lenses == pytest.approx(20 / 0.3)
-    assert design.resolution_limit(camera, 1e-6, 550).waves == pytest.approx(1 / 550e-6)
+    assert mp.design.resolution_limit(camera, 1e-6, 550).waves == pytest.approx(1 / 550e-6)
 
 
 def test_parallax_is_told_in_the_image_of_the_stop_only():
-    camera = PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, detector_width=4)
-    assert design.lenses_across_stop(camera) == pytest.approx(5)
-    assert design.parallax(camera, 1.25) == pytest.approx(-20 * 20 / 50 * math.tan(math.radians(30)))
-    with pytest.raises(InputError, match=r"it must lie in the image of the stop, within 1\.25"):
-        design.parallax(camera, 1.3)
-    with pytest.raises(InputError, match="this is a quantity of the Fourier arrangement"):
-        design.parallax(PlenopticCamera.preset("lfm"), 0.1)
-    with pytest.raises(InputError, match="this camera is no microscope"):
-        design.native_field(PlenopticCamera())
+    camera = mp.PlenopticCamera(main_lens=FOURIER, mla_pitch=0.5, mla_focal_length=20, detector_width=4)
+    assert mp.design.lenses_across_stop(camera) == pytest.approx(5)
+    assert mp.design.parallax(camera, 1.25) == pytest.approx(-20 * 20 / 50 * math.tan(math.radians(30)))
+    with pytest.raises(mp.InputError, match=r"it must lie in the image of the stop, within 1\.25"):
+        mp.design.parallax(camera, 1.3)
+    with pytest.raises(mp.InputError, match="this is a quantity of the Fourier arrangement"):
+        mp.design.parallax(mp.PlenopticCamera.preset("lfm"), 0.1)
+    with pytest.raises(mp.InputError, match="this camera is no microscope"):
+        mp.design.native_field(mp.PlenopticCamera())
 
 
 def width_seen(camera, depth, pixels, points):
@@ -154,15 +112,15 @@ def width_seen(camera, depth, pixels, points):
 @pytest.mark.parametrize("detector_distance", [20.0, 21.5, 18.5])
 def test_at_the_ends_of_the_depth_of_field_a_lens_blurs_by_a_pixel(arrangement, detector_distance):
     further = {"fourier_focal_length": 50} if arrangement == "fourier" else {}
-    camera = PlenopticCamera(
-        main_lens=Objective(20, 0.3, 1.33, arrangement=arrangement, **further),
+    camera = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.3, 1.33, arrangement=arrangement, **further),
         mla_pitch=0.5,
         mla_focal_length=20,
         detector_distance=detector_distance,
         detector_width=4,
         resolution=(800, 800),
     )
-    ends = design.depth_of_field(camera)
+    ends = mp.design.depth_of_field(camera)
     half, pixel = camera.mla_pitch / 2, camera.pixel_size
     for depth in ends:
         lens = width_seen(camera, depth, (0, 0), (-half, half))
@@ -175,51 +133,13 @@ def test_at_the_ends_of_the_depth_of_field_a_lens_blurs_by_a_pixel(arrangement, 
 
 def test_depth_of_field_is_levoys():
     """Of matched micro-images, N^2 wavelengths n / 2 NA^2 from end to end, N being the spots in each."""
-    camera = PlenopticCamera(
-        main_lens=Objective(20, 0.05, 1.33),
+    camera = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.05, 1.33),
         mla_pitch=0.15,
         mla_focal_length=30,
         detector_width=3,
         resolution=(8000, 8000),
     )
-    spots = 0.15 / design.spot_radius(camera, 550)
-    near, far = design.depth_of_field(camera, 550)
+    spots = 0.15 / mp.design.spot_radius(camera, 550)
+    near, far = mp.design.depth_of_field(camera, 550)
     assert far - near == pytest.approx(spots**2 * 550e-6 * 1.33 / (2 * 0.05**2), rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    "tell",
-    [
-        design.field_of_view,
-        design.refocus_range,
-        design.depth_ranges,
-        design.best_distances,
-        lambda camera: design.field_width(camera, 1.0),
-        lambda camera: design.virtual_depth(camera, 1.0),
-        lambda camera: design.main_fresnel_number(camera, 550),
-        lambda camera: camera.defocus(1.0),
-    ],
-)
-def test_numbers_of_a_lens_at_a_finite_distance_are_refused(tell):
-    with pytest.raises(InputError, match="is not defined behind an objective"):
-        tell(PlenopticCamera.preset("lfm"))
-
-
-def test_light_fields_of_the_native_image_plane_are_refused_with_what_to_do():
-    camera = PlenopticCamera(main_lens=AIR, mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60))
-    with pytest.raises(InputError, match="leave main_lens out, or reconstruct a wave capture with method deconvolved"):
-        decode(Capture(np.ones((60, 60), np.float32), camera, None, "ray", {}))
-
-
-@pytest.mark.needs_extension("deconvolution")
-def test_reconstructions_that_do_not_know_objectives_say_so():
-    camera = PlenopticCamera(main_lens=AIR, mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60))
-    capture = Capture(np.ones((60, 60), np.float32), camera, 550.0, "wave", {})
-    with pytest.raises(
-        InputError, match=r"method = ray: behind main_lens = 20x/0\.5 objective .* use method incoherent or deconvolved"
-    ):
-        reconstruct(capture, 0.01, method="ray")
-    with pytest.raises(InputError, match=r"response = ray: behind main_lens = 20x/0\.5 objective it must be wave"):
-        reconstruct(capture, 0.01, method="deconvolved", response="ray")
-    with pytest.raises(InputError, match="distance = -10: it must be a finite depth beyond the native object plane"):
-        reconstruct(capture, -10, method="deconvolved")

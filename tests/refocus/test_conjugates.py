@@ -3,9 +3,9 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, small_camera, thin_as_real
+from cameras import WAVELENGTH, small_camera, thin_as_real
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, reconstruct
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.refocus.conjugates import RealConjugates
 from mitsuba_plenoptic.refocus.lens_by_lens import reconstruct_lens_by_lens
@@ -125,13 +125,3 @@ def test_zones_follow_the_aberrations_over_the_field():
         )[0]
         width[name] = total.max() / total.sum()
     assert width["zones"] > 1.1 * width["one"]
-
-
-@pytest.mark.needs_extension("deconvolution")
-def test_what_is_not_supported_is_told():
-    camera = real_camera()
-    dark = np.ones(camera.shape, np.float32)
-    with pytest.raises(InputError, match=r"response = ray: behind main_lens = .* it must be wave"):
-        reconstruct(dark, 120.0, camera=camera, method="deconvolved", response="ray")
-    with pytest.raises(InputError, match=r"distance = 12: it must lie before the main_lens"):
-        RealConjugates.of(OpticalSystem(camera, WAVELENGTH), [120.0, 12.0], 1)

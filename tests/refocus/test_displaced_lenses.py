@@ -5,9 +5,9 @@ import functools
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import HALF
+from cameras import HALF
 
-from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.refocus.straight import straightened, straightened_image
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import white_image
@@ -158,11 +158,3 @@ def test_a_white_reference_is_straightened_too():
     white = Capture(white_image(camera), camera)
     image = reconstruct(Capture(2 * white.image, camera), DISTANCE, white=white).image
     assert np.nanmax(np.abs(image - 2)) < 0.02
-
-
-@pytest.mark.needs_extension("inverse")
-def test_gradients_of_reconstructions_refuse_a_warp():
-    from mitsuba_plenoptic.extensions.inverse.differentiable import RayRefocus
-
-    with pytest.raises(InputError, match=r"mla_warp = .*reconstructions have derivatives through cameras without it"):
-        RayRefocus(STRAIGHT.replace(mla_warp=WARP), DISTANCE)

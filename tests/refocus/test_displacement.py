@@ -1,7 +1,5 @@
 """Where the light of bins comes from by a white capture, and images drawn back from there."""
 
-from __future__ import annotations
-
 import math
 
 import cases

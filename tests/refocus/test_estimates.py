@@ -73,13 +73,6 @@ def test_long_work_says_its_time_and_memory(capture, monkeypatch, caplog):
     assert caplog.text.count("takes about") == 1
 
 
-def test_what_an_estimate_does_not_take(capture):
-    with pytest.raises(mp.InputError, match="progress: an estimate does not take it"):
-        estimate_reconstruction(capture, 210.0, progress=print)
-    with pytest.warns(UserWarning, match="method ray has no use for interleave"):
-        estimate_reconstruction(capture, 210.0, interleave=2)
-
-
 def test_the_command_prints_time_and_memory_and_writes_nothing(capture, tmp_path, capsys):
     path = tmp_path / "raw.exr"
     mp.write_capture(path, capture)

@@ -1,10 +1,8 @@
 """Refocusing through microlens arrays of every kind: back to where the light came from, with its energy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from wave_cases import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
+from cameras import HALF, LATTICES, OTHER, WAVELENGTH, capture, error, scattered, small_camera
 
 from mitsuba_plenoptic import PlenopticCamera, point_spread_function, reconstruct
 from mitsuba_plenoptic.refocus import lens_by_lens

@@ -1,7 +1,5 @@
 """Where the light of a pixel comes from in the pupil, against a plain sum over the pupil's points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

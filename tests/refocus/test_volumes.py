@@ -1,7 +1,5 @@
 """Volumes: planes on common voxels, their files, and what is seen of them; several planes found at once."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ElementTree
 
@@ -98,12 +96,6 @@ def test_views_are_those_of_numpy():
     np.testing.assert_array_equal(side, values[:, :, 3])
     with pytest.raises(InputError, match="row = 4: the volume's are numbered from 0 to 3"):
         volume.slices(row=4)
-
-
-@pytest.mark.parametrize("distances", [[], [np.inf], [230.0, 230.0]])
-def test_what_is_no_volume_is_refused(distances):
-    with pytest.raises(InputError, match=r"a volume needs|it is given twice"):
-        Volume.of([made(distance, np.ones((6, 6))) for distance in distances])
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Animations: frames, their order, and their files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image

@@ -1,7 +1,5 @@
 """The design sheet's numbers for the paper's camera and others."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

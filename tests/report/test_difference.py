@@ -1,10 +1,8 @@
 """How much of two captures' difference is noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from scene_cases import letters
+from cameras import letters
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.report.metrics import capture_difference, middle_of_micro_images

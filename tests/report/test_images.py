@@ -1,7 +1,5 @@
 """Pictures: tone, scale, and nothing half-written."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest

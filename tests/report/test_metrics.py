@@ -1,7 +1,5 @@
 """Metrics and the slanted edge against closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,7 +3,7 @@
 import matplotlib.image
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.microlens import ZoneLens
 from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
 
@@ -15,8 +15,3 @@ def test_draws_any_microlens(changes, tmp_path):
     # Each of the three parts has colours.
     assert all((part[..., :3].std(axis=2) > 0.1).mean() > 0.01 for part in (picture[:, :560], picture[:, 600:1200]))
     assert picture[:, 1250:, :3].min() < 0.05
-
-
-def test_refuses_what_is_no_png(tmp_path):
-    with pytest.raises(InputError, match=r"give a name that ends in \.png"):
-        draw_microlens(tmp_path / "lens.jpg", PlenopticCamera())

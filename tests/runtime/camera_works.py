@@ -3,20 +3,10 @@
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from cameras import HALF, small_camera
 from cases import bars, scene_of, sensor
-from wave_cases import HALF, small_camera
 
-from mitsuba_plenoptic import (
-    Capture,
-    CaptureOperator,
-    Objective,
-    PlenopticCamera,
-    Vignetting,
-    estimate_capture,
-    point_spread_function,
-    reconstruct,
-    render_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.inverse.differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.arrival import SampledField
@@ -27,16 +17,16 @@ WAVELENGTH = 550.0
 HALVED = small_camera(2, **HALF)
 REAL = small_camera(2, main_lens="double_gauss", **HALF)
 _MICROSCOPE = {
-    "main_lens": Objective(20, 0.5),
+    "main_lens": mp.Objective(20, 0.5),
     "mla_pitch": 0.15,
     "mla_focal_length": 3.0,
     "mla_offset": (0.075, 0.075),
     "detector_width": 0.45,
     "resolution": (45, 45),
 }
-MICROSCOPE = PlenopticCamera(**_MICROSCOPE)
-FOURIER = PlenopticCamera(
-    main_lens=Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50),
+MICROSCOPE = mp.PlenopticCamera(**_MICROSCOPE)
+FOURIER = mp.PlenopticCamera(
+    main_lens=mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50),
     mla_pitch=0.5,
     mla_focal_length=20.0,
     mla_offset=(0.25, 0.25),
@@ -56,7 +46,7 @@ def image_of(camera):
 
 
 def spread(camera, point=POINT, **options):
-    return [point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field", **options)]
+    return [mp.point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field", **options)]
 
 
 def fields_of(camera, point):
@@ -66,12 +56,12 @@ def fields_of(camera, point):
 
 def refocused(camera, distance, method, **options):
     image = options.pop("image", image_of(camera))
-    return [reconstruct(image, distance, camera=camera, method=method, **options).image]
+    return [mp.reconstruct(image, distance, camera=camera, method=method, **options).image]
 
 
 def gradients(camera, names, points=POINTS, **options):
     operator, weights = (
-        CaptureOperator(camera, points, wavelength=WAVELENGTH, **options),
+        mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, **options),
         np.linspace(1, 2, len(points)),
     )
     found = operator.gradient(weights, image_of(camera), names)
@@ -89,7 +79,7 @@ def far_light(camera, radius, depth=np.inf):
 
 
 def coherent_field(camera):
-    operator = CaptureOperator(camera, POINTS, wavelength=WAVELENGTH)
+    operator = mp.CaptureOperator(camera, POINTS, wavelength=WAVELENGTH)
     field = operator.field([1, 1j])
     return [field.samples, operator.field_adjoint(field.samples)]
 
@@ -117,7 +107,7 @@ def of_refocus(refocus):
 WORKS = {
     "microscope, full field": lambda: spread(MICROSCOPE, (0.001, 0.0, 0.02)),
     "microscope, patches": lambda: [
-        CaptureOperator(MICROSCOPE, [(0.001, 0.0, 0.02)], wavelength=WAVELENGTH).forward([1.0])
+        mp.CaptureOperator(MICROSCOPE, [(0.001, 0.0, 0.02)], wavelength=WAVELENGTH).forward([1.0])
     ],
     "microscope, fields": lambda: fields_of(MICROSCOPE, (0.001, 0.0, 0.02)),
     "Fourier microscope, full field": lambda: spread(FOURIER, (0.001, 0.0, 0.02)),
@@ -129,9 +119,9 @@ WORKS = {
     "gaps, full field": lambda: spread(HALVED.replace(mla_fill=0.8)),
     "unequal lenses, full field": lambda: spread(HALVED.replace(mla_transmissions=TABLE)),
     "unequal lenses, patches": lambda: [
-        CaptureOperator(HALVED.replace(mla_transmissions=TABLE), POINTS, wavelength=WAVELENGTH).forward([1.0, 2.0])
+        mp.CaptureOperator(HALVED.replace(mla_transmissions=TABLE), POINTS, wavelength=WAVELENGTH).forward([1.0, 2.0])
     ],
-    "vignetting, full field": lambda: spread(HALVED.replace(vignetting=Vignetting(30.0, 4.0))),
+    "vignetting, full field": lambda: spread(HALVED.replace(vignetting=mp.Vignetting(30.0, 4.0))),
     "real lens, full field": lambda: spread(REAL),
     "real lens, gradients": lambda: gradients(REAL, ("focal_length", "wavefront", "wavelength")),
     "gradients by all parameters": lambda: gradients(HALVED, None),
@@ -166,18 +156,19 @@ WORKS = {
         118.0,
         "coherent",
         wavelength=WAVELENGTH,
-        image=Capture(image_of(HALVED), HALVED),
-        white=Capture(0.5 + image_of(HALVED), HALVED),
+        image=mp.Capture(image_of(HALVED), HALVED),
+        white=mp.Capture(0.5 + image_of(HALVED), HALVED),
     ),
     "estimate of signed rays": lambda: [
-        np.zeros(1, np.float32) * estimate_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", spp=2).seconds
+        np.zeros(1, np.float32)
+        * mp.estimate_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", spp=2).seconds
     ],
     "points of a scene": lambda: [
-        render_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", method="points", spp=2).image
+        mp.render_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", method="points", spp=2).image
     ],
     "planes by rays, deconvolved": lambda: [
         part.image
-        for part in reconstruct(image_of(HALVED), [116.0, 124.0], camera=HALVED, method="deconvolved", iterations=2)
+        for part in mp.reconstruct(image_of(HALVED), [116.0, 124.0], camera=HALVED, method="deconvolved", iterations=2)
     ],
     "derivatives of deconvolution": lambda: of_refocus(DeconvolvedRefocus(HALVED, 118.0, WAVELENGTH, iterations=2)),
     "derivatives of refocusing by rays": lambda: of_refocus(RayRefocus(HALVED, 118.0)),

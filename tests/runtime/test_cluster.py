@@ -1,7 +1,5 @@
 """Sums on a cluster of processes: the same bits as in one process, whatever happens to the workers."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle
@@ -13,9 +11,8 @@ import weakref
 
 import numpy as np
 import pytest
-from scene_cases import definitions, letters
+from cameras import HALF, capture, definitions, letters, scattered, small_camera
 from stopped_runs import CheckpointStore, start_command
-from wave_cases import HALF, capture, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, Cluster, InputError, Job, load_scene, render_capture
 from mitsuba_plenoptic.cli import main

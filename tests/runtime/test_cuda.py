@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import capture
 from cases import bars, facing, scene_of, sensor
 from stopped_runs import StoppedError, stopped_before
-from wave_cases import capture
 
 from mitsuba_plenoptic import (
     CaptureOperator,

@@ -1,7 +1,5 @@
 """Which LLVM is chosen, and what a user is told where none is usable."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Threads, processes, variants and imports: what may run at once, and that the same seed gives the same bits."""
 
-from __future__ import annotations
-
 import ctypes
 import textwrap
 import threading

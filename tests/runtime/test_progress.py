@@ -1,7 +1,5 @@
 """What long computations print of their progress where there is no terminal."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

@@ -1,7 +1,5 @@
 """The harness of `tools/bench`: options, verdicts, results, and the tables of the pages."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

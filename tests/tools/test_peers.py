@@ -1,7 +1,5 @@
 """The comparison with other packages, without any of them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The parts of the studies of resolution and of when rays fail that have closed forms, and their verdicts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from cases import spot_filtered

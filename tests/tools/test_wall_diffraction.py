@@ -1,7 +1,5 @@
 """What diffraction leaves of a ramp, as the cases compute it, against a plain sum over pairs of pupil points."""
 
-from __future__ import annotations
-
 import cases
 import numpy as np
 import pytest

@@ -1,7 +1,7 @@
 """Cameras that the tests of light fields share."""
 
 import pytest
-from wave_cases import OTHER
+from cameras import OTHER
 
 from mitsuba_plenoptic import PlenopticCamera
 

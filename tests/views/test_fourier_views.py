@@ -5,15 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import Capture, CaptureOperator, InputError, Objective, PlenopticCamera, decode
+from mitsuba_plenoptic import Capture, CaptureOperator, Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.design import parallax
 from mitsuba_plenoptic.views import (
     camera_of,
-    depth_range,
-    disparity,
     epipolar_image,
-    refocus,
-    shift_and_add,
     view,
     view_mosaic,
 )
@@ -103,28 +99,3 @@ def test_a_white_capture_and_colours():
     near = float(plain.weight.max(("t", "s"))[1:4, 1:4].median())
     expected = plain.values * plain.weight.values / near
     assert np.allclose(colour.values[..., 0][lit], expected[lit], atol=1e-3 * float(plain.max()))
-
-
-@pytest.mark.parametrize(
-    ("camera", "message"),
-    [
-        (SQUARE.replace(mla_rotation=3.0), r"mla_rotation = 3: views of a Fourier microscope"),
-        (SQUARE.replace(resolution=(10, 10)), "a view needs three pixels"),
-        (PlenopticCamera.preset("lfm").replace(resolution=(64, 64)), "for thin main lenses only"),
-    ],
-)
-def test_what_has_no_views_is_refused(camera, message):
-    with pytest.raises(InputError, match=message):
-        decode(np.ones(camera.shape, np.float32), camera=camera)
-
-
-def test_parallax_that_is_not_even_is_refused():
-    lf = decode(np.ones(SQUARE.shape, np.float32), camera=SQUARE)
-    for work in (
-        lambda: refocus(lf, 0.01),
-        lambda: disparity(lf, 0.01),
-        lambda: depth_range(lf),
-        lambda: shift_and_add(lf, 0.5),
-    ):
-        with pytest.raises(InputError, match="an even parallax between views is not defined behind an objective"):
-            work()

@@ -1,14 +1,12 @@
 """Finding the micro-images of a white image whose lattice is unknown."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.views import LensGrid, estimate_lens_grid, lens_grid, white_image
 
 ROOT3 = math.sqrt(3)
@@ -103,21 +101,3 @@ def test_colour_pictures_count_by_their_mean():
     white = white_image(camera)
     grey, colour = estimate_lens_grid(white), estimate_lens_grid(white[..., None] * [0.5, 1.0, 1.5])
     assert colour.offset == pytest.approx(grey.offset, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    "image",
-    [
-        np.ones((100, 100)),
-        np.zeros((100, 100)),
-        np.random.default_rng(0).random((200, 200)),
-        np.ones((4, 4)),
-        np.ones(100),
-        np.full((100, 100), np.nan),
-        white_image(PlenopticCamera(detector_width=0.128, resolution=(64, 64))),
-    ],
-    ids=["flat", "black", "noise", "tiny", "line", "not finite", "four lenses"],
-)
-def test_pictures_without_a_lattice_are_refused(image):
-    with pytest.raises(InputError, match="white"):
-        estimate_lens_grid(image)

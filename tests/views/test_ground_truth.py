@@ -1,14 +1,12 @@
 """Ground truth against analytic surfaces and against Mitsuba's own perspective camera and integrator."""
 
-from __future__ import annotations
-
 import math
 
+import cameras
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-import scene_cases
 from light_field_cases import CAMERAS
 
 import mitsuba_plenoptic as mp
@@ -162,7 +160,7 @@ class TestAgainstMitsuba:
                     "principal_point_offset_x": (u - middle[0]) / width,
                     "principal_point_offset_y": (v - middle[1]) / height,
                     "to_world": to_world @ mi.ScalarTransform4f().translate([u, v, 0]),
-                    "film": scene_cases.film(lf.sizes["s"], lf.sizes["t"]),
+                    "film": cameras.film(lf.sizes["s"], lf.sizes["t"]),
                 }
             )
             columns, rows = lf.sizes["s"], lf.sizes["t"]
@@ -299,22 +297,6 @@ def test_depth_maps_tell_their_error():
     assert 0.03 < moved.median < 0.06
     with pytest.raises(mp.InputError, match="no ground truth"):
         depth_error(found.drop_vars("truth"))
-
-
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [(["depth", "colour"], "aov = 'colour'"), ([], "at least one of depth, virtual_depth, position")],
-)
-def test_unknown_quantities_are_refused(names, words):
-    with pytest.raises(mp.InputError, match=words):
-        mp.ground_truth(still(CAMERA, pose()), names)
-
-
-def test_a_light_field_takes_the_truth_of_its_own_camera_only():
-    truth = mp.ground_truth(still(CAMERA, pose()), ["depth"])
-    other = CAMERA.replace(aperture_radius=4.0)
-    with pytest.raises(mp.InputError, match="another camera"):
-        mp.decode(np.ones(other.shape), camera=other, truth=truth)
 
 
 def test_variants(camera_dict):

@@ -1,16 +1,14 @@
 """Light fields decoded from captures of hexagonal and turned lattices."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
+from cameras import letters, pinhole_picture
 from light_field_cases import LATTICES, all_cameras
-from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, decode, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import PlenopticCamera, decode, load_scene, reconstruct, render_capture
 from mitsuba_plenoptic.views import estimate_lens_grid, lens_grid, refocus, view, white_image
 
 
@@ -47,13 +45,6 @@ def test_rows_are_found_whatever_the_angle():
         assert abs(grid.rotation) <= math.radians(15) + 1e-9
         assert grid.shifted_rows is not None
         assert grid.nearest_distance == pytest.approx(camera.micro_image_pitch / camera.pixel_size)
-
-
-@pytest.mark.parametrize("lattice", [{}, {"mla_lattice": "hexagonal"}])
-def test_a_window_without_a_lens_is_refused(lattice):
-    camera = PlenopticCamera(crop_offset=(2075, 2075), crop_size=(4, 4), **lattice)
-    with pytest.raises(InputError, match="no micro-image is centred in the recorded window"):
-        lens_grid(camera)
 
 
 # The stretched one is hexagonal and has two pitches.

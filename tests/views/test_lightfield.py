@@ -1,15 +1,13 @@
 """Decoding: where samples come from, what they are worth, and what the axes mean."""
 
-from __future__ import annotations
-
 import math
 
 import mitsuba as mi
 import numpy as np
 import pytest
 import xarray as xr
+from cameras import letters, pinhole_picture
 from light_field_cases import PAPER, all_cameras, square_cameras
-from scene_cases import letters, pinhole_picture
 from scipy.spatial import cKDTree
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, design, load_scene, render_capture

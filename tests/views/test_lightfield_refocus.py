@@ -1,27 +1,15 @@
 """Refocusing and depth from light fields, against direct sums, the ray reconstruction and known scenes."""
 
-from __future__ import annotations
-
 import math
 
 import mitsuba as mi
 import numpy as np
 import pytest
 import xarray as xr
-from scene_cases import letters, pinhole_picture
+from cameras import letters, pinhole_picture
 from scipy.ndimage import gaussian_filter, map_coordinates, uniform_filter
 
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    InputError,
-    PlenopticCamera,
-    decode,
-    expose,
-    load_scene,
-    reconstruct,
-    render_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import best_distances
 from mitsuba_plenoptic.views import (
     FourierRefocuser,
@@ -41,12 +29,12 @@ from mitsuba_plenoptic.views.lens_agreement import LensComparison
 from mitsuba_plenoptic.views.lens_images import micro_images_of
 
 # Fewer pixels a lens than the paper's, to be quick: 11 views.
-CAMERA = PlenopticCamera(detector_width=2.56, resolution=(640, 640))
+CAMERA = mp.PlenopticCamera(detector_width=2.56, resolution=(640, 640))
 
 
 @pytest.fixture(scope="module")
 def blank():
-    return decode(white_image(CAMERA), camera=CAMERA)
+    return mp.decode(white_image(CAMERA), camera=CAMERA)
 
 
 def texture(seed=0, waves=60):
@@ -75,7 +63,7 @@ def flat_scene(lf, distance, function):
 
 def noisy_camera(pixels):
     """Give a camera at f/4 with so many pixels a lens, which finds 1 % of the distance in 0.1 lens a view."""
-    return PlenopticCamera(
+    return mp.PlenopticCamera(
         aperture_radius=10.0, mla_pitch=0.0822, mla_focal_length=6 * 0.0822,
         detector_width=36 * 0.0822, resolution=(36 * pixels, 36 * pixels),
     )  # fmt: skip
@@ -137,9 +125,9 @@ class TestShiftAndAdd:
 
     @pytest.mark.parametrize("distance", [*(pytest.param(g, marks=pytest.mark.slow) for g in (210.0, 240.0)), 280.0])
     def test_equals_the_ray_reconstruction(self, distance):
-        capture = render_capture(load_scene("letters", parameters=letters(64)), spp=2)
-        ours = refocus(decode(capture), distance).values
-        theirs = reconstruct(capture, distance, footprint="lens").image
+        capture = mp.render_capture(mp.load_scene("letters", parameters=letters(64)), spp=2)
+        ours = refocus(mp.decode(capture), distance).values
+        theirs = mp.reconstruct(capture, distance, footprint="lens").image
         error = np.mean((ours - theirs) ** 2)
         assert 10 * math.log10(theirs.max() ** 2 / error) > 45
 
@@ -153,11 +141,11 @@ class TestShiftAndAdd:
                 np.testing.assert_allclose(stack.values[..., channel], alone.values, atol=1e-5)
 
     def test_refused(self, blank):
-        with pytest.raises(InputError, match="distances"):
+        with pytest.raises(mp.InputError, match="distances"):
             focal_stack(blank, [])
         lens = LensGrid((32, 32), (16, 16), (20, 20))
-        unknown = decode(np.ones((640, 640)), white=np.ones((640, 640)), grid=lens)
-        with pytest.raises(InputError, match="no camera"):
+        unknown = mp.decode(np.ones((640, 640)), white=np.ones((640, 640)), grid=lens)
+        with pytest.raises(mp.InputError, match="no camera"):
             refocus(unknown, 240)
         # In lenses per view it can be refocused all the same.
         np.testing.assert_allclose(shift_and_add(unknown, 0.2).values, 1, atol=1e-5)
@@ -202,7 +190,7 @@ class TestFourierSlice:
         np.testing.assert_allclose(ours, shift_and_add(plain, slope).values[6:-6, 6:-6], atol=0.035)
 
     def test_too_large_a_disparity_is_refused(self, blank):
-        with pytest.raises(InputError, match=r"disparity = 0\.7"):
+        with pytest.raises(mp.InputError, match=r"disparity = 0\.7"):
             FourierRefocuser(blank, 0.5).refocus(0.7)
 
 
@@ -258,7 +246,9 @@ class TestDepth:
     def test_noise_does_not_move_the_depth(self, case):
         pixels, slope, photons, blob, contrast = case
         camera = noisy_camera(pixels)
-        lf = decode(expose(Capture(card(camera, slope, blob, contrast), camera), Detector(), photons=photons, seed=1))
+        lf = mp.decode(
+            mp.expose(mp.Capture(card(camera, slope, blob, contrast), camera), mp.Detector(), photons=photons, seed=1)
+        )
         inner = depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
         error = distance_of(lf, inner.disparity.values) / distance_of(lf, slope) - 1
         assert abs(np.median(error)) < 0.003
@@ -269,7 +259,7 @@ class TestDepth:
     def test_confidence_falls_with_the_rate_of_right_depths(self):
         # So few photons that noise decides in every other bin.
         camera = noisy_camera(10)
-        lf = decode(expose(Capture(card(camera, 0.5, 1.6, 0.08), camera), Detector(), photons=25, seed=1))
+        lf = mp.decode(mp.expose(mp.Capture(card(camera, 0.5, 1.6, 0.08), camera), mp.Detector(), photons=25, seed=1))
         inner = depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
         right = np.abs(distance_of(lf, inner.disparity.values) / distance_of(lf, 0.5) - 1) < 0.01
         assert 0.2 < right.mean() < 0.8
@@ -282,10 +272,10 @@ class TestDepth:
 
     def test_focused_cameras_compare_micro_images(self):
         # Stripes finer than the lenses, which alias from lens to lens: the value of a sample at its exact place.
-        camera = PlenopticCamera.preset("paper").replace(
+        camera = mp.PlenopticCamera.preset("paper").replace(
             detector_width=1.536, resolution=(768, 768), mla_focal_length=0.66, aperture_radius=4.9
         )
-        lf = decode(white_image(camera), camera=camera)
+        lf = mp.decode(white_image(camera), camera=camera)
         function = texture(waves=40)
         # Where its lenses are in focus, samples near the rims of micro-images show their exact places.
         sharp = best_distances(camera)[0]
@@ -300,7 +290,7 @@ class TestDepth:
         by_lenses = [float(np.nanmedian(lenses.disagreement(disparity(lf, g))[0])) for g in (sharp, 222.0)]
         assert by_lenses[0] < 0.1 * by_lenses[1]
         assert by_views[0] > 0.3 * by_views[1]
-        with pytest.raises(InputError, match="nothing in common"):
+        with pytest.raises(mp.InputError, match="nothing in common"):
             depth_map(lf, 239, 241)
 
     @pytest.mark.parametrize("distance", [pytest.param(200.0, marks=pytest.mark.slow), 300.0])
@@ -328,25 +318,25 @@ class TestDepth:
         assert float((found.confidence.values[wrong] > 0.5).mean()) < 0.1
 
     def test_an_even_field_with_few_photons_has_no_depth(self):
-        white = Capture(0.5 * white_image(CAMERA), CAMERA)
-        found = depth_map(decode(expose(white, Detector(), photons=500)), planes=48)
+        white = mp.Capture(0.5 * white_image(CAMERA), CAMERA)
+        found = depth_map(mp.decode(mp.expose(white, mp.Detector(), photons=500)), planes=48)
         assert float(np.isfinite(found.depth).mean()) < 0.02
         assert float(found.confidence.max()) < 0.9
 
     @pytest.mark.parametrize(("near", "words"), [(50, "focal length"), (math.nan, "near")])
     def test_refused(self, blank, near, words):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(mp.InputError, match=words):
             depth_map(blank, near, 200)
 
 
 @pytest.mark.slow
 def test_depth_of_the_still_life():
-    scene = load_scene("still_life")
-    capture = render_capture(scene, spp=16)
+    scene = mp.load_scene("still_life")
+    capture = mp.render_capture(scene, spp=16)
     integrator = mi.load_dict({"type": "aov", "aovs": "place:position"})
     z = pinhole_picture(scene, 640, 640, 8.192, integrator=integrator, spp=1)[..., -1]
     truth = np.median(z.reshape(128, 5, 128, 5).swapaxes(1, 2).reshape(128, 128, 25), axis=2)
-    found = depth_map(decode(capture), 195, 310)
+    found = depth_map(mp.decode(capture), 195, 310)
     # A depth whose neighbours disagree is unknown, whatever its own confidence.
     sure = (found.confidence.values > 0.5) & np.isfinite(found.depth.values)
     error = np.abs(found.depth.values - truth) / (truth.max() - truth.min())

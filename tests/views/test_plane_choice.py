@@ -1,7 +1,5 @@
 """Which plane is chosen from how views disagree, and how sure that is: ratios of variances written down."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

@@ -1,7 +1,5 @@
 """Where texture repeats within micro-images: stripes, edges and random patterns written into them."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,7 +1,5 @@
 """A camera like a small Raytrix with tilt and distortion, boards before it, and corners seen through its lenses."""
 
-from __future__ import annotations
-
 import os
 from functools import lru_cache
 from pathlib import Path

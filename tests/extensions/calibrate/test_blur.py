@@ -1,7 +1,5 @@
 """Blur radii tell the microlenses' focal lengths, whatever their scale and sign, and are refused where they do not."""
 
-from __future__ import annotations
-
 import json
 
 import calibration_cases as cases

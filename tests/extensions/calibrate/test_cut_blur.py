@@ -1,7 +1,5 @@
 """Corners whose blur the pupil cuts, summed ray by ray over a lens, are met where the lens's centre sees them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

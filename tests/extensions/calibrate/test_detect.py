@@ -1,7 +1,5 @@
 """Corners in pictures: blurred corners of closed form, and boards that the sensor renders, held to the model."""
 
-from __future__ import annotations
-
 import calibration_cases as cases
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Calibration from corners: known cameras come back, deviations are true, and mistakes get one line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

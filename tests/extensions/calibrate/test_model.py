@@ -1,23 +1,12 @@
 """The model of corners and centres: its derivatives, and the rays that the sensor traces."""
 
-from __future__ import annotations
-
 import calibration_cases as cases
 import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mitsuba_plenoptic import (
-    CaptureOperator,
-    InputError,
-    PlenopticCamera,
-    estimate_capture,
-    load_scene,
-    reconstruct,
-    render_capture,
-    with_camera,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, camera_of, numbers_of, predict, predict_centres
 from mitsuba_plenoptic.lenses.distortion import undistort
 
@@ -86,7 +75,7 @@ def test_numbers_make_the_camera_and_back():
 
 
 def test_a_distorted_lens_bends_rays_as_its_polynomial_says():
-    plain = PlenopticCamera(resolution=(64, 64), detector_width=8.192)
+    plain = mp.PlenopticCamera(resolution=(64, 64), detector_width=8.192)
     k1, p1 = 2e-3, 1e-3
     rays = []
     for camera in (plain, plain.replace(distortion=(k1, 0, 0, p1, 0))):
@@ -101,36 +90,3 @@ def test_a_distorted_lens_bends_rays_as_its_polynomial_says():
     # In focus at 240 mm the places on the array are half as far from the axis, upside down.
     x, y = undistort(*(-straight[:, :2].T / 2), (k1, 0, 0, p1, 0))
     np.testing.assert_allclose(bent[:, :2], -2 * np.stack([x, y], axis=-1), atol=2e-4)
-
-
-@pytest.mark.parametrize("changes", [{"mla_tilt": (0.1, 0)}, {"distortion": (1e-4, 0, 0, 0, 0)}])
-def test_waves_refuse_what_they_do_not_know(changes):
-    camera = PlenopticCamera(resolution=(256, 256), detector_width=0.512, **changes)
-    scene = with_camera(load_scene("letters"), camera)
-
-    def refocused():
-        return reconstruct(np.ones((256, 256)), 240.0, camera=camera, method="partial", wavelength=633.0)
-
-    for work in (
-        lambda: CaptureOperator(camera, np.array([[0.0, 0.0, 240.0]]), wavelength=633.0),
-        lambda: render_capture(scene, model="wave", method="points"),
-        lambda: estimate_capture(scene, model="wave", method="points"),
-        *([refocused] if "distortion" in changes else []),
-    ):
-        with pytest.raises(InputError, match=rf"\A{next(iter(changes))} = .*through cameras without it only.*\Z"):
-            work()
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"mla_tilt": (6, 0)}, "mla_tilt"),
-        ({"mla_tilt": (5, 0), "detector_distance": 0.1}, "touches"),
-        ({"mla_tilt": 1}, "2 numbers"),
-        ({"distortion": (-1, 0, 0, 0, 0)}, "folds"),
-        ({"distortion": (1, 2)}, "5 numbers"),
-    ],
-)
-def test_cameras_that_cannot_be(changes, words):
-    with pytest.raises(InputError, match=words):
-        PlenopticCamera(**changes)

@@ -1,29 +1,19 @@
 """Gain and read noise from white and dark exposures of a wave white capture, against the detector that made them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import sky
 
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    InputError,
-    Objective,
-    PlenopticCamera,
-    expose,
-    photon_transfer,
-    render_capture,
-)
+import mitsuba_plenoptic as mp
 
 DATA = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "/nowhere")) / "antleg"
 
-CAMERA = PlenopticCamera(
-    main_lens=Objective(magnification=20, numerical_aperture=0.5),
+CAMERA = mp.PlenopticCamera(
+    main_lens=mp.Objective(magnification=20, numerical_aperture=0.5),
     mla_pitch=0.125,
     mla_focal_length=2.433,
     detector_width=0.25,
@@ -32,9 +22,9 @@ CAMERA = PlenopticCamera(
 """A microscope of 27.5 pixels a lens, 2 x 2 of them."""
 
 DETECTORS = {
-    "16 bits": Detector(quantum_efficiency=0.7, full_well=30000, read_noise=1.5, bits=16, gain=2.1, black_level=101),
-    "12 bits": Detector(full_well=30000, read_noise=6, bits=12, gain=0.13, black_level=64),
-    "8 bits": Detector(full_well=500, read_noise=3, bits=8, gain=0.45, black_level=12),
+    "16 bits": mp.Detector(quantum_efficiency=0.7, full_well=30000, read_noise=1.5, bits=16, gain=2.1, black_level=101),
+    "12 bits": mp.Detector(full_well=30000, read_noise=6, bits=12, gain=0.13, black_level=64),
+    "8 bits": mp.Detector(full_well=500, read_noise=3, bits=8, gain=0.45, black_level=12),
 }
 
 
@@ -42,9 +32,7 @@ DETECTORS = {
 def white():
     """The wave capture of four lenses, mirrored many times."""
     mi.set_variant("llvm_ad_mono")
-    path = {"type": "direct"}
-    scene = {"type": "scene", "camera": CAMERA.to_sensor(), "sky": {"type": "constant"}, "integrator": path}
-    image = render_capture(mi.load_dict(scene), spp=64, model="wave", wavelength=510).image
+    image = sky(CAMERA, 64, "wave", wavelength=510)
     return np.pad(image / image.max(), 605, mode="symmetric")
 
 
@@ -55,7 +43,7 @@ def numbers_of(image, detector, seed, part=0.8):
     range_of = (2**detector.bits - 1 - detector.black_level) / detector.gain
     scale = detector.quantum_efficiency * part * min(detector.full_well, range_of)
     photons = scale / detector.quantum_efficiency**2
-    exposed = expose(Capture(image.astype(np.float32), camera), detector, photons=photons, seed=seed).image
+    exposed = mp.expose(mp.Capture(image.astype(np.float32), camera), detector, photons=photons, seed=seed).image
     electrons = exposed.astype(float) * photons * detector.quantum_efficiency
     return np.rint(electrons * detector.gain + detector.black_level)
 
@@ -67,7 +55,7 @@ def numbers_of(image, detector, seed, part=0.8):
 def test_single_pictures_give_gain_and_noise(white, detector):
     """Within 2 %, though the micro-images vary a hundred times as much as the noise."""
     bright, dark = numbers_of(white, detector, 1), numbers_of(0 * white, detector, 2)
-    found = photon_transfer(bright, dark, bits=detector.bits)
+    found = mp.photon_transfer(bright, dark, bits=detector.bits)
     assert found.gain == pytest.approx(detector.gain, rel=0.02)
     assert found.read_noise == pytest.approx(detector.read_noise, rel=0.02)
     assert found.dark_offset == pytest.approx(detector.black_level, abs=0.02)
@@ -84,7 +72,7 @@ def test_pairs_do_not_count_what_differs_from_pixel_to_pixel(white):
     unequal, offsets = (1 + 0.01 * random.normal(size=white.shape)).clip(0), random.normal(0, 2, white.shape)
     bright = [numbers_of(white * unequal, detector, seed, part) + offsets for seed, part in ((1, 0.8), (2, 0.776))]
     dark = [numbers_of(0 * white, detector, seed) + offsets for seed in (3, 4)]
-    pair, single = photon_transfer(bright, dark), photon_transfer(bright[0], dark[0])
+    pair, single = mp.photon_transfer(bright, dark), mp.photon_transfer(bright[0], dark[0])
     assert pair.gain == pytest.approx(detector.gain, rel=0.01)
     assert pair.read_noise == pytest.approx(detector.read_noise, rel=0.02)
     slope = np.polyfit(pair.signal, pair.variance, 1)[0]
@@ -95,14 +83,14 @@ def test_pairs_do_not_count_what_differs_from_pixel_to_pixel(white):
 def test_bad_pixels_are_counted_and_left_out(white):
     detector, part = DETECTORS["16 bits"], white[:600, :600]
     bright, dark = numbers_of(part, detector, 1), numbers_of(0 * part, detector, 2)
-    plain = photon_transfer(bright, dark)
+    plain = mp.photon_transfer(bright, dark)
     # Some of them at the pictures' borders, none among the saturated ones below.
     middle = np.concatenate([np.argwhere(part > 0.98)[::4000], [(0, 0), (0, 300), (599, 40), (300, 599)]])
     middle = np.unique(middle[np.abs(middle - [301.5, 202]).max(1) > 3], axis=0)
     bright[tuple(middle.T)] = detector.black_level
     dark[100, 101] = 900
     bright[300:304, 200:205] = 65535
-    found = photon_transfer(bright, dark)
+    found = mp.photon_transfer(bright, dark)
     assert (found.saturated_pixels, found.dead_pixels, found.hot_pixels) == (20, len(middle), 1)
     assert found.gain == pytest.approx(plain.gain, rel=0.01)
 
@@ -111,15 +99,15 @@ def test_bad_pixels_are_counted_and_left_out(white):
 @pytest.mark.parametrize("kind", ["even", "slope", "lenses"])
 def test_full_wells_below_the_largest_number(white, kind, level):
     """Of pairs the pixels below the full well tell the gain, unless there are none; single pictures are refused."""
-    detector = Detector(quantum_efficiency=1, full_well=8000, read_noise=4, bits=16, gain=0.5, black_level=100)
+    detector = mp.Detector(quantum_efficiency=1, full_well=8000, read_noise=4, bits=16, gain=0.5, black_level=100)
     light = {"even": np.ones((300, 300)), "slope": np.ones((300, 1)) * np.linspace(0, 1.05, 300), "lenses": white}[kind]
     random, light = np.random.default_rng(1), light[-300:, -300:]
     bright = [detector.digital_numbers(level * 8000 * light, random).astype(float) for _ in range(2)]
     dark = [detector.digital_numbers(0 * light, random).astype(float) for _ in range(2)]
-    with pytest.raises(InputError, match="full wells cut off their noise"):
-        photon_transfer(bright if kind == "even" else bright[0], dark)
+    with pytest.raises(mp.InputError, match="full wells cut off their noise"):
+        mp.photon_transfer(bright if kind == "even" else bright[0], dark)
     if kind != "even":
-        found = photon_transfer(bright, dark)
+        found = mp.photon_transfer(bright, dark)
         assert found.gain == pytest.approx(0.5, rel=0.03)
         assert found.saturated_pixels > 1000
 
@@ -135,8 +123,8 @@ def test_bad_input():
         (dark * 9, np.maximum(dark - 100, 0), {}, "dark: .* of its pixels are 0: noise is cut off"),
         (dark * 0 + 65535, dark, {}, "white: 2000 pixels are saturated"),
     ):
-        with pytest.raises(InputError, match=message):
-            photon_transfer(white, black, **options)
+        with pytest.raises(mp.InputError, match=message):
+            mp.photon_transfer(white, black, **options)
 
 
 @pytest.mark.slow
@@ -144,7 +132,7 @@ def test_bad_input():
 def test_a_scientific_camera():
     """An Andor Neo: 30,000 electrons in 16 bits are 0.46 electrons a number; its read noise is about one electron."""
     Image, tifffile = pytest.importorskip("PIL.Image"), pytest.importorskip("tifffile")
-    found = photon_transfer(
+    found = mp.photon_transfer(
         np.asarray(Image.open(DATA / "radiometry_frame.png")), tifffile.imread(DATA / "dark_frame.tif")
     )
     assert 1 / found.gain == pytest.approx(0.46, rel=0.12)

@@ -1,7 +1,5 @@
 """Residuals by lens, field, depth and pose add up, and show where a camera misses."""
 
-from __future__ import annotations
-
 import calibration_cases as cases
 import numpy as np
 import pytest

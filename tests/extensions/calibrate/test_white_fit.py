@@ -1,7 +1,5 @@
 """Cameras fitted to white pictures that other parts of the package draw, by rays and by waves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mitsuba as mi

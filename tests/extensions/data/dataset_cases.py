@@ -1,7 +1,5 @@
 """Small recipes."""
 
-from __future__ import annotations
-
 import copy
 
 SMALL = {

@@ -1,7 +1,5 @@
 """Data sets that version 1.0 made, whose waves were parabolic, and the version that data sets state now."""
 
-from __future__ import annotations
-
 import shutil
 from importlib.metadata import version
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Data sets: the same bits however they were made, and what is read of them."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import shutil

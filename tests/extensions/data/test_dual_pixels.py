@@ -1,7 +1,5 @@
 """Data sets of dual pixels: pictures of both halves, what is in focus, depth and blur of each lens."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest

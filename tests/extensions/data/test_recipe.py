@@ -1,7 +1,5 @@
 """Recipes: what they draw, and what they refuse."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

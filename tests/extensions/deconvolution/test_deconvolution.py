@@ -1,24 +1,13 @@
 """Deconvolution against exact sums of point spreads, closed forms, and points whose places are known."""
 
-from __future__ import annotations
-
 import functools
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import places_of
+from cameras import places_of, sky
 
-from mitsuba_plenoptic import (
-    Capture,
-    CaptureOperator,
-    Detector,
-    InputError,
-    PlenopticCamera,
-    expose,
-    reconstruct,
-    render_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import resolution_limit
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
 from mitsuba_plenoptic.extensions.deconvolution.solver import richardson_lucy
@@ -26,7 +15,7 @@ from mitsuba_plenoptic.extensions.deconvolution.variation import Noise
 from mitsuba_plenoptic.views import white_image
 
 WAVELENGTH = 633.0
-SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+SMALL = mp.PlenopticCamera(detector_width=0.384, resolution=(192, 192))
 CAMERAS = {
     "square": SMALL,
     "turned, moved, two pitches": SMALL.replace(mla_rotation=7.0, mla_offset=(0.01, 0.02), mla_pitch=(0.064, 0.07)),
@@ -49,7 +38,7 @@ def filled(camera, places, size, values, distance, across):
     weight = np.pi * camera.aperture_radius**2 * (camera.detector_distance / camera.mla_medium) ** 2 * size**2
     weight /= camera.lattice.lens_area * camera.pixel_size**2 * camera.mla_distance**2 * across**2
     points = np.column_stack([-q * distance / camera.mla_distance, np.full(len(q), distance)])
-    return CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward(
+    return mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward(
         np.repeat(values, across**2) * weight
     )
 
@@ -106,18 +95,14 @@ def test_white_planes_by_rays_are_white_captures(distance):
 
 def test_white_planes_by_rays_follow_snells_law():
     """Against a ray capture at 35 degrees, where rays of slopes that the index divides land ten pixels away."""
-    camera = PlenopticCamera(
+    camera = mp.PlenopticCamera(
         focal_length=20.0, aperture_radius=1.2, mla_distance=24.0, mla_focal_length=0.768, mla_medium=1.5,
         detector_width=38.4, resolution=(9600, 9600), crop_offset=(9000, 4752), crop_size=(96, 96),
     )  # fmt: skip
     response = response_of(camera, 120.0, 1, wavelength=None)
     image = response.forward([np.ones(response.shapes[0], np.float32)])
     mi.set_variant("llvm_ad_mono")
-    scene = mi.load_dict({
-        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"},
-        "camera": camera.to_sensor(),
-    })  # fmt: skip
-    expected = render_capture(scene, spp=512).image
+    expected = sky(camera, 512)
     # Micro-images of a zone are evenly spaced.
     assert np.linalg.norm(image - expected) <= 0.12 * np.linalg.norm(expected)
     assert image.sum() == pytest.approx(expected.sum(), rel=0.02)
@@ -155,23 +140,25 @@ LATTICES = {
 
 def test_an_even_light_makes_no_bin_darker():
     """As stray light, or a black level that was not subtracted, does; pixels between micro-images explain nothing."""
-    camera = PlenopticCamera(detector_width=0.384, resolution=(72, 72))
+    camera = mp.PlenopticCamera(detector_width=0.384, resolution=(72, 72))
     white = white_image(camera)
     for even in (0.01, 0.1, 1.0):
-        image = reconstruct(Capture(white + np.float32(even), camera), 223.2, method="deconvolved", iterations=10).image
+        image = mp.reconstruct(
+            mp.Capture(white + np.float32(even), camera), 223.2, method="deconvolved", iterations=10
+        ).image
         assert 1 < np.nanmedian(image) < 1 + 2 * even
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "low, turned")) for n in LATTICES])
 def test_filled_bins_come_back_on_every_lattice(name):
     """Bins are squares of one pitch whatever the lattice: a bin keeps its light, and keeps it to itself."""
-    distance, camera = 222.0, PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])
+    distance, camera = 222.0, mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), **LATTICES[name])
     rows, columns = np.array(camera.bin_count[::-1])[:, None] // 2 + np.array([[1, -3, 1, -3], [1, -2, -3, 1]])
     size = camera.mla_pitch
     places = (np.stack([columns, rows], -1) + 0.5 - np.array(camera.bin_count) / 2) * size
     image = filled(camera, places, size, np.ones(4), distance, 5)
-    capture = Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
-    result = reconstruct(capture, distance, method="deconvolved")
+    capture = mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
+    result = mp.reconstruct(capture, distance, method="deconvolved")
     found = np.nan_to_num(result.image)
     squares = [
         found[row - 1 : row + 2, column - 1 : column + 2].sum() for row, column in zip(rows, columns, strict=True)
@@ -265,8 +252,8 @@ def test_iteration_stops_at_the_noise():
 
 def test_noise_is_the_detectors():
     ramp = np.tile(np.linspace(0, 1, SMALL.shape[1]), (SMALL.shape[0], 1)).astype(np.float32)
-    detector = Detector(read_noise=20, dark_electrons=100, full_well=20000)
-    noisy = expose(Capture(ramp, SMALL, WAVELENGTH, "wave"), detector, photons=3000, seed=1)
+    detector = mp.Detector(read_noise=20, dark_electrons=100, full_well=20000)
+    noisy = mp.expose(mp.Capture(ramp, SMALL, WAVELENGTH, "wave"), detector, photons=3000, seed=1)
     noise = Noise.of(noisy.metadata["exposure"], None)
     assert noise.misfit(noisy.image, ramp) == pytest.approx(1, abs=0.03)
     photons = np.random.default_rng(4).poisson(200 * ramp) / 200
@@ -278,14 +265,14 @@ def sources(distance, camera=SMALL):
     """Two points, brighter and darker, between bins, and their capture."""
     q = np.array([[0.045, -0.03], [-0.052, 0.041]])
     points = np.column_stack([-q * distance / camera.mla_distance, np.full(2, distance)])
-    image = CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([2000.0, 1000.0])
-    return q, Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
+    image = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0).forward([2000.0, 1000.0])
+    return q, mp.Capture(np.maximum(image, 0), camera, WAVELENGTH, "wave")
 
 
 @pytest.mark.parametrize("distance", [226.0, pytest.param(253.0, marks=pytest.mark.slow)])
 def test_points_come_back(distance):
     q, capture = sources(distance)
-    result = reconstruct(capture, distance, method="deconvolved", oversample=4, iterations=60)
+    result = mp.reconstruct(capture, distance, method="deconvolved", oversample=4, iterations=60)
     image, size = result.image.astype(np.float64), SMALL.mla_pitch / 4
     rows, columns = np.indices(image.shape)
     x, y = ((index - (image.shape[0] - 1) / 2) * size for index in (columns, rows))
@@ -312,10 +299,10 @@ def test_finer_than_the_lenses():
     places = places_of(response.bins[0], camera, 9)
     wave = 2 * np.pi * frequency * distance / camera.mla_distance
     scene = (0.5 + 0.5 * np.cos(wave * places[..., 0])).astype(np.float32)
-    capture = Capture(np.maximum(response.forward([scene]), 0), camera, WAVELENGTH, "wave")
+    capture = mp.Capture(np.maximum(response.forward([scene]), 0), camera, WAVELENGTH, "wave")
 
     def contrast(**options):
-        image = reconstruct(capture, distance, oversample=oversample, **options).image
+        image = mp.reconstruct(capture, distance, oversample=oversample, **options).image
         middle = image[len(image) // 4 : -len(image) // 4].mean(0)
         x = (np.arange(len(middle)) - (len(middle) - 1) / 2) * camera.mla_pitch / oversample
         window = np.cos(np.pi * x / (len(middle) * camera.mla_pitch / oversample)) ** 2
@@ -327,8 +314,8 @@ def test_finer_than_the_lenses():
 
 def test_what_no_light_makes_is_refused():
     def refused(image, **options):
-        with pytest.raises(InputError) as found:
-            reconstruct(Capture(image, SMALL, WAVELENGTH, "wave"), 253.0, method="deconvolved", **options)
+        with pytest.raises(mp.InputError) as found:
+            mp.reconstruct(mp.Capture(image, SMALL, WAVELENGTH, "wave"), 253.0, method="deconvolved", **options)
         assert "\n" not in str(found.value)
         return str(found.value)
 
@@ -347,9 +334,9 @@ def test_what_no_light_makes_is_refused():
 
 def test_planes_of_a_volume_are_different_ones():
     image = np.ones(SMALL.shape, np.float32)
-    capture = Capture(image, SMALL, WAVELENGTH, "wave")
-    with pytest.raises(InputError, match="distance = 253: it is given twice"):
-        reconstruct(capture, [230.0, 253.0, 253.0], method="deconvolved", volume=True)
+    capture = mp.Capture(image, SMALL, WAVELENGTH, "wave")
+    with pytest.raises(mp.InputError, match="distance = 253: it is given twice"):
+        mp.reconstruct(capture, [230.0, 253.0, 253.0], method="deconvolved", volume=True)
 
 
 def test_a_dark_channel_stays_dark():
@@ -358,23 +345,23 @@ def test_a_dark_channel_stays_dark():
     options = {"method": "deconvolved", "response": "ray", "iterations": 3}
     dark = np.zeros_like(red.image)
     image = np.stack([red.image, dark, dark], -1)
-    found = reconstruct(Capture(image, SMALL, None, "wave"), 253.0, **options)
-    alone = reconstruct(Capture(red.image, SMALL, None, "wave"), 253.0, **options)
+    found = mp.reconstruct(mp.Capture(image, SMALL, None, "wave"), 253.0, **options)
+    alone = mp.reconstruct(mp.Capture(red.image, SMALL, None, "wave"), 253.0, **options)
     np.testing.assert_array_equal(found.image[..., 0], alone.image)
     assert (found.image[..., 1:] == 0).all()
     assert found.facts == alone.facts
     # So are the pixels of a detector without light that read noise has all put below 0.
-    noise = Capture(np.stack([red.image, dark - 0.01, dark], -1), SMALL, None, "wave")
-    found = reconstruct(noise, 253.0, photons=100.0, **options)
+    noise = mp.Capture(np.stack([red.image, dark - 0.01, dark], -1), SMALL, None, "wave")
+    found = mp.reconstruct(noise, 253.0, photons=100.0, **options)
     assert (found.image[..., 1:] == 0).all() and np.isfinite(found.facts["residual"])
 
 
 @pytest.mark.parametrize(("distance", "waves", "pixels"), [(253, 16.55, 19.69), (270, 7.17, 8.53), (227, 16.55, 19.69)])
 def test_resolution_limit_is_the_two_formulas(distance, waves, pixels):
-    found = resolution_limit(PlenopticCamera(), distance, WAVELENGTH)
+    found = resolution_limit(mp.PlenopticCamera(), distance, WAVELENGTH)
     assert found.waves == pytest.approx(waves, rel=1e-3)
     assert found.pixels == pytest.approx(pixels, rel=1e-3)
     assert found.frequency == found.waves
     assert not found.in_focus
-    assert resolution_limit(PlenopticCamera(), 245.0, WAVELENGTH).in_focus
-    assert resolution_limit(PlenopticCamera(), 240.0, WAVELENGTH).frequency == pytest.approx(3.906, rel=1e-3)
+    assert resolution_limit(mp.PlenopticCamera(), 245.0, WAVELENGTH).in_focus
+    assert resolution_limit(mp.PlenopticCamera(), 240.0, WAVELENGTH).frequency == pytest.approx(3.906, rel=1e-3)

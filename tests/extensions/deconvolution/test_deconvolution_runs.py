@@ -1,22 +1,11 @@
 """Deconvolution's longer runs: checkpoints, workers, volumes whose kernels lie on disk, and total variation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from cameras import places_of
 from stopped_runs import StoppedError
-from wave_cases import places_of
 
-from mitsuba_plenoptic import (
-    Capture,
-    CaptureOperator,
-    Checkpoint,
-    Cluster,
-    InputError,
-    Objective,
-    PlenopticCamera,
-    reconstruct,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.deconvolution import response as response_module
 from mitsuba_plenoptic.extensions.deconvolution.options import MOST_VARIATION
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
@@ -26,7 +15,7 @@ from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.runtime.batches import Threads
 
 WAVELENGTH = 633.0
-SMALL = PlenopticCamera(detector_width=0.384, resolution=(192, 192))
+SMALL = mp.PlenopticCamera(detector_width=0.384, resolution=(192, 192))
 
 
 def test_variation_is_that_of_an_even_slope():
@@ -83,8 +72,8 @@ TINY = SMALL.replace(detector_width=0.256, resolution=(128, 128))
 def colours():
     """A capture of three channels at three wavelengths."""
     points = np.array([[0.05, -0.03, 253.0], [-0.06, 0.04, 235.0]])
-    images = [CaptureOperator(TINY, points, wavelength=w).forward([2000.0, 1000.0]) for w in (633.0, 500.0, 450.0)]
-    return Capture(np.maximum(np.stack(images, -1), 0), TINY, (633.0, 500.0, 450.0), "wave")
+    images = [mp.CaptureOperator(TINY, points, wavelength=w).forward([2000.0, 1000.0]) for w in (633.0, 500.0, 450.0)]
+    return mp.Capture(np.maximum(np.stack(images, -1), 0), TINY, (633.0, 500.0, 450.0), "wave")
 
 
 @pytest.mark.parametrize(
@@ -99,8 +88,8 @@ def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, 
     """Stopped in the first plane, in a later one and channel, and in a volume: the bits of one that was not."""
     capture, path = colours(), tmp_path / "out.checkpoint"
     options = {"method": "deconvolved", "iterations": 3, "volume": volume, "variation": 0.005, "response": response}
-    whole = reconstruct(capture, [253.0, 235.0], **options)
-    save, count = Checkpoint.save_arrays, [0]
+    whole = mp.reconstruct(capture, [253.0, 235.0], **options)
+    save, count = mp.Checkpoint.save_arrays, [0]
 
     def stopped(self, arrays):
         save(self, arrays)
@@ -108,16 +97,16 @@ def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, always_written, 
         if count[0] == stop:
             raise StoppedError
 
-    monkeypatch.setattr(Checkpoint, "save_arrays", stopped)
-    with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-        reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **options)
+    monkeypatch.setattr(mp.Checkpoint, "save_arrays", stopped)
+    with pytest.raises(StoppedError), mp.Checkpoint(path) as checkpoint:
+        mp.reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **options)
     assert path.exists()
-    monkeypatch.setattr(Checkpoint, "save_arrays", save)
+    monkeypatch.setattr(mp.Checkpoint, "save_arrays", save)
     other = r"the checkpoint of another run.*iterations = 3 there, 5 here"
-    with pytest.raises(InputError, match=other), Checkpoint(path, "resume") as checkpoint:
-        reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **(options | {"iterations": 5}))
-    with Checkpoint(path, "resume") as checkpoint:
-        resumed = reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **options)
+    with pytest.raises(mp.InputError, match=other), mp.Checkpoint(path, "resume") as checkpoint:
+        mp.reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **(options | {"iterations": 5}))
+    with mp.Checkpoint(path, "resume") as checkpoint:
+        resumed = mp.reconstruct(capture, [253.0, 235.0], checkpoint=checkpoint, **options)
     for ours, theirs in zip(resumed, whole, strict=True):
         np.testing.assert_array_equal(ours.image, theirs.image)
         assert ours.facts == theirs.facts
@@ -135,11 +124,11 @@ def test_a_damaged_checkpoint_is_refused(tmp_path, always_written, monkeypatch):
         raise StoppedError
 
     with monkeypatch.context() as patch:
-        patch.setattr(Checkpoint, "save_arrays", stopped)
-        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-            reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
-    with pytest.raises(InputError, match="checkpoint: it is damaged"), Checkpoint(path, "resume") as checkpoint:
-        reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
+        patch.setattr(mp.Checkpoint, "save_arrays", stopped)
+        with pytest.raises(StoppedError), mp.Checkpoint(path) as checkpoint:
+            mp.reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
+    with pytest.raises(mp.InputError, match="checkpoint: it is damaged"), mp.Checkpoint(path, "resume") as checkpoint:
+        mp.reconstruct(capture, 253.0, checkpoint=checkpoint, **options)
 
 
 def test_workers_compute_the_point_spreads():
@@ -153,12 +142,12 @@ def test_workers_compute_the_point_spreads():
 
     capture, workers = colours(), Counted(1)
     options = {"method": "deconvolved", "iterations": 2}
-    made = reconstruct(capture, 253.0, batch_map=workers, **options)
+    made = mp.reconstruct(capture, 253.0, batch_map=workers, **options)
     assert workers.batches >= 3
-    np.testing.assert_array_equal(made.image, reconstruct(capture, 253.0, **options).image)
-    for name, value in (("batch_map", workers), ("checkpoint", Checkpoint("never"))):
+    np.testing.assert_array_equal(made.image, mp.reconstruct(capture, 253.0, **options).image)
+    for name, value in (("batch_map", workers), ("checkpoint", mp.Checkpoint("never"))):
         with pytest.warns(UserWarning, match=rf"method ray has no use for {name} \(of deconvolved\)"):
-            reconstruct(capture, 253.0, **{name: value})
+            mp.reconstruct(capture, 253.0, **{name: value})
 
 
 def test_kernels_on_disk_are_those_in_memory(monkeypatch):
@@ -178,8 +167,8 @@ def test_kernels_on_disk_are_those_in_memory(monkeypatch):
 def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
     """It is that which each zone would compute for itself, and zones still share the work."""
     monkeypatch.setattr(response_module, "_ZONE", 4)
-    camera = PlenopticCamera(
-        main_lens=Objective(20, 0.5), mla_pitch=0.075, mla_focal_length=1.5, detector_width=0.45, resolution=(60, 60)
+    camera = mp.PlenopticCamera(
+        main_lens=mp.Objective(20, 0.5), mla_pitch=0.075, mla_focal_length=1.5, detector_width=0.45, resolution=(60, 60)
     )
     options = {"wavelength": 550.0, "oversample": 1}
     shared = Response(camera, [0.014], **options)
@@ -199,21 +188,21 @@ def test_one_kernel_serves_all_lenses_behind_an_objective(monkeypatch):
 def test_workers_in_processes_give_the_same_bits():
     pytest.importorskip("distributed")
     capture = colours()
-    with Cluster(workers=1) as cluster:
-        made = reconstruct(capture, 253.0, method="deconvolved", iterations=1, batch_map=cluster)
-    np.testing.assert_array_equal(made.image, reconstruct(capture, 253.0, method="deconvolved", iterations=1).image)
+    with mp.Cluster(workers=1) as cluster:
+        made = mp.reconstruct(capture, 253.0, method="deconvolved", iterations=1, batch_map=cluster)
+    np.testing.assert_array_equal(made.image, mp.reconstruct(capture, 253.0, method="deconvolved", iterations=1).image)
 
 
 def test_variation_beyond_what_keeps_light_positive_is_refused():
     capture = colours()
     for value in (-0.1, 0.3, np.nan):
-        with pytest.raises(InputError, match="variation = "):
-            reconstruct(capture, 253.0, method="deconvolved", variation=value)
+        with pytest.raises(mp.InputError, match="variation = "):
+            mp.reconstruct(capture, 253.0, method="deconvolved", variation=value)
 
 
 def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
     """Many points stand for a bin that is far out of focus, and each field covers many lenses."""
-    camera = PlenopticCamera.matched(
+    camera = mp.PlenopticCamera.matched(
         f_number=2.8, lenses=20, pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320,
         mla_lattice="hexagonal",
     )  # fmt: skip
@@ -228,6 +217,6 @@ def test_few_fields_of_a_wide_blur_are_in_memory_at_once():
 
     image = np.ones(camera.shape, np.float32)
     with pytest.raises(StoppedError):
-        reconstruct(image, 500, camera=camera, method="deconvolved", wavelength=550, batch_map=Watched(1))
+        mp.reconstruct(image, 500, camera=camera, method="deconvolved", wavelength=550, batch_map=Watched(1))
     # On the array, fields have more samples than at the detector.
     assert max(samples) * 8 * 1.5**2 <= 2**27

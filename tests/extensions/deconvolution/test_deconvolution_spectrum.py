@@ -1,10 +1,8 @@
 """The stated limit against the response's own spectrum: how much of a sinusoid's contrast reaches the detector."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from wave_cases import places_of
+from cameras import places_of
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.design import resolution_limit

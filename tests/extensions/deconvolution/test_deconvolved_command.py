@@ -1,7 +1,5 @@
 """The command deconvolves, and tells what it found."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

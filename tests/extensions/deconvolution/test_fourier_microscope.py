@@ -1,24 +1,12 @@
 """Fourier microscopes deconvolved: against exact sums of point spreads, closed forms, and beads at known places."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from stopped_runs import StoppedError
 
-from mitsuba_plenoptic import (
-    Capture,
-    CaptureOperator,
-    Checkpoint,
-    Detector,
-    InputError,
-    Objective,
-    PlenopticCamera,
-    expose,
-    reconstruct,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import lens_aperture, resolution_limit
 from mitsuba_plenoptic.extensions.deconvolution import fourier
 from mitsuba_plenoptic.extensions.deconvolution.fourier import FourierResponse
@@ -27,8 +15,8 @@ from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
 
 WAVELENGTH = 550.0
-LENS = Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)
-SMALL = PlenopticCamera(
+LENS = mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50)
+SMALL = mp.PlenopticCamera(
     main_lens=LENS,
     mla_pitch=0.5,
     mla_focal_length=20.0,
@@ -65,7 +53,7 @@ def exact(camera, oversample, row, column, depth, parts=3):
     inner = (np.arange(parts) + 0.5) / parts
     x, y = np.meshgrid((column - columns / 2 + inner) * size, (row - rows / 2 + inner) * size)
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth)])
-    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
+    operator = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field")
     return operator.forward(
         np.full(len(points), radiance_weight(camera, main_lens(camera), bin_area(camera, oversample)) / len(points))
     )
@@ -131,9 +119,9 @@ def test_beads_come_back_to_their_planes_places_and_powers():
     depths, oversample = [-0.06, 0.0, 0.06], 2
     beads = np.array([[0.0083, -0.0041, -0.06], [-0.0112, 0.0067, 0.0], [0.0021, 0.0103, 0.06]])
     powers = np.array([1.0, 0.7, 1.2])
-    image = CaptureOperator(SMALL, beads, wavelength=WAVELENGTH, method="full_field").forward(powers)
-    capture = Capture(np.maximum(image, 0), SMALL, WAVELENGTH, "wave", {})
-    found = reconstruct(capture, depths, method="deconvolved", volume=True, oversample=oversample, iterations=60)
+    image = mp.CaptureOperator(SMALL, beads, wavelength=WAVELENGTH, method="full_field").forward(powers)
+    capture = mp.Capture(np.maximum(image, 0), SMALL, WAVELENGTH, "wave", {})
+    found = mp.reconstruct(capture, depths, method="deconvolved", volume=True, oversample=oversample, iterations=60)
     assert found[0].facts["residual"] < 0.1
     for (X, Y, _), power, plane in zip(beads, powers, found, strict=True):
         assert plane.bin_size == pytest.approx(0.01 * 50 / (20 * 20) / oversample)
@@ -186,13 +174,13 @@ def test_the_limit_is_where_the_responses_own_spectrum_ends():
 def test_noise_ends_it_and_colours_keep_their_wavelengths():
     beads = [(0.004, -0.003, 0.0), (-0.006, 0.002, 0.0)]
     spreads = [
-        CaptureOperator(SMALL, [bead], wavelength=lam, method="full_field").forward([1.0])
+        mp.CaptureOperator(SMALL, [bead], wavelength=lam, method="full_field").forward([1.0])
         for bead, lam in zip(beads, (600.0, 450.0), strict=True)
     ]
     image = np.maximum(np.stack([spreads[0], spreads[1], spreads[0]], axis=-1), 0)
-    capture = Capture(image, SMALL, (600.0, 450.0, 600.0), "wave", {})
-    noisy = expose(capture, Detector(gain=1.0), photons=2000 / float(image.max()), seed=0)
-    found = reconstruct(noisy, 0.0, method="deconvolved", oversample=2, variation=0.002)
+    capture = mp.Capture(image, SMALL, (600.0, 450.0, 600.0), "wave", {})
+    noisy = mp.expose(capture, mp.Detector(gain=1.0), photons=2000 / float(image.max()), seed=0)
+    found = mp.reconstruct(noisy, 0.0, method="deconvolved", oversample=2, variation=0.002)
     assert found.facts["stopped_by_noise"]
     for channel, (X, Y, _) in zip((0, 1), beads, strict=True):
         plane = np.nan_to_num(found.image[..., channel])
@@ -205,10 +193,10 @@ def test_a_run_goes_on_and_spectra_on_disk_are_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
     random = np.random.default_rng(0)
-    capture = Capture(random.random(SMALL.shape).astype(np.float32), SMALL, WAVELENGTH, "wave", {})
+    capture = mp.Capture(random.random(SMALL.shape).astype(np.float32), SMALL, WAVELENGTH, "wave", {})
     options = {"method": "deconvolved", "volume": True, "oversample": 2, "iterations": 4}
-    whole = reconstruct(capture, [0.0, 0.03], **options)
-    save, count = Checkpoint.save_arrays, [0]
+    whole = mp.reconstruct(capture, [0.0, 0.03], **options)
+    save, count = mp.Checkpoint.save_arrays, [0]
 
     def stopped(self, arrays):
         save(self, arrays)
@@ -218,23 +206,23 @@ def test_a_run_goes_on_and_spectra_on_disk_are_the_same(tmp_path, monkeypatch):
 
     path = tmp_path / "out.checkpoint"
     with monkeypatch.context() as patch:
-        patch.setattr(Checkpoint, "save_arrays", stopped)
-        with pytest.raises(StoppedError), Checkpoint(path) as checkpoint:
-            reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
+        patch.setattr(mp.Checkpoint, "save_arrays", stopped)
+        with pytest.raises(StoppedError), mp.Checkpoint(path) as checkpoint:
+            mp.reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
     monkeypatch.setattr(fourier, "_MEMORY", 0)
-    with Checkpoint(path, "resume") as checkpoint:
-        again = reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
+    with mp.Checkpoint(path, "resume") as checkpoint:
+        again = mp.reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
     for one, other in zip(whole, again, strict=True):
         np.testing.assert_array_equal(one.image, other.image)
 
 
 def test_what_cannot_be_is_refused():
-    capture = Capture(np.ones(SMALL.shape, np.float32), SMALL, WAVELENGTH, "wave", {})
-    with pytest.raises(InputError, match=r"method = ray: behind main_lens = 20x/0\.25 objective"):
-        reconstruct(capture, 0.0)
-    with pytest.raises(InputError, match=r"response = ray: behind main_lens"):
-        reconstruct(capture, 0.0, method="deconvolved", response="ray")
-    with pytest.raises(InputError, match=r"images of .* bins"):
-        reconstruct(capture, 0.0, method="deconvolved", oversample=3000)
-    with pytest.raises(InputError, match="none of its pixels is lit"):
-        reconstruct(Capture(0 * capture.image, SMALL, WAVELENGTH, "wave", {}), 0.0, method="deconvolved")
+    capture = mp.Capture(np.ones(SMALL.shape, np.float32), SMALL, WAVELENGTH, "wave", {})
+    with pytest.raises(mp.InputError, match=r"method = ray: behind main_lens = 20x/0\.25 objective"):
+        mp.reconstruct(capture, 0.0)
+    with pytest.raises(mp.InputError, match=r"response = ray: behind main_lens"):
+        mp.reconstruct(capture, 0.0, method="deconvolved", response="ray")
+    with pytest.raises(mp.InputError, match=r"images of .* bins"):
+        mp.reconstruct(capture, 0.0, method="deconvolved", oversample=3000)
+    with pytest.raises(mp.InputError, match="none of its pixels is lit"):
+        mp.reconstruct(mp.Capture(0 * capture.image, SMALL, WAVELENGTH, "wave", {}), 0.0, method="deconvolved")

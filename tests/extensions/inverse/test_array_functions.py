@@ -4,7 +4,7 @@ import gc
 import weakref
 
 import numpy as np
-from wave_cases import WAVELENGTH, scattered, small_camera
+from cameras import WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.array_functions import CameraCapture, Latest

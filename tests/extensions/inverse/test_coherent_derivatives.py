@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, error, small_camera
+from cameras import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic import InputError, reconstruct
 from mitsuba_plenoptic.light.optical_system import OpticalSystem

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, error, small_camera
+from cameras import WAVELENGTH, error, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, reconstruct
 from mitsuba_plenoptic.refocus import DeconvolvedRefocus

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from wave_cases import HALF, WAVELENGTH, small_camera
+from cameras import HALF, WAVELENGTH, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, reconstruct
 from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise

@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import small_camera
+from cameras import small_camera
 
 from mitsuba_plenoptic import InputError, reconstruct
 from mitsuba_plenoptic.refocus import RayRefocus

@@ -5,9 +5,8 @@ import re
 
 import numpy as np
 import pytest
+from cameras import HALF, write_scene
 from PIL import Image
-from scene_cases import write_scene
-from wave_cases import HALF
 
 from mitsuba_plenoptic import load_scene, render_capture, write_capture
 from mitsuba_plenoptic.cli import main

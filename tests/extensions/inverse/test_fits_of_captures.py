@@ -5,7 +5,7 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import HALF, WAVELENGTH, scattered, small_camera
+from cameras import HALF, WAVELENGTH, scattered, small_camera
 
 from mitsuba_plenoptic import Capture, CaptureOperator, Detector, InputError, PlenopticCamera, expose, fit
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of

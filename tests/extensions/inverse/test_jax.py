@@ -9,7 +9,7 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, error, scattered, small_camera
+from cameras import WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, StoredOperator, load_scene
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus

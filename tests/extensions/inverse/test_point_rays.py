@@ -5,8 +5,7 @@ import itertools
 import mitsuba as mi
 import numpy as np
 import pytest
-from scene_cases import film
-from wave_cases import HALF, WAVELENGTH, error, small_camera
+from cameras import HALF, WAVELENGTH, error, film, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from wave_cases import WAVELENGTH, error, scattered, small_camera
+from cameras import WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, InputError, Spectrum, StoredOperator, load_scene, volume_points
 from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from cameras import HALF, WAVELENGTH, error, scattered, small_camera
 from scipy.optimize import least_squares
 from scipy.special import j1
 from scipy.stats import kstest
 from stopped_runs import StoppedError, stopped_before
-from wave_cases import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, PlenopticCamera, laser
 

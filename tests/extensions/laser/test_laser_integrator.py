@@ -5,8 +5,8 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import error
 from stopped_runs import StoppedError, stopped_before
-from wave_cases import error
 
 from mitsuba_plenoptic import Checkpoint, InputError, PhysicsError, PlenopticCamera, laser, load_scene, render_capture
 from mitsuba_plenoptic.extensions.laser.lit_points import LaserScene, named_lasers

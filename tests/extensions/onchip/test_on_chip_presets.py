@@ -1,7 +1,5 @@
 """Presets of cameras: methods that know regular arrays take those whose lenses are aligned to chief rays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

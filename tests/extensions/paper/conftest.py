@@ -1,11 +1,9 @@
 """The paper's experiment at a size and with stand-ins that take seconds."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest
-from scene_cases import letters
+from cameras import letters
 from scipy.ndimage import gaussian_filter
 
 from mitsuba_plenoptic import Capture, capture_spec

@@ -1,7 +1,5 @@
 """Each verdict of the report comes out both ways, by numbers that are made up."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

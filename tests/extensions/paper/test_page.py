@@ -1,7 +1,5 @@
 """The report in a browser: it works by keyboard, loads nothing, fits narrow screens, and escapes what users name."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

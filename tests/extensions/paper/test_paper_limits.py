@@ -1,7 +1,5 @@
 """Verdicts on limits come out both ways, and the plain loop gives the sums of our reconstruction."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rays that the figures of the setup and of the ways back show, against the thin lens's formula."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

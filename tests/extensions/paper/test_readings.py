@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from wave_cases import HALF, WAVELENGTH, small_camera
+from cameras import HALF, WAVELENGTH, small_camera
 
 from mitsuba_plenoptic import Capture, reconstruct
 from mitsuba_plenoptic.extensions.paper.readings import colour_count, diagonals, of_subsets, quarters, surroundings

@@ -1,14 +1,12 @@
 """The experiment behind the reports: kept stages, a run that is killed, verdicts, files."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil
 
 import numpy as np
 import pytest
-from scene_cases import letters
+from cameras import letters
 from stopped_runs import StoppedError, stopped_before
 
 from mitsuba_plenoptic import (

@@ -1,12 +1,10 @@
 """Beads before a light-field microscope: rays against Mitsuba's, light by angle, positions found again."""
 
-from __future__ import annotations
-
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import film
 from numpy.testing import assert_allclose
-from scene_cases import film
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt

@@ -1,7 +1,5 @@
 """Flows: no divergence, displacements that are the integrals of velocities, and what is known of each in theory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

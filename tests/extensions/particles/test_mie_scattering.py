@@ -1,7 +1,5 @@
 """Light scattered by spheres against published tables, an arbitrary-precision sum, and miepython."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Particles and their images: densities, what enters and leaves, image positions, total light, rays against waves."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reconstruction against dense matrices, correlation on exact shifts, and tracking against known positions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

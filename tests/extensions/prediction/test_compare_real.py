@@ -1,7 +1,5 @@
 """The command that compares a real light field with simulated ones."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

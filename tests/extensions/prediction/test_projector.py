@@ -1,7 +1,5 @@
 """Volumes projected on an array, against captures of points through the whole camera, and fits of such volumes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

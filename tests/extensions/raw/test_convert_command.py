@@ -1,7 +1,5 @@
 """The command ``convert`` to and from files of other programs."""
 
-from __future__ import annotations
-
 import configparser
 
 import numpy as np

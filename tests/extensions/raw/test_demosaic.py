@@ -5,24 +5,15 @@ import json
 
 import numpy as np
 import pytest
-from scene_cases import colour_filters
+from cameras import colour_filters
 
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    InputError,
-    PlenopticCamera,
-    decode,
-    expose,
-    read_capture,
-    reconstruct,
-)
+import mitsuba_plenoptic as mp
 
 from mitsuba_plenoptic import demosaic, write_capture  # isort: skip
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.views import white_image
 
-CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=0.512)
+CAMERA = mp.PlenopticCamera(resolution=(256, 256), detector_width=0.512)
 PERFECT = {"quantum_efficiency": 1, "read_noise": 0, "bits": 16, "full_well": 6e4, "black_level": 0}
 
 
@@ -32,13 +23,13 @@ def coloured(camera, seed=0):
     i, j = camera.lattice.cell(*np.meshgrid(*(camera.pixel_coordinates(axis) * to_lenses for axis in (0, 1))))
     lens = np.unique(1000 * np.rint(i) + np.rint(j), return_inverse=True)[1].reshape(camera.shape)
     colours = np.random.default_rng(seed).uniform(0.05, 1, (lens.max() + 1, 3))
-    return Capture(colours[lens] * white_image(camera)[..., None], camera, (610.0, 550.0, 460.0), "wave")
+    return mp.Capture(colours[lens] * white_image(camera)[..., None], camera, (610.0, 550.0, 460.0), "wave")
 
 
 def mosaicked(capture, mosaic="RGGB"):
     """The same without noise, through filters."""
     image = np.take_along_axis(capture.image, colour_filters(capture.camera, mosaic)[..., None], 2)[..., 0]
-    return Capture(image, capture.camera)
+    return mp.Capture(image, capture.camera)
 
 
 @pytest.mark.parametrize("crop", [{}, {"crop_offset": (35, 53), "crop_size": (192, 194)}])
@@ -46,15 +37,19 @@ def mosaicked(capture, mosaic="RGGB"):
 def test_expose_through_a_mosaic(mosaic, crop, tmp_path):
     """Each pixel has its channel's value, to a digital number and the photons' noise; the file remembers it."""
     given = coloured(CAMERA.replace(**crop))
-    raw = expose(given, Detector(mosaic=mosaic, **PERFECT), photons=5e4)
+    raw = mp.expose(given, mp.Detector(mosaic=mosaic, **PERFECT), photons=5e4)
     assert raw.image.ndim == 2 and raw.wavelength is None
     assert np.abs(raw.image - mosaicked(given, mosaic).image).max() < 6 / np.sqrt(5e4)
     write_capture(tmp_path / "raw.exr", raw)
-    back = demosaic(read_capture(tmp_path / "raw.exr"))
+    back = demosaic(mp.read_capture(tmp_path / "raw.exr"))
     assert back.wavelength == given.wavelength and back.image.shape == given.image.shape
     assert back.metadata["exposure"]["mosaic"] is None and back.metadata["exposure"]["demosaiced"] == mosaic
-    for work in (lambda: reconstruct(raw, 240), lambda: decode(raw), lambda: expose(raw, Detector(), photons=100)):
-        with pytest.raises(InputError, match=f"mosaic = {mosaic}: each pixel of the capture has one colour"):
+    for work in (
+        lambda: mp.reconstruct(raw, 240),
+        lambda: mp.decode(raw),
+        lambda: mp.expose(raw, mp.Detector(), photons=100),
+    ):
+        with pytest.raises(mp.InputError, match=f"mosaic = {mosaic}: each pixel of the capture has one colour"):
             work()
 
 
@@ -87,7 +82,7 @@ def test_a_gradient_in_a_micro_image():
     """A slope of radiance over the pupil is kept in the middle of micro-images, as bilinear interpolation keeps it."""
     x = np.broadcast_to(CAMERA.pixel_coordinates(0), CAMERA.shape)
     image = (1 + 2 * x[..., None] * np.array([1, -0.5, 0.3])) * white_image(CAMERA)[..., None]
-    given = Capture(image, CAMERA)
+    given = mp.Capture(image, CAMERA)
     inside = white_image(CAMERA) == 1
     found = demosaic(mosaicked(given, "GRBG"), mosaic="GRBG").image
     # Within two pixels of a rim neighbours are on one side only.
@@ -99,7 +94,7 @@ def test_white_of_its_own():
     """A white capture takes the place of the computed one; colours of the lamp and the filters are its own."""
     white = white_image(CAMERA)[..., None] * np.array([0.6, 1.0, 0.8])
     given = dataclasses.replace(coloured(CAMERA), image=coloured(CAMERA).image * [0.6, 1.0, 0.8])
-    found = demosaic(mosaicked(given), mosaic="RGGB", white=Capture(white, CAMERA)).image
+    found = demosaic(mosaicked(given), mosaic="RGGB", white=mp.Capture(white, CAMERA)).image
     lit = white_image(CAMERA) > 0.02
     assert (np.abs(found - given.image).max(axis=2)[lit] < 1e-5).mean() > 0.999
 
@@ -107,18 +102,18 @@ def test_white_of_its_own():
 @pytest.mark.parametrize(
     ("work", "message"),
     [
-        (lambda: Detector(mosaic="RGBG"), "mosaic = 'RGBG': it must be one of RGGB"),
+        (lambda: mp.Detector(mosaic="RGBG"), "mosaic = 'RGBG': it must be one of RGGB"),
         (lambda: demosaic(coloured(CAMERA), mosaic="RGGB"), "capture of 3 channels: a mosaic has one"),
         (lambda: demosaic(mosaicked(coloured(CAMERA))), "mosaic = None: the capture does not state it"),
         (lambda: demosaic(mosaicked(coloured(CAMERA)), mosaic="X"), "mosaic = 'X': it must be one of"),
         (
-            lambda: expose(mosaicked(coloured(CAMERA)), Detector(mosaic="RGGB"), photons=9),
+            lambda: mp.expose(mosaicked(coloured(CAMERA)), mp.Detector(mosaic="RGGB"), photons=9),
             "mosaic = RGGB: the capture has 1 channel",
         ),
     ],
 )
 def test_mistakes(work, message):
-    with pytest.raises(InputError, match=message) as refused:
+    with pytest.raises(mp.InputError, match=message) as refused:
         work()
     assert "\n" not in str(refused.value)
 
@@ -129,7 +124,7 @@ def test_the_commands(tmp_path, capsys):
     assert main(["expose", colours, "-o", bayer, "--photons", "5000", "--mosaic", "BGGR"]) == 0
     assert main(["demosaic", bayer, "-o", back]) == 0
     assert "256 x 256 pixels of three colours" in capsys.readouterr().out
-    assert read_capture(back).image.shape == (256, 256, 3)
+    assert mp.read_capture(back).image.shape == (256, 256, 3)
     assert main(["demosaic", back, "-o", str(tmp_path / "again.exr")]) == 2
     assert "capture of 3 channels" in capsys.readouterr().err
     # A raw picture of a camera in a file.
@@ -140,7 +135,7 @@ def test_the_commands(tmp_path, capsys):
     options = ["--camera", str(tmp_path / "camera.json"), "--linear", "--mosaic", "RGGB"]
     assert main(["demosaic", str(tmp_path / "raw.png"), "-o", back, *options]) == 0
     lit = white_image(CAMERA) > 0.02
-    found = read_capture(back).image / (60000 / 65535)
+    found = mp.read_capture(back).image / (60000 / 65535)
     assert np.abs(found - coloured(CAMERA).image)[lit].mean() < 1e-4
 
 

@@ -1,7 +1,5 @@
 """Files of other programs: LFToolbox, mosaics, raw pictures of real cameras."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -1,7 +1,5 @@
 """Raw pictures of Lytro's cameras, of files that the tests write after the published layout."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

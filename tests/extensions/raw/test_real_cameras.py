@@ -1,12 +1,10 @@
 """Raw pictures of real cameras at the command line: Lytro's containers with white pictures, and TIFF with a camera."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import tifffile
+from cameras import colour_filters
 from foreign_files import lytro_metadata, write_lytro, write_lytro_white
-from scene_cases import colour_filters
 
 from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture
 from mitsuba_plenoptic.exchange import read_lytro

@@ -1,7 +1,5 @@
 """Files of MATLAB that hold no light field, or a larger one than memory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.io

@@ -1,7 +1,5 @@
 """The command ``mtf``: edges of a refocused image."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

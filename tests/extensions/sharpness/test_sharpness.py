@@ -1,7 +1,5 @@
 """Slanted edges: their transfer functions against closed forms, their places, and what is no such edge."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

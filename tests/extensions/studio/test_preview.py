@@ -1,7 +1,5 @@
 """The preview: where the scene is, and what is poor about that."""
 
-from __future__ import annotations
-
 import re
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """The command ``preview``: what it prints and refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mitsuba as mi

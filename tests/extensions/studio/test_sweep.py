@@ -1,7 +1,5 @@
 """Parameter sweeps: every point is what its own command gives, kept, labelled, and refused when it makes no sense."""
 
-from __future__ import annotations
-
 import os
 import sys
 import weakref
@@ -10,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from scene_cases import SMALL_SENSOR, definitions, letters, write_scene
+from cameras import SMALL_SENSOR, definitions, letters, write_scene
 from stopped_runs import StoppedError, start_command, stopped_before
 
 from mitsuba_plenoptic import Cluster, InputError, load_scene, reconstruct, render_capture

@@ -1,7 +1,5 @@
 """What notebooks show of captures, reconstructions, cameras and the viewer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct

@@ -1,7 +1,5 @@
 """The command ``view``: what it takes, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The viewer: its page holds the capture's values, states what it leaves out, and in a browser refocuses as we do."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import io
@@ -12,24 +10,14 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from mitsuba_plenoptic import (
-    Capture,
-    InputError,
-    PlenopticCamera,
-    decode,
-    load_scene,
-    reconstruct,
-    render_capture,
-    view,
-    with_camera,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.studio import viewer
 from mitsuba_plenoptic.extensions.studio.viewer import Recording
 from mitsuba_plenoptic.report.images import encode, to_bytes
 from mitsuba_plenoptic.views import depth_map, focal_stack, shift_and_add
 from mitsuba_plenoptic.views import view as one_view
 
-CAMERA = PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
+CAMERA = mp.PlenopticCamera(resolution=(256, 256), detector_width=1.024, crop_size=(256, 256))
 
 
 def capture(camera=CAMERA, colour=False, seed=0):
@@ -38,7 +26,7 @@ def capture(camera=CAMERA, colour=False, seed=0):
     y, x = np.mgrid[0:rows, 0:columns]
     lens = x // 16 + 0.5 * (x % 16 - 7.5), y // 16 + 0.5 * (y % 16 - 7.5)
     image = ((lens[0] // 3 + lens[1] // 3) % 2) * 0.8 + 0.1 + 0.05 * np.random.default_rng(seed).random((rows, columns))
-    return Capture(np.stack([image, 0.5 * image, 1 - image], axis=-1) if colour else image, camera)
+    return mp.Capture(np.stack([image, 0.5 * image, 1 - image], axis=-1) if colour else image, camera)
 
 
 def content(page):
@@ -79,8 +67,8 @@ def test_pictures_hold_values(bits, error, colour):
 
 def test_the_page_holds_the_views():
     recorded = capture()
-    lf = decode(recorded)
-    one = content(view(recorded))["recordings"][0]
+    lf = mp.decode(recorded)
+    one = content(mp.view(recorded))["recordings"][0]
     assert one["name"] == "ray" and one["columns"] == lf.sizes["s"]
     views = pixels(one["views"])[..., 0].reshape(lf.sizes["v"], lf.sizes["t"], lf.sizes["u"], lf.sizes["s"])
     assert np.abs(views.transpose(0, 2, 1, 3) - lf.values).max() < 0.006 * one["views"]["full"]
@@ -93,17 +81,17 @@ def test_the_page_holds_the_views():
 
 @pytest.mark.parametrize("lenses", [4, 64])
 def test_the_views_of_large_and_small_detectors_are_as_many(lenses):
-    camera = PlenopticCamera(resolution=(20 * lenses,) * 2, detector_width=lenses * 0.064)
-    one = content(view(Capture(np.ones(camera.shape), camera)))["recordings"][0]
+    camera = mp.PlenopticCamera(resolution=(20 * lenses,) * 2, detector_width=lenses * 0.064)
+    one = content(mp.view(mp.Capture(np.ones(camera.shape), camera)))["recordings"][0]
     assert len(one["v"]) == len(one["u"]) == 11 and one["v"][5] == one["u"][5] == 0
 
 
 def test_what_is_left_out_is_stated(monkeypatch):
     monkeypatch.setattr(viewer, "_VIEW_BYTES", 10_000)
     monkeypatch.setattr(viewer, "_RAW_BYTES", 20_000)
-    page = view(capture(colour=True))
+    page = mp.view(capture(colour=True))
     one = content(page)["recordings"][0]
-    lf = decode(capture(colour=True))
+    lf = mp.decode(capture(colour=True))
     assert len(one["v"]) == len(one["u"]) == 3 and one["v"][1] == one["u"][1] == 0
     assert f"3 x 3 of {lf.sizes['u']} x {lf.sizes['v']}, the others left out" in page.page
     assert one["raw"]["factor"] == 4 and "averaged over 4 x 4 pixels" in page.page
@@ -114,47 +102,47 @@ def test_what_is_left_out_is_stated(monkeypatch):
 def test_negative_samples_are_stated():
     recorded = capture()
     noisy = dataclasses.replace(recorded, image=recorded.image - 0.15)
-    fraction = float((decode(noisy).values < 0).mean())
-    assert f"{fraction:.2%} of the samples are negative, and 0 in this page" in view(noisy).page
-    assert "are negative" not in view(recorded).page
+    fraction = float((mp.decode(noisy).values < 0).mean())
+    assert f"{fraction:.2%} of the samples are negative, and 0 in this page" in mp.view(noisy).page
+    assert "are negative" not in mp.view(recorded).page
 
 
 def test_bright_lamps_are_held_in_16_bits():
     recorded = capture()
     image = recorded.image.copy()
     image[96:112, 96:112] = 300
-    one = content(view(dataclasses.replace(recorded, image=image)))["recordings"][0]
+    one = content(mp.view(dataclasses.replace(recorded, image=image)))["recordings"][0]
     assert one["views"]["bits"] == 16 and one["views"]["full"] > 290
     faint = pixels(one["views"])[..., 0]
-    lf = decode(dataclasses.replace(recorded, image=image))
+    lf = mp.decode(dataclasses.replace(recorded, image=image))
     assert faint.sum() == pytest.approx(float(lf.sum()), rel=1e-3)
 
 
 def test_stacks_and_depths():
     recorded = capture()
-    lf = decode(recorded)
-    results = reconstruct(recorded, [260.0, 240.0])
+    lf = mp.decode(recorded)
+    results = mp.reconstruct(recorded, [260.0, 240.0])
     unknown = dataclasses.replace(results[0], image=np.where(np.eye(16), np.nan, results[0].image))
     depth = depth_map(lf, 230, 250, planes=8)
     depth["depth"][:], depth["confidence"][:] = 235.0, 1.0
     depth["confidence"][0] = 0.0
     depth["depth"][1] = np.inf
-    found = content(view(recorded, unknown, results[1], depth))
+    found = content(mp.view(recorded, unknown, results[1], depth))
     assert [plane["distance"] for plane in found["planes"]] == [240, 260]
     assert np.array_equal(np.isnan(pixels(found["planes"][1]["picture"])[..., 0]), np.eye(16) > 0)
     inverse = pixels(found["depth"]["picture"])[..., 0]
     assert np.isnan(inverse[0]).all() and (inverse[1] == 0).all()
     assert 1 / inverse[2:] == pytest.approx(235, rel=2e-4)
     # A stack alone is enough.
-    alone = content(view(focal_stack(lf, [230, 250])))
+    alone = content(mp.view(focal_stack(lf, [230, 250])))
     assert alone["recordings"] == [] and [plane["method"] for plane in alone["planes"]] == ["shifted views"] * 2
 
 
 def test_light_fields_without_a_camera():
-    lf = decode(capture())
+    lf = mp.decode(capture())
     plain = xr.DataArray(lf.values, dims=lf.dims, coords={"weight": lf["weight"].variable}, name="radiance")
     steps = {axis: np.arange(lf.sizes[axis]) - (lf.sizes[axis] - 1) / 2 for axis in lf.dims}
-    one = content(view(plain.assign_coords(steps)))["recordings"][0]
+    one = content(mp.view(plain.assign_coords(steps)))["recordings"][0]
     assert one["distances"] == [None] * len(one["disparities"]) and one["raw"] is None
 
 
@@ -173,19 +161,19 @@ def test_light_fields_without_a_camera():
             "sources: light fields whose v differ cannot be compared: they must be of the same camera",
         ),
         (
-            lambda: [reconstruct(capture(), [240.0])[0], reconstruct(capture(), [250.0], oversample=2)[0]],
+            lambda: [mp.reconstruct(capture(), [240.0])[0], mp.reconstruct(capture(), [250.0], oversample=2)[0]],
             "sources: focal stack: all of its images must be of one size",
         ),
     ],
     ids=["none", "number", "three", "unlike", "cameras", "sizes"],
 )
 def test_refused(sources, words):
-    with pytest.raises(InputError, match=words):
-        view(*sources())
+    with pytest.raises(mp.InputError, match=words):
+        mp.view(*sources())
 
 
 def headline(*sources, **options):
-    return view(*sources, **options).page.split("<title>")[1].split("</title>")[0]
+    return mp.view(*sources, **options).page.split("<title>")[1].split("</title>")[0]
 
 
 def test_the_title_states_scene_and_camera():
@@ -194,10 +182,10 @@ def test_the_title_states_scene_and_camera():
     assert headline(recorded) == headline(recorded, other) == "Still life, f/8, 16 x 16 microlenses"
     assert headline(recorded, title="Mine") == "Mine"
     # A scene without a name, and a camera that is known to the light field alone.
-    assert headline(capture()) == headline(decode(recorded)) == "F/8, 16 x 16 microlenses"
+    assert headline(capture()) == headline(mp.decode(recorded)) == "F/8, 16 x 16 microlenses"
     hexagonal = CAMERA.replace(mla_lattice="hexagonal")
     assert headline(capture(hexagonal)) == "F/8, 16 x 18 hexagonal microlenses"
-    assert headline(reconstruct(recorded, [240.0])[0]) == "Light field"
+    assert headline(mp.reconstruct(recorded, [240.0])[0]) == "Light field"
 
 
 def opened(browser, path, **size):
@@ -233,20 +221,20 @@ def test_colours_of_a_crop_in_16_bits_in_a_browser(tmp_path, browser):
     image = recorded.image.copy()
     image[100:108, 60:68] = 300
     recorded = dataclasses.replace(recorded, image=image)
-    made = view(recorded)
+    made = mp.view(recorded)
     data = content(made)
     assert data["recordings"][0]["views"]["bits"] == 16
     made.save(tmp_path / "view.html")
     page, find, drawn = opened(browser, tmp_path / "view.html")
     find("input[value=refocus]").click()
     step = int(find("#focus").get_attribute("value"))
-    refocused = shift_and_add(decode(recorded), data["recordings"][0]["disparities"][step])
+    refocused = shift_and_add(mp.decode(recorded), data["recordings"][0]["disparities"][step])
     assert likeness(refocused, data["white"], drawn()) >= 40
     assert page.get_log("browser") == []
 
 
 def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
-    results = reconstruct(capture(), [240.0, 260.0])
+    results = mp.reconstruct(capture(), [240.0, 260.0])
     holed = dataclasses.replace(results[1], image=np.where(np.eye(16), np.nan, results[1].image))
     depth = xr.Dataset(
         {
@@ -255,7 +243,7 @@ def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
         }
     )
     depth["depth"][4:] = 400.0
-    made = view(results[0], holed, depth)
+    made = mp.view(results[0], holed, depth)
     made.save(tmp_path / "view.html")
     page, find, drawn = opened(browser, tmp_path / "view.html")
     assert find("#focus-text").text == "260 mm"
@@ -275,10 +263,10 @@ def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
 def test_the_viewer_in_a_browser(tmp_path, browser):
     ray = capture()
     wave = dataclasses.replace(capture(seed=1), model="wave")
-    made = view(Recording("<b>", decode(ray), ray.image), wave, title="A <b>")
+    made = mp.view(Recording("<b>", mp.decode(ray), ray.image), wave, title="A <b>")
     made.save(tmp_path / "view.html")
     page, find, drawn = opened(browser, tmp_path / "view.html")
-    lf, data = decode(ray), content(made)
+    lf, data = mp.decode(ray), content(made)
 
     def alike(image):
         return likeness(image, data["white"], drawn())
@@ -309,7 +297,7 @@ def test_the_viewer_in_a_browser(tmp_path, browser):
     assert abs(abs(steps[step]) - 0.5) < 0.06
     # The other capture, by keyboard, and the difference.
     find("input[value='1'][name=sources]").send_keys(" ")
-    assert alike(shift_and_add(decode(wave), steps[step])) >= 35
+    assert alike(shift_and_add(mp.decode(wave), steps[step])) >= 35
     find("input[value=difference]").click()
     white = drawn()[8, 8, :3]
     assert "wave - <b>" in find("#field-tag").text and (white > 200).all()
@@ -368,10 +356,10 @@ def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise, tmp_
     Rays of a microscope have weights, after the sine condition, so that few of them are noisy.
     """
     (tmp_path / "wall.xml").write_text(WALL)
-    camera = PlenopticCamera.preset(preset)
+    camera = mp.PlenopticCamera.preset(preset)
     pixels = round(width / camera.pixel_size)
     camera = camera.replace(detector_width=pixels * camera.pixel_size, resolution=(pixels, pixels))
-    seen = render_capture(with_camera(load_scene(tmp_path / "wall.xml"), camera), model="ray", spp=spp)
+    seen = mp.render_capture(mp.with_camera(mp.load_scene(tmp_path / "wall.xml"), camera), model="ray", spp=spp)
     lf = viewer.decoded(seen)
     assert "camera" not in lf.attrs and lf.attrs["grid"]
     middle = lf.sizes["v"] // 2
@@ -380,6 +368,6 @@ def test_captures_by_real_lenses_and_microscopes(preset, width, spp, noise, tmp_
         known = part.values[part["weight"].values > 0.5]
         assert len(known) == part.size
         assert known.mean() == pytest.approx(1, abs=0.05) and known.std() < noise
-    data = content(view(seen))
+    data = content(mp.view(seen))
     assert data["recordings"][0]["raw"]["rows"] == pixels
     assert set(data["recordings"][0]["distances"]) == {None}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cameras import error
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, PlenopticCamera
@@ -40,10 +41,6 @@ def spots(image, lenses):
     return found[:, power > 0.9 * np.median(power[power > 0.3 * power.max()])]
 
 
-def relative(one, other):
-    return np.linalg.norm(one - other) / np.linalg.norm(other)
-
-
 def test_a_shack_hartmann_sensor_equals_that_of_hcipy():
     # HCIPy places the centre of a lens on the axis; the pupil's image of 1.6 mm has five lenses across.
     width, beam, magnification = 1.76e-3, 1.6e-3, 0.32
@@ -60,7 +57,7 @@ def test_a_shack_hartmann_sensor_equals_that_of_hcipy():
     entering.total_power = 1
     ours = CameraOptics(camera).forward(entering)
     assert ours.grid.x.min() == pytest.approx(-0.875e-3) and ours.sum() == pytest.approx(0.997, abs=3e-3)
-    assert relative(ours.shaped, theirs) < 0.01
+    assert error(ours.shaped, theirs) < 0.01
     # The detector's 5.5 cells across: those of the inner five lenses.
     ours, theirs = (spots(image[8:168, 8:168], 5) for image in (ours.shaped, theirs))
     assert ours.shape[1] >= 9 and np.abs(ours - theirs).max() < 0.01
@@ -79,7 +76,7 @@ def test_an_array_in_the_focus_equals_that_of_hcipy():
     behind = hcipy.FresnelPropagator(focus, 16e-3, num_oversampling=1).forward(array.forward(field))
     optics = CameraOptics(camera)
     ours = optics.forward(given)
-    assert relative(ours.shaped, binned(behind.power.shaped, 128)) < 0.01
+    assert error(ours.shaped, binned(behind.power.shaped, 128)) < 0.01
     assert hcipy.NoisyDetector(optics.output_grid)(1e5 * ours).sum() == pytest.approx(1e5 * ours.sum(), abs=1600)
 
 
@@ -97,7 +94,7 @@ def test_screens_of_atmospheres_and_wavefronts_behind_them_agree(preset):
         camera.replace(phase_screen=screen), points, wavelength=WAVELENGTH * 1e9, method="full_field"
     )
     # The aperture's edge is sampled by 64 um once, and exact once.
-    assert relative(behind.shaped, operator.forward(weights)) < 0.01
+    assert error(behind.shaped, operator.forward(weights)) < 0.01
 
 
 @pytest.mark.parametrize("model", ["ideal", "parabolic"])
@@ -114,7 +111,7 @@ def test_a_tilted_wavefront_is_a_star_off_the_axis(slope, model):
     given.electric_field *= np.exp(-2j * np.pi * tilt * (grid.x + grid.y) / WAVELENGTH)
     star = np.array([[slope, slope, 1]]) * 1e9
     operator = mp.CaptureOperator(camera, star, wavelength=WAVELENGTH * 1e9, method="full_field")
-    assert relative(CameraOptics(camera).forward(given).shaped, operator.forward([1.0])) < (
+    assert error(CameraOptics(camera).forward(given).shaped, operator.forward([1.0])) < (
         0.06 if model == "ideal" else 2e-3
     )
 
@@ -128,9 +125,9 @@ def test_powers_and_places_of_pixels():
     assert y[[0, -1]] == pytest.approx([-23.5 * 20e-6, -4.5 * 20e-6])
     given = wavefront(hcipy.make_pupil_grid(128, 10.24e-3), 10e-3)
     one = crop.forward(given)
-    assert relative(one.shaped, CameraOptics(camera).forward(given).shaped[40:60, 10:70]) < 1e-3
+    assert error(one.shaped, CameraOptics(camera).forward(given).shaped[40:60, 10:70]) < 1e-3
     given.total_power = 3
-    assert relative(crop.forward(given), 3 * one) < 1e-5
+    assert error(crop.forward(given), 3 * one) < 1e-5
 
 
 def test_screens_have_the_path_of_a_phase_at_its_wavelength():

@@ -1,0 +1,86 @@
+"""Derivatives of captures by numbers of the camera are their differences, for every kind of camera."""
+
+import numpy as np
+import pytest
+from cameras import CAMERAS, WAVELENGTH, error, seen_by
+
+from mitsuba_plenoptic import CaptureOperator
+
+STEPS = {
+    "focal_length": 4e-3,
+    "mla_distance": 4e-3,
+    "mla_focal_length": 5e-4,
+    "mla_pitch": 7e-5,
+    "mla_offset": 1e-4,
+    "mla_rotation": 0.1,
+    "mla_fill": 2e-3,
+    "detector_distance": 2e-4,
+    "detector_width": 2e-4,
+    "aperture_radius": 9e-3,
+    "wavefront": 4e-3,
+}
+LIMITS = {
+    "mla_pitch": 0.02,
+    "detector_distance": 0.02,
+    "detector_width": 0.03,
+    "aperture_radius": 0.03,
+    "mla_fill": 0.04,
+}
+QUICK = [
+    ("square", "focal_length"),
+    ("square", "wavefront"),
+    ("medium", "mla_distance"),
+    ("three focal lengths", "mla_focal_length"),
+    ("turned", "mla_pitch"),
+    ("stretched", "mla_offset"),
+    ("hexagonal", "mla_rotation"),
+    ("circles", "mla_fill"),
+    ("gaps", "detector_distance"),
+    ("cropped", "detector_width"),
+    ("square", "aperture_radius"),
+]
+
+
+def small(name):
+    """Return a camera with half as many lenses across."""
+    camera = CAMERAS[name]
+    if name in ("cropped", "microscope"):
+        return camera
+    halved = tuple(count // 2 for count in camera.resolution)
+    return camera.replace(detector_width=camera.detector_width / 2, resolution=halved)
+
+
+def changed(camera, name, amount):
+    """Return the camera with the last number of a parameter changed, and the change by one."""
+    start = np.atleast_1d(np.asarray(getattr(camera, name), float))
+    if name == "wavefront":
+        start = np.pad(start, (0, 15 - len(start)))
+    unit = np.eye(len(start))[-1]
+    value = start + amount * unit
+    # The detector stays where it stands, whatever focal length its distance follows.
+    values = {"detector_distance": camera.detector_distance, name: tuple(value) if len(value) > 1 else value[0]}
+    return camera.replace(**values), unit if len(unit) > 1 else 1.0
+
+
+@pytest.mark.parametrize(
+    ("camera", "name"),
+    [
+        *QUICK,
+        *(
+            pytest.param(camera, name, marks=pytest.mark.slow)
+            for camera in ("square", "hexagonal", "medium", "real")
+            for name in STEPS
+            if (camera, name) not in QUICK
+        ),
+    ],
+)
+def test_points(camera, name):
+    start, points, weights = small(camera), seen_by(camera)[:1], [1.0]
+    _, unit = changed(start, name, 0.0)
+    up, down = (
+        CaptureOperator(changed(start, name, step)[0], points, wavelength=WAVELENGTH, accuracy=0).forward(weights)
+        for step in (STEPS[name], -STEPS[name])
+    )
+    operator = CaptureOperator(start, points, wavelength=WAVELENGTH, accuracy=0)
+    expected = (up.astype(float) - down) / (2 * STEPS[name])
+    assert error(operator.derivative(weights, {name: unit}), expected) < LIMITS.get(name, 0.01)

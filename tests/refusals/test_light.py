@@ -1,0 +1,172 @@
+"""What captures of scenes by signed rays and their derivatives refuse, and lengths of scenes in other units."""
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+from cases import facing, radiating, scene_of, sensor
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture
+from mitsuba_plenoptic.light.lens_kinds import LensKinds
+from mitsuba_plenoptic.light.phase_space import PhaseSpace
+from mitsuba_plenoptic.light.signed_camera import require_parameters
+from mitsuba_plenoptic.microlens import Conic
+
+HUGE_PUPIL = PlenopticCamera(aperture_radius=2000.0, detector_width=0.128, resolution=(64, 64))
+STEEP_LENSES = PlenopticCamera(detector_width=0.128, resolution=(64, 64), mla_shape=Conic(0.25, 0.0, (3e3,)))
+
+
+def by_waves(camera, wall=None, **options):
+    options = {"method": "signed_rays", "spp": 4} | options
+    wall = wall or facing(240.0, 60.0, **radiating())
+    return render_capture(scene_of(camera, wall=wall), model="wave", **options)
+
+
+def derived(names, by_points=False, **parameters):
+    require_parameters(PlenopticCamera(**parameters), names, by_points)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: by_waves(sensor(4, 8, detector_distance=1.0)), "detector_distance = .*: for signed rays it must be"),
+        (lambda: by_waves(STEEP_LENSES.to_sensor()), "mla_shape = .*closer to a parabola"),
+        (
+            lambda: by_waves(HUGE_PUPIL.to_sensor()),
+            r"aperture_radius = 2000: \d{4,} lenses may light a pixel; waves of scenes",
+        ),
+        (
+            lambda: PhaseSpace(PlenopticCamera(detector_distance=1.0), 633.0),
+            "detector_distance = .*: for signed rays it must be closer to the micro",
+        ),
+        (
+            lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.08))),
+            r"mla_jitter = .* a wave capture would need \d+ kinds of microlenses",
+        ),
+        (
+            lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.03), mla_tilt=(0.3, 0.3))),
+            r"mla_tilt = .* a wave capture would need \d+ kinds of microlenses",
+        ),
+        (
+            lambda: derived(["aperture_radius"]),
+            "aperture_radius: captures by signed rays have derivatives by focal_length, ",
+        ),
+        (
+            lambda: derived(["mla_pitch"], mla_pitch=(0.064, 0.07)),
+            "mla_pitch: .* no derivative by one of two pitches",
+        ),
+        (
+            lambda: derived(["mla_offset"], main_lens="double_gauss"),
+            "mla_offset: .* no derivative by it with main_lens",
+        ),
+        (lambda: derived(["focal_length"], distortion=(1e-4, 0, 0, 0, 0)), "focal_length: .* with distortion"),
+        (lambda: derived(["mla_pitch"], mla_jitter=(1e-3, 0)), "mla_pitch: .* with mla_jitter"),
+        (lambda: derived(["mla_pitch"], mla_tilt=(1, 0)), "mla_pitch: .* with mla_tilt"),
+        (lambda: derived(["mla_pitch"], pixel_response=(0, 1, 3, 0.5)), "mla_pitch: .* with pixel_response"),
+        (
+            lambda: derived(["focal_length"], mla_warp=(0.0001,) * 14),
+            "focal_length: captures by signed rays have no derivative by it with mla_warp",
+        ),
+        (lambda: derived(["focal_length"], glass=1.5), "focal_length: .* with glass"),
+        (
+            lambda: derived(["focal_length"], True, detector_distance=0.3),
+            "focal_length: .*detector_distance = 0.3 is far from it",
+        ),
+        (
+            lambda: estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(())),
+            "batch_map: a ray capture does not take it",
+        ),
+        (lambda: estimate_capture(load_scene("letters"), spp=0), "spp = 0"),
+        (
+            lambda: load_scene("white", parameters={"widht": "4"}),
+            r"parameter widht: the scene .* has none of that name \(.*resolution.*\)",
+        ),
+        (lambda: load_scene("letters", unit="km"), "^unit = 'km': it must be one of 'mm', 'cm', 'm'|^unit = "),
+    ],
+)
+def test_refused(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+def test_a_parameter_of_a_scene_that_has_none_is_refused(tmp_path):
+    fixed = tmp_path / "fixed.xml"
+    fixed.write_text("<scene version='3.0.0'><sensor type='plenoptic'/></scene>")
+    with pytest.raises(InputError, match=r"parameter widht: the scene .* has no parameters$"):
+        load_scene(fixed, parameters={"widht": "4"})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lamp": {"type": "point", "intensity": {"type": "d65"}}}, "point 'lamp': intensity: it must be given"),
+        ({"cam": {"type": "orthographic"}}, "orthographic 'cam': its lengths cannot be scaled, only those of "),
+        ({"hair": {"type": "linearcurve", "filename": "x"}}, "linearcurve 'hair': its lengths cannot be scaled"),
+        ({"made": "made"}, "scene: made: an object that is already made cannot be scaled; give its dictionary"),
+    ],
+)
+def test_what_cannot_be_scaled_is_refused_by_name(change, words):
+    change = {name: mi.load_dict({"type": "sphere"}) if one == "made" else one for name, one in change.items()}
+    with pytest.raises(InputError, match=f"^unit: {words}"):
+        mp.load_scene({"type": "scene", **change}, unit="m")
+
+
+def test_colours_that_have_no_spectrum_are_refused(tmp_path):
+    camera = sensor(6, 16)
+    camera["film"]["pixel_format"] = "rgb"
+    mi.set_variant("llvm_ad_rgb")
+    table = tmp_path / "silicon.csv"
+    table.write_text("400,1,1,1\n1000,1,1,1\n")
+    with pytest.raises(InputError, match="colours have the spectrum of D65, from 360 to 830 nm"):
+        by_waves(camera, responses=str(table))
+    mi.set_variant("llvm_ad_spectral")
+    lamp = facing(240.0, 60.0, emitter={"type": "area", "radiance": {"type": "d65"}})
+    with pytest.raises(InputError, match="wavelength = 850: emitter wall has light from 360 to 830 nm only"):
+        by_waves(camera, lamp, wavelength=850.0)
+
+
+ROUGH = {"type": "roughconductor", "alpha": 0.3}
+ROUGHNESS = "wall.bsdf.alpha.value"
+
+
+def lit(bsdf, lamp, child="path"):
+    """Return the scene of a wall in the light of a lamp, to be captured by signed rays."""
+    integrator = {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": child}}
+    return scene_of(sensor(4, 8), integrator, wall=facing(250.0, 0.3, bsdf=bsdf), lamp=lamp)
+
+
+@pytest.mark.parametrize(
+    ("child", "key", "words"),
+    [
+        ("path", "wall.to_world", "wall.to_world: it has no gradient"),
+        ("path", "camera.to_world", "camera.to_world: it has no gradient"),
+        (
+            "path",
+            "camera.aperture_radius",
+            "aperture_radius: captures by signed rays have derivatives by focal_length,",
+        ),
+        ("direct", ROUGHNESS, "nested DirectIntegrator: scene parameters have no gradients through it; use path"),
+        ("prbvolpath", ROUGHNESS, "nested PRBVolpathIntegrator: Mitsuba differentiates it in reverse alone"),
+    ],
+)
+def test_what_cannot_be_differentiated_is_refused_by_name(child, key, words):
+    scene = lit(ROUGH, {"type": "point", "position": [0.0, 40.0, 0.0], "intensity": 3e4}, child)
+    params = mi.traverse(scene)
+    dr.enable_grad(params[key])
+    with pytest.raises(InputError, match=f"^plenoptic_wave: {words}"):
+        scene.integrator().render_forward(scene, params)
+    # Mitsuba follows parameters of all scenes that there are.
+    dr.disable_grad(params[key])
+
+
+@pytest.mark.parametrize("gradient", [None, "lamp.position"])
+def test_light_without_a_derivative_is_refused_with_what_is_missing(gradient):
+    """By the position of a lamp, on which the light depends, and by nothing."""
+    scene = lit({"type": "diffuse"}, {"type": "point", "position": [0, 0, 100]})
+    params = mi.traverse(scene)
+    if gradient:
+        dr.enable_grad(params[gradient])
+        params.update()
+    words = "no derivative .* none by positions of lamps; capture by rays with the integ"
+    with pytest.raises(InputError, match=words):
+        scene.integrator().render_backward(scene, params, dr.ones(mi.TensorXf, (32, 32, 1)))

@@ -1,0 +1,63 @@
+"""What free space and spectra refuse."""
+
+import numpy as np
+import pytest
+
+from mitsuba_plenoptic import InputError, PlenopticCamera, Spectrum, point_spread_function
+from mitsuba_plenoptic.optics.waves import propagate
+
+TABLE = np.arange(400.0, 700, 0.2), np.random.default_rng(0).random(1500)
+
+
+def propagated(**changes):
+    return propagate(**{"field": np.ones((4, 4)), "pitch": 1e-3, "distance": 1.0, "wavelength": 633.0} | changes)
+
+
+def bell(places):
+    """Responses of two channels."""
+    return np.stack([np.exp(-(((places - middle) / 40) ** 2)) for middle in (540, 610)])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: propagated(field=np.zeros(5)), "^field"),
+        (lambda: propagated(field=np.full((4, 4), np.nan)), "^field"),
+        (lambda: propagated(pitch=0.0), "^pitch"),
+        (lambda: propagated(distance=float("nan")), "^distance"),
+        (lambda: propagated(wavelength=-633.0), "^wavelength"),
+        (lambda: propagated(wavelength="red"), "^wavelength"),
+        (lambda: Spectrum((), ()), "^spectrum: it must have a wavelength"),
+        (lambda: Spectrum((-633.0,), ((1.0,),)), "^wavelength = -633"),
+        (lambda: Spectrum((633.0,), ()), "^spectrum: responses of shape"),
+        (lambda: Spectrum((633.0, 532.0), ((1.0,),)), r"^spectrum: responses of shape \(1, 1\)"),
+        (lambda: Spectrum((633.0,), ((np.nan,),)), "^spectrum: responses of shape"),
+        (lambda: Spectrum((633.0, 532.0), ((1.0,), (1.0, 2.0))), "^spectrum: responses"),
+        (lambda: Spectrum((633.0,), (("red",),)), "^spectrum: responses"),
+        (lambda: Spectrum.smooth(bell, 400, 700, 31, [TABLE]), "more than 1024 wavelengths: sample them more coarsely"),
+    ],
+)
+def test_refused(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (5320, r"wavelength = 5320: it must be from 200 to 2500 nm; it looks like angstroms, 532 nm"),
+        (0.633, r"wavelength = 0\.633: it must be from 200 to 2500 nm; it looks like micrometres, 633 nm"),
+        (633e-6, "it looks like millimetres, 633 nm"),
+        (633e-9, r"wavelength = 6\.33e-07: it must be from 200 to 2500 nm; it looks like metres, 633 nm"),
+        (150, "wavelength = 150: it must be from 200 to 2500 nm"),
+        (-633, "wavelength = -633: it must be greater than 0"),
+        ("633", "it must be a number"),
+    ],
+)
+def test_wavelengths_in_other_units(given, words):
+    for take in (
+        lambda: Spectrum((given,), ((1.0,),)),
+        lambda: point_spread_function(PlenopticCamera(), (0, 0, 240), wavelength=given),
+    ):
+        with pytest.raises(InputError, match=words):
+            take()

@@ -1,0 +1,259 @@
+"""What reconstructions and their white pictures refuse."""
+
+import functools
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from cameras import HALF, WAVELENGTH, small_camera
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.light.optical_system import OpticalSystem
+from mitsuba_plenoptic.refocus import Volume
+from mitsuba_plenoptic.refocus.conjugates import RealConjugates
+from mitsuba_plenoptic.views import white_image
+
+SMALL = mp.PlenopticCamera(detector_width=0.128, resolution=(64, 64))
+NARROW = {"mla_pitch": 0.001, "mla_rotation": 71.67, "mla_aperture": "circle", "mla_fill": 0.51}
+SHORT = mp.PlenopticCamera(detector_width=0.128, resolution=(16, 1), detector_distance=0.58)
+APODISED = small_camera(4, pupil_apodisation=(-0.6, 0.2))
+GAUSS = mp.PlenopticCamera(
+    main_lens="double_gauss", focal_length=40, aperture_radius=2.5, focus_distance=120, detector_width=0.768,
+    resolution=(384, 384),
+)  # fmt: skip
+MICROSCOPE = mp.PlenopticCamera(
+    main_lens=mp.Objective(20, 0.5), mla_pitch=0.15, mla_focal_length=3, detector_width=0.6, resolution=(60, 60)
+)
+NEEDS_DECONVOLUTION = pytest.mark.needs_extension("deconvolution")
+
+
+def refocused(camera=SMALL, **changes):
+    """Refocus even light by rays, with some arguments changed."""
+    given = {"capture": np.ones(camera.shape), "distance": 240.0, "camera": camera} | changes
+    return mp.reconstruct(**given)
+
+
+def by_waves(camera=SMALL, **changes):
+    return refocused(camera, **{"method": "partial", "wavelength": WAVELENGTH} | changes)
+
+
+def magnified(distance=0.01, **options):
+    capture = mp.Capture(np.ones((60, 60), np.float32), MICROSCOPE, 550.0, "wave", {})
+    return mp.reconstruct(capture, distance, **options)
+
+
+def resolved(distance, wavelength=None):
+    return mp.design.effective_resolution(SMALL, distance, wavelength)
+
+
+def planes(*distances):
+    """Gather planes in a volume."""
+    image = np.ones((6, 6), np.float32)
+    return Volume.of([mp.Reconstruction(image, g, SMALL.bin_size(g), "deconvolved", SMALL) for g in distances])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: refocused(distance=[240.0, math.nan]), "distance = nan: it must be finite"),
+        (lambda: refocused(distance="far"), "distance = 'far': it must be a number"),
+        (lambda: mp.reconstruct(np.ones((64, 64)), 240.0, camera=None), "a plain array needs the camera"),
+        (lambda: refocused(capture=np.ones((3, 3))), "the camera records 64 rows"),
+        (lambda: by_waves(wavelength=None), "wavelength = None: a wave method needs one"),
+        (lambda: by_waves(wavelength=-5), "wavelength = -5: it must be greater than 0"),
+        (lambda: by_waves(wavelength=64000), "wavelength = 64000: it must be from 200 to 2500 nm"),
+        (lambda: by_waves(wavelength=(500, 600)), "the capture has 1 channels"),
+        (
+            lambda: by_waves(interleave=0),
+            "interleave = 0: it must be 'auto' or a whole number from 1 to 2, the lenses along an axis",
+        ),
+        (lambda: by_waves(interleave=3), "interleave = 3: it must be 'auto' or a whole number from 1 to 2"),
+        (lambda: by_waves(interleave=1.5), "interleave = 1.5: it must be 'auto' or a whole number"),
+        (lambda: by_waves(interleave="all"), "interleave = 'all': it must be 'auto' or a whole number"),
+        (lambda: by_waves(oversample=0), "oversample = 0: it must be at least 1"),
+        (lambda: refocused(SHORT, distance=160.0), "no light comes from any of the 4 bins there"),
+        (
+            lambda: by_waves(SHORT, distance=160.0, wavelength=1000.0, method="coherent"),
+            "no light comes from any of the 4 bins there",
+        ),
+        (
+            lambda: by_waves(APODISED, method="coherent"),
+            "pupil_apodisation = .*: method coherent .*use method ray",
+        ),
+        (
+            lambda: magnified(method="ray"),
+            r"method = ray: behind main_lens = 20x/0\.5 objective .* use method incoherent or deconvolved",
+        ),
+        pytest.param(
+            lambda: magnified(method="deconvolved", response="ray"),
+            r"response = ray: behind main_lens = 20x/0\.5 objective it must be wave",
+            marks=NEEDS_DECONVOLUTION,
+        ),
+        pytest.param(
+            lambda: magnified(-10, method="deconvolved"),
+            "distance = -10: it must be a finite depth beyond the native object plane",
+            marks=NEEDS_DECONVOLUTION,
+        ),
+        pytest.param(
+            lambda: refocused(GAUSS, distance=120.0, method="deconvolved", response="ray"),
+            "response = ray: behind main_lens = .* it must be wave",
+            marks=NEEDS_DECONVOLUTION,
+        ),
+        (
+            lambda: RealConjugates.of(OpticalSystem(GAUSS, WAVELENGTH), [120.0, 12.0], 1),
+            "distance = 12: it must lie before the main_lens",
+        ),
+        (lambda: planes(), "a volume needs|it is given twice"),
+        (lambda: planes(math.inf), "a volume needs|it is given twice"),
+        (lambda: planes(230.0, 230.0), "a volume needs|it is given twice"),
+        (
+            lambda: mp.estimate_reconstruction(mp.example("letters-wave"), 210.0, progress=print),
+            "progress: an estimate does not take it",
+        ),
+        (lambda: resolved(80.0), "distance = 80: it must be greater than the focal length 80"),
+        (lambda: resolved(math.nan), "distance = nan"),
+        (lambda: resolved(240.0, -1), "wavelength = -1"),
+    ],
+)
+def test_refused(call, words):
+    with pytest.raises(mp.InputError, match=words):
+        call()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"method": "coherent"}, {"interleave": 2}, {"interleave": "auto"}],
+    ids=["coherent", "K2", "auto"],
+)
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (NARROW, "less than a pixel"),
+        ({"aperture_radius": 0.05}, "aperture_radius = 0.05: its micro-images of 0.21 pixels light no pixel"),
+    ],
+    ids=["narrow lenses", "small micro-images"],
+)
+def test_a_camera_without_white_is_refused(options, changes, words):
+    """No pixel belongs to the lens beside the axis, or none is lit: images would be divided by nothing."""
+    with pytest.raises(mp.InputError, match=words):
+        by_waves(SMALL.replace(**changes), capture=np.zeros(SMALL.shape), **options)
+
+
+@pytest.mark.parametrize(
+    "tell",
+    [
+        mp.design.field_of_view,
+        mp.design.refocus_range,
+        mp.design.depth_ranges,
+        mp.design.best_distances,
+        lambda camera: mp.design.field_width(camera, 1.0),
+        lambda camera: mp.design.virtual_depth(camera, 1.0),
+        lambda camera: mp.design.main_fresnel_number(camera, 550),
+        lambda camera: camera.defocus(1.0),
+    ],
+)
+def test_numbers_of_a_lens_at_a_finite_distance_are_refused_behind_an_objective(tell):
+    with pytest.raises(mp.InputError, match="is not defined behind an objective"):
+        tell(mp.PlenopticCamera.preset("lfm"))
+
+
+@pytest.mark.needs_extension("inverse")
+def test_gradients_of_reconstructions_refuse_a_warp():
+    from mitsuba_plenoptic.extensions.inverse.differentiable import RayRefocus
+
+    warped = small_camera(4, **HALF, mla_warp=(0.001,) * 14)
+    with pytest.raises(
+        mp.InputError, match=r"mla_warp = .*reconstructions have derivatives through cameras without it"
+    ):
+        RayRefocus(warped, 114.0)
+
+
+CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+CROPS = [CAMERA.replace(crop_offset=offset, crop_size=(64, 96)) for offset in ((0, 0), (64, 32))]
+COLOURS = (620.0, 540.0, 460.0)
+
+
+@functools.cache
+def white():
+    return white_image(CAMERA)
+
+
+def rgb():
+    return np.stack([white(), 0.8 * white(), 0.6 * white()], axis=-1)
+
+
+def ray(image=None, camera=CAMERA):
+    return mp.Capture(white() if image is None else image, camera)
+
+
+def wave(image=None, wavelength=633.0):
+    return mp.Capture(white() if image is None else image, CAMERA, wavelength, "wave")
+
+
+def lit(lenses):
+    """Return the white of an array in the light of all lenses but some at the left."""
+    return np.where(np.arange(128) < 16 * lenses, 0, white())
+
+
+def square_white(distance):
+    """Render a square of radiance 1, half as wide as the view and seen by a small part of the pupil only."""
+    place = mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(0.32)
+    sheet = {"type": "rectangle", "emitter": {"type": "area", "radiance": 1.0}, "to_world": place}
+    scene = {"type": "scene", "integrator": {"type": "direct"}, "sheet": sheet, "camera": CAMERA.to_sensor()}
+    return mp.render_capture(mp.load_scene(scene), spp=16)
+
+
+WHITES = {
+    "camera": (
+        lambda: (ray(), ray(camera=CAMERA.replace(aperture_radius=4.0))),
+        "white: its camera has aperture_radius = 4.0, that of the capture 5.0: it must be by the camera of the",
+    ),
+    "crop": (
+        lambda: tuple(mp.Capture(white_image(crop), crop) for crop in CROPS),
+        r"white: its camera has crop_offset = \(64, 32\), that of the capture \(0, 0\)",
+    ),
+    "wavelength": (lambda: (wave(), wave(None, 532.0)), "white of 532.0 nm: the capture is of 633.0 nm"),
+    "colours": (
+        lambda: (wave(rgb(), COLOURS), wave(None, 540.0)),
+        r"white of 540.0 nm: the capture is of \(620.0, 540.0, 460.0\) nm",
+    ),
+    "model": (lambda: (ray(), wave()), "white: it was captured by waves, and the capture by rays"),
+    "mosaic": (
+        lambda: (ray(), mp.expose(ray(rgb()), mp.Detector(mosaic="RGGB"), photons=1e4)),
+        "mosaic = RGGB: each pixel of the capture has one colour",
+    ),
+    "channels": (lambda: (ray(), rgb()), r"white of shape \(128, 128, 3\): it must have the pixels of the capture"),
+    "NaN": (lambda: (ray(), np.where(white() > 0, np.nan, 0)), "white: .* of its pixels are NaN or infinite"),
+    "dark": (lambda: (ray(), -white()), "white: it is dark"),
+    "part": (
+        lambda: (ray(), lit(3)),
+        r"white: 24 of 64 lenses have less than 0\.125 of the light of the brightest: it must fill the view",
+    ),
+    "saturated": (
+        lambda: (ray(), mp.expose(ray(), mp.Detector(), photons=2e4)),
+        "white: [0-9]+ of its 16384 pixels are saturated: they must be at most 1%",
+    ),
+    "half a view": (lambda: (ray(), square_white(240)), "of 64 lenses have less than 0.125"),
+    "half a pupil": (lambda: (ray(), square_white(300)), "16% of its light is distributed over"),
+}
+
+
+@pytest.mark.parametrize(("make", "words"), WHITES.values(), ids=WHITES)
+def test_whites_that_do_not_suit_are_refused(make, words):
+    capture, reference = make()
+    with pytest.raises(mp.InputError, match=words):
+        mp.reconstruct(capture, 210.0, white=reference)
+
+
+@pytest.mark.parametrize(("distance", "words"), [(240, "of 64 lenses have less than 0.125"), (300, "16% of its light")])
+def test_whites_are_judged_by_light_fields_too(distance, words):
+    with pytest.raises(mp.InputError, match=words):
+        mp.decode(white(), camera=CAMERA, white=square_white(distance))
+
+
+def test_a_dim_white_is_named():
+    with pytest.warns(UserWarning, match=r"white: 8 of 64 lenses have less than 0\.5 of the light of the brightest"):
+        mp.reconstruct(ray(), 240.0, white=white() * np.where(np.arange(128) < 16, 0.3, 1))
+    with pytest.warns(UserWarning, match="method ray has no use for interleave"):
+        mp.estimate_reconstruction(mp.example("letters-wave"), 210.0, interleave=2)

@@ -1,0 +1,151 @@
+"""What light fields, their views, depth and ground truth refuse."""
+
+import functools
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, decode
+from mitsuba_plenoptic.views import (
+    FourierRefocuser,
+    depth_map,
+    depth_range,
+    disparity,
+    epipolar_image,
+    estimate_lens_grid,
+    focal_stack,
+    lens_grid,
+    micro_images,
+    refocus,
+    shift_and_add,
+    white_image,
+)
+
+SMALL = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
+FOURIER = PlenopticCamera(
+    main_lens=Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50), mla_pitch=0.5, mla_focal_length=20.0,
+    mla_offset=(0.25, 0.25), detector_width=2.6, resolution=(260, 260),
+)  # fmt: skip
+MULTI_FOCUS = PlenopticCamera.preset("raytrix").replace(detector_width=2.64, resolution=(480, 384))
+FOCUSED = PlenopticCamera.preset("paper").replace(
+    detector_width=0.512, resolution=(256, 256), mla_focal_length=0.384, mla_distance=121.536, aperture_radius=4.9
+)
+CORNER = PlenopticCamera(crop_offset=(2075, 2075), crop_size=(4, 4))
+
+
+@functools.cache
+def even(camera=SMALL):
+    """Return the light field of even light."""
+    return decode(np.ones(camera.shape, np.float32), camera=camera)
+
+
+@functools.cache
+def scene():
+    """Return a plane before a camera, rolled."""
+    pose = mi.ScalarTransform4f().translate([30, -20, 55]).rotate([0, 1, 0], 35).rotate([0, 0, 1], 8)
+    plane = {"type": "rectangle", "to_world": pose @ mi.ScalarTransform4f().translate([0, 0, 262])}
+    return mp.load_scene({"type": "scene", "sensor": SMALL.to_sensor(pose), "plane": plane})
+
+
+@functools.cache
+def truth():
+    return mp.ground_truth(scene(), ["depth"])
+
+
+def patched(**changes):
+    """Find depths by the micro-images of even light, of a camera of which some values differ."""
+    other = MULTI_FOCUS.replace(**changes)
+    images = micro_images(mp.Capture(np.ones(other.shape, np.float32), other)) if changes else None
+    return depth_map(even(MULTI_FOCUS), 335, 385, planes=3, micro_images=images)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: even(FOURIER.replace(mla_rotation=3.0)), "mla_rotation = 3: views of a Fourier microscope"),
+        (lambda: even(FOURIER.replace(resolution=(10, 10))), "a view needs three pixels"),
+        (
+            lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))),
+            "leave main_lens out, or reconstruct a wave capture with method deconvolved",
+        ),
+        (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "for thin main lenses only"),
+        *(
+            (lambda find=find: find(even(FOURIER)), "an even parallax between views is not defined behind an objective")
+            for find in (
+                depth_range,
+                lambda lf: refocus(lf, 0.01),
+                lambda lf: disparity(lf, 0.01),
+                lambda lf: shift_and_add(lf, 0.5),
+            )
+        ),
+        (lambda: lens_grid(CORNER), "no micro-image is centred in the recorded window"),
+        (
+            lambda: lens_grid(CORNER.replace(mla_lattice="hexagonal")),
+            "no micro-image is centred in the recorded window",
+        ),
+        (lambda: patched(), r"micro_images = None: .* give micro_images\(capture\)$"),
+        (lambda: patched(mla_rotation=7.0, mla_offset=(0.03, -0.02)), "another camera"),
+        (
+            lambda: depth_map(even(FOCUSED).isel(u=slice(None, None, 2)), 232, 245, planes=3),
+            "takes all of its views, along u some lack",
+        ),
+        (
+            lambda: micro_images(np.ones((384, 480)), grid=lens_grid(MULTI_FOCUS), white=np.ones((384, 480))),
+            "camera = None",
+        ),
+        (lambda: mp.ground_truth(scene(), ["depth", "colour"]), "aov = 'colour'"),
+        (lambda: mp.ground_truth(scene(), []), "at least one of depth, virtual_depth, position"),
+        (
+            lambda: decode(np.ones(SMALL.shape), camera=SMALL.replace(aperture_radius=4.0), truth=truth()),
+            "another camera",
+        ),
+        (lambda: epipolar_image(even(), "?"), "axis = "),
+    ],
+)
+def test_refused(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        lambda: np.ones((100, 100)),
+        lambda: np.zeros((100, 100)),
+        lambda: np.random.default_rng(0).random((200, 200)),
+        lambda: np.ones((4, 4)),
+        lambda: np.ones(100),
+        lambda: np.full((100, 100), np.nan),
+        lambda: white_image(PlenopticCamera(detector_width=0.128, resolution=(64, 64))),
+    ],
+    ids=["flat", "black", "noise", "tiny", "line", "not finite", "four lenses"],
+)
+def test_pictures_without_a_lattice_are_refused(image):
+    with pytest.raises(InputError, match="white"):
+        estimate_lens_grid(image())
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda: depth_map(even(), 200, 300),
+        lambda: focal_stack(even(), [240.0] * 10),
+        lambda: FourierRefocuser(even(), 0.1),
+        lambda: even.__wrapped__(),
+    ],
+    ids=["depth", "stack", "Fourier", "decode"],
+)
+def test_light_fields_estimate_their_memory_first(work, monkeypatch):
+    even()
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "1e-6")
+    with pytest.raises(InputError, match="it would need"):
+        work()
+
+
+@pytest.mark.parametrize("text", ["much", "nan", "-1", "0"])
+def test_a_limit_of_memory_that_is_none_is_refused(monkeypatch, text):
+    monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", text)
+    with pytest.raises(InputError, match="MITSUBA_PLENOPTIC_MEMORY"):
+        mp.reconstruct(np.ones((64, 64), np.float32), 240.0, camera=SMALL)
