@@ -111,6 +111,7 @@ def test_own_scenes_in_metres_are_compared(box, camera, tmp_path, monkeypatch, c
     assert (mp.read_capture(out / "data" / "capture_ray.exr").image == known.image).all()
 
 
+@pytest.mark.slow
 def test_scenes_of_colours_are_compared_in_colour(tmp_path, monkeypatch, run, complaint):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
     card = """<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="180"/><scale value="20"/>
