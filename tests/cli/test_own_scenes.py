@@ -5,8 +5,8 @@ import json
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import write_scene
 from PIL import Image
-from scene_cases import write_scene
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
