@@ -67,7 +67,7 @@ VARIANTS = {"mono": "llvm_ad_mono", "spectral": "llvm_ad_spectral"}
 
 SHORT = (
     r"^(square|hexagonal|focused) \| thin|^square \| (dispersive|double Gauss|objective|mono)|^(jittered|none) "
-    r"|preset (paper|lytro|phone)$|on-chip|other results"
+    r"|on-chip|other results"
 )
 """Rows of the short set."""
 
