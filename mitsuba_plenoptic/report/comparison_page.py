@@ -176,7 +176,7 @@ def time_summary(seconds: dict[str, float]) -> str:
     return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
 
 
-def _facts(experiment: Experiment, measured: dict[str, Any]) -> list[tuple[str, str]]:
+def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the settings and versions of an experiment as pairs of texts."""
     settings, against, points = experiment.settings, [], measured["captures"]["points"]
     if points is not None:
@@ -236,7 +236,7 @@ def shown_distances(experiment: Experiment) -> list[float]:
     return sorted({*experiment.settings.slider, *experiment.settings.distances})
 
 
-def reconstructions(experiment: Experiment, measured: dict[str, Any], window: Window) -> dict[str, Any]:
+def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window: Window) -> dict[str, Any]:
     """Return pictures by method and distance, with metrics where they are known."""
     distances = shown_distances(experiment)
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])

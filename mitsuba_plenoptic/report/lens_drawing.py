@@ -228,7 +228,7 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     plot = Plot(10.6, 7.4)
     rows = plot.add_gridspec(2, 1, height_ratios=(3.6, 2.8))
     _surfaces(bare(plot.add_subplot(rows[0])), camera, corner, camera.prescription.name or "main lens")
-    *spots, light, distortion = rows[1].subgridspec(1, 5, width_ratios=(2, 2, 2, 1.6, 1.6)).subplots()
+    *spots, light, distortion = rows[1].subgridspec(1, 5, width_ratios=(2, 2, 2, 1.6, 1.6)).subplots(squeeze=False)[0]
     for axes, part in zip(spots, _FIELDS, strict=True):
         _spot(axes, camera, part * corner)
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,7 +12,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from .. import report
 from ..choices import ANIMATED, PICTURES
 from ..errors import refuse_if
 from ..io.exr import image_channels, write_exr_parts
@@ -23,6 +23,11 @@ from .animations import write_animation
 from .images import Drawing, enlarge, enlargement, write_png
 
 _AUTOMATIC = Drawing()
+
+
+def _plots() -> Any:
+    """Return the module of figures, whose libraries take a third of a second to load."""
+    return importlib.import_module(".plots", __package__)
 
 
 def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
@@ -57,7 +62,7 @@ def write_reconstructions(
     """
     peak = drawing.brightness.peak([result.image for result in results])
     if drawing.is_figure(paths[0]):
-        report.plots.contact_sheet(results, peak).save(paths[0])
+        _plots().contact_sheet(results, peak).save(paths[0])
         return
     for path, result in zip(paths, results, strict=True):
         if path.suffix.lower() == ".png":
@@ -80,7 +85,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
     }
     white = drawing.brightness.peak([lf.values])
     picture = view_mosaic(lf)
-    write_drawn(path, "views", lf, parts, picture, white, drawing, lambda: report.plots.views_figure(lf, white))
+    write_drawn(path, "views", lf, parts, picture, white, drawing, lambda: _plots().views_figure(lf, white))
 
 
 def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> None:
@@ -96,7 +101,7 @@ def write_epipolar_image(path: str | Path, image: xr.DataArray, drawing: Drawing
         values,
         white,
         drawing,
-        lambda: report.plots.epipolar_figure(image, white),
+        lambda: _plots().epipolar_figure(image, white),
     )
 
 
@@ -107,9 +112,7 @@ def write_stack(path: str | Path, stack: xr.DataArray, drawing: Drawing = _AUTOM
     white = drawing.brightness.peak([stack.values])
     picture = _tiled(list(images.values()))
     parts = as_parts(**images)
-    write_drawn(
-        path, "focal stack", stack, parts, picture, white, drawing, lambda: report.plots.stack_figure(stack, white)
-    )
+    write_drawn(path, "focal stack", stack, parts, picture, white, drawing, lambda: _plots().stack_figure(stack, white))
 
 
 def write_focal_sweep(path: Path, stack: xr.DataArray, drawing: Drawing = _AUTOMATIC) -> int:
@@ -160,7 +163,7 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
         maps = [entry if entry.ndim == 3 else np.repeat(entry[..., None], 3, axis=2) for entry in maps]
     picture = np.concatenate(maps, axis=1)
     stored = as_parts(**parts)
-    write_drawn(path, "depth", found, stored, picture, 1.0, drawing, lambda: report.plots.depth_figure(found, white))
+    write_drawn(path, "depth", found, stored, picture, 1.0, drawing, lambda: _plots().depth_figure(found, white))
 
 
 def write_drawn(

@@ -122,7 +122,8 @@ class Plot(Figure):
         """Make the figure as high as its panels with their texts."""
         if self._fits_panels:
             self._engine.execute(self)
-            content = Bbox.union([axes.get_tightbbox() for axes in self.axes])
+            boxes = (axes.get_tightbbox() for axes in self.axes)
+            content = Bbox.union([box for box in boxes if box is not None])
             self.set_figheight(content.height / self.dpi + 2 * _GAP)
 
 
@@ -269,7 +270,8 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
     thick = 0.045
     left, low, colour = (0.0, -3 * thick, INK) if below else (0.04, 2.5 * thick, "white")
     # Along the picture in fractions of its width, upwards in inches from its lower edge.
-    inches = axes.get_figure().dpi_scale_trans + ScaledTranslation(0, 0, axes.transAxes)  # type: ignore[union-attr]
+    figure: Any = axes.get_figure()
+    inches: Any = figure.dpi_scale_trans + ScaledTranslation(0, 0, axes.transAxes)  # type: ignore[arg-type]
     frame: dict[str, Any] = {"transform": blended_transform_factory(axes.transAxes, inches), "clip_on": False}
     # Bright pictures need something dark behind.
     outline = [] if below else [withStroke(linewidth=3, foreground="black")]
@@ -499,7 +501,8 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
     images = [panel.image for row in rows for panel in row if panel.image.size]
     grey = images[0].ndim == 2
     columns = max(len(row) for row in rows)
-    norm, drawn = _grey(images, white), None
+    norm = _grey(images, white)
+    drawn: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
     stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.

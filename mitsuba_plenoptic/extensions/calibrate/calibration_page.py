@@ -51,7 +51,7 @@ def write_calibration_report(
         maps.append(("Centres of micro-images", middle, group_means(-calibration.centre_residuals[used], cell)[1]))
     shown = f"observed less predicted, outliers left out, means of cells of the detector, enlarged {_ENLARGED} times."
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
-    residuals = [
+    residuals: list[Block] = [
         *(Picture(arrows(middle, mean, size).png(), f"{name}: {shown}") for name, middle, mean in maps),
         Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
         _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),

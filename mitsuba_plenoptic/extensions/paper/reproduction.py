@@ -174,8 +174,8 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     zooms = _letter_zooms(experiment, letters)
     plot = Plot(10.9, 5.4 * window.aspect + 4.4)
     rows = plot.add_gridspec(2, 1, height_ratios=(5.4 * window.aspect, 3.5))
-    upper = rows[0].subgridspec(1, 2).subplots()
-    lower = rows[1].subgridspec(1, len(zooms)).subplots()
+    upper = rows[0].subgridspec(1, 2).subplots(squeeze=False)[0]
+    lower = rows[1].subgridspec(1, len(zooms)).subplots(squeeze=False)[0]
     for panels, aspect in ((upper, window.aspect), (lower, 1)):
         for axes in panels:
             bare(axes).set_box_aspect(aspect)
