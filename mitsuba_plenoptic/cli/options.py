@@ -140,7 +140,7 @@ Definitions = Annotated[
 ]
 
 
-def distances(**bounds: bool) -> Any:
+def distances(**bounds: Any) -> Any:
     """Return the option ``--distance`` of commands that refocus to several, which keep bounds of `require_number`."""
     return numeric(
         "Distance from the main lens to focus on, beyond its focal length; repeat for several.",
