@@ -65,9 +65,9 @@ class StoppedError(Exception):
 class _Commands(TyperGroup):
     """The commands by their lines of help; the module of the one that is called, or completed, is imported."""
 
-    def resolve_command(self, context: Any, words: list[str]) -> Any:
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name, the command and the words that follow."""
-        name, command, rest = super().resolve_command(context, words)
+        name, command, rest = super().resolve_command(ctx, args)
         return name, command and load(str(name)), rest
 
 
