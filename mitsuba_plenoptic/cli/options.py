@@ -140,12 +140,12 @@ Definitions = Annotated[
 ]
 
 
-def distances(**bounds: Any) -> Any:
-    """Return the option ``--distance`` of commands that refocus to several, which keep bounds of `require_number`."""
+def distances(*, positive: bool = False, finite: bool = True) -> Any:
+    """Return the option ``--distance`` of commands that refocus to several, with bounds of `require_number`."""
     return numeric(
         "Distance from the main lens to focus on, beyond its focal length; repeat for several.",
         unit="MM",
-        check=partial(require_number, **bounds),
+        check=partial(require_number, positive=positive, finite=finite),
     )
 
 
