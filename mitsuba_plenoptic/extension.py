@@ -196,7 +196,7 @@ MOVED = {
 SHIPPED = {
     "calibrate": ("calibrate", "calibration", "photon_transfer", "libpleno"),
     "data": ("dataset",),
-    "deconvolution": ("incoherent", "deconvolved"),
+    "deconvolution": ("incoherent", "deconvolved", "refocus.RESPONSES"),
     "inverse": (
         "fit", "StoredOperator", "volume_points", "refocus.CoherentRefocus", "refocus.DeconvolvedRefocus",
         "refocus.RayRefocus", "fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax",
