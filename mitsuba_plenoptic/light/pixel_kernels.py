@@ -100,7 +100,10 @@ class PixelKernels:
         held, count = backend_of(values).arrays.asarray, len(self.kernels)
         both = held(self._factors) @ values.reshape(len(values), -1).T
         images, sums = both[:count], both[count:]
-        return images + held(self._of_sums) @ (terms[held(self._term)] * sums) if len(sums) else images
+        if len(sums):
+            sums *= terms[held(self._term)]
+            images += held(self._of_sums) @ sums
+        return images
 
     def turned(self, values: NDArray[np.float32], terms: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the part of the images that is proportional to the terms of direction; see `combined`."""

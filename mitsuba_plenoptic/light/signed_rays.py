@@ -18,6 +18,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -170,15 +171,21 @@ class SignedRaySum:
 
     def batches(self, first: int) -> Iterator[Block]:
         """Yield the images of the blocks from index `first`, which are to be convolved, after tracing their rays."""
+        # Arrays of convolved blocks serve again: new ones take longer to fill, as the system has yet to map them.
+        free: list[list[Array]] = []
         for number, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, number])
-            sums = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, self.traced)
-            images = [part.reshape(-1, bins.rows, bins.columns) for part in sums]
+            sums = free.pop() if free else self._empty(int(self.items[0]))
+            traced = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, sums, self.traced)
+            images = [part.reshape(-1, bins.rows, bins.columns) for part in traced]
             if (far := self._far(bins)).any():
                 all_light = self.arrays.asarray(np.where(far, np.float32(_THINNED**2), np.float32(1)))
                 for image in images:
                     image *= all_light
-            yield Block(bins, images, self._convolutions, self._channels)
+            block = Block(bins, images, self._convolutions, self._channels)
+            weakref.finalize(block, free.append, sums)
+            yield block
+            del block
 
     def image(self, total: PartialSum) -> Array:
         """Return the image, the sum of all blocks."""
@@ -232,13 +239,14 @@ class SignedRaySum:
         box: Box,
         pixels: Any,
         seeds: np.random.SeedSequence,
+        images: list[Array] | None = None,
         traced: Callable[[float], None] | None = None,
     ) -> list[Array]:
-        """Return the images (kernels, pixels) of each channel of each node, from traced rays of the pixels of a box."""
+        """Return images (kernels, pixels) of each channel of each node, in `images` if given, from rays of a box."""
         every = dr.width(pixels)
-        counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
-        # Written, as the system maps memory that is read before it is written in small pages, which takes longer.
-        sums = [self.arrays.full((count, every), 0, np.float32) for count in counts]
+        sums = [image[:, :every] for image in images or self._empty(every)]
+        for image in sums:
+            image[:] = 0
         dr.eval(pixels)
         before: tuple[Lot, list[Brought | None]] | None = None
         # Dr.Jit's own threads rest while others compute the batches; here they are needed, but for the last lot.
@@ -255,6 +263,11 @@ class SignedRaySum:
         if before:
             self._add(*before, sums)
         return sums
+
+    def _empty(self, pixels: int) -> list[Array]:
+        """Return arrays for the images of each channel of each node, not yet written."""
+        counts = [len(each) for each, node in zip(self._flat_kernels, self._nodes, strict=True) for _ in node.channels]
+        return [self.arrays.empty((count, pixels), np.float32) for count in counts]
 
     @single_threaded_blas()
     def _add(self, lot: Lot, brought: list[Brought | None], sums: list[Array]) -> None:
