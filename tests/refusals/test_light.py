@@ -64,7 +64,7 @@ def derived(names, by_points=False, **parameters):
         (lambda: derived(["mla_pitch"], mla_tilt=(1, 0)), "mla_pitch: .* with mla_tilt"),
         (lambda: derived(["mla_pitch"], pixel_response=(0, 1, 3, 0.5)), "mla_pitch: .* with pixel_response"),
         (
-            lambda: derived(["focal_length"], mla_warp=(0.0001,) * 14),
+            lambda: derived(["focal_length"], mla_warp=(0.00005,) * 14),
             "focal_length: captures by signed rays have no derivative by it with mla_warp",
         ),
         (lambda: derived(["focal_length"], glass=1.5), "focal_length: .* with glass"),
