@@ -62,9 +62,15 @@ def test_waves_have_the_vignetting_of_rays():
     assert np.sqrt(((blocks[0] - plain) ** 2).mean()) > 0.1 * plain.mean()
 
 
-@pytest.mark.parametrize("turned", [{}, {"mla_tilt": (0.3, -0.2)}])
 @pytest.mark.parametrize(
-    "outline", [{"radius": [0.7]}, {"radius": [0.8, 0.2, 0], "scale": 0.3}, {"radius": [1.0], "slope_x": [0.5]}]
+    ("outline", "turned"),
+    [
+        ({"radius": [0.7]}, {}),
+        ({"radius": [0.8, 0.2, 0], "scale": 0.3}, {"mla_tilt": (0.3, -0.2)}),
+        pytest.param({"radius": [1.0], "slope_x": [0.5]}, {}, marks=pytest.mark.slow),
+        pytest.param({"radius": [0.7]}, {"mla_tilt": (0.3, -0.2)}, marks=pytest.mark.slow),
+        pytest.param({"radius": [1.0], "slope_x": [0.5]}, {"mla_tilt": (0.3, -0.2)}, marks=pytest.mark.slow),
+    ],
 )
 def test_light_that_an_outline_keeps_out_is_not_missing_from_refocused_images(outline, turned):
     """Ray captures of white; coherent images of the even camera's white are 0.98 to 1.02 as well."""

@@ -72,9 +72,12 @@ def test_the_corner_of_that_camera_is_vignetted():
             {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_aperture": "circle", "mla_fill": 0.9},
             marks=pytest.mark.slow,
         ),
-        {"mla_lattice": "hexagonal", "mla_focal_length": (0.6, 0.55, 0.5), "detector_distance": 0.45},
+        pytest.param(
+            {"mla_lattice": "hexagonal", "mla_focal_length": (0.6, 0.55, 0.5), "detector_distance": 0.45},
+            marks=pytest.mark.slow,
+        ),
         {"mla_tilt": (0.4, -0.2)},
-        {"lens_model": "parabolic"},
+        pytest.param({"lens_model": "parabolic"}, marks=pytest.mark.slow),
     ],
     ids=["square", "round", "multi-focus", "tilted", "parabolic"],
 )

@@ -8,7 +8,7 @@ from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.points.tile import CopyCells
 
 
-@pytest.mark.parametrize("lattice", ["square", "hexagonal"])
+@pytest.mark.parametrize("lattice", ["square", pytest.param("hexagonal", marks=pytest.mark.slow)])
 def test_captures_are_the_same_either_way(monkeypatch, lattice):
     """Of many radiators that share patterns, on lattices of which every second row lies half a lens aside, too."""
     camera = small_camera(8, mla_lattice=lattice)

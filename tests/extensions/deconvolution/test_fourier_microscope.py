@@ -61,7 +61,7 @@ def exact(camera, oversample, row, column, depth, parts=3):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("coarse odd pixels", "crop"))) for name in CAMERAS],
+    [pytest.param(name, marks=[pytest.mark.slow] * (name != "crop")) for name in CAMERAS],
 )
 def test_every_bin_has_its_exact_spread(name):
     """Even at the border of the field, from spreads of other points than the one that the response knows."""
@@ -90,7 +90,7 @@ def test_light_of_deep_planes_is_kept_as_far_as_it_goes():
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * name.startswith("hexagonal")) for name in CAMERAS]
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in ("finer bins", "warped"))) for name in CAMERAS]
 )
 def test_the_adjoint_of_a_volume_is_the_transpose(name):
     camera, oversample = CAMERAS[name]
