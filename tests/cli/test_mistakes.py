@@ -193,7 +193,7 @@ def test_an_option_of_another_method_is_one_note_and_an_option_of_none_is_refuse
     quiet = [*plain, "--method", "ray", *options, "-o", tmp_path / "quiet.exr", "-q"]
     assert main([str(word) for word in quiet]) == 0
     assert capfd.readouterr().err == ""
-    assert note.endswith("--interleave (of partial), --footprint (of ray), --relay (of coherent and partial)")
+    assert note.endswith("--footprint (of ray), --relay (of coherent and partial), --interleave (of partial)")
     words = [str(word) for word in [*plain, "-o", tmp_path / "plain.exr"]]
     assert main(words) == 0
     assert (tmp_path / "plain.exr").read_bytes() == (tmp_path / "ray.exr").read_bytes()
