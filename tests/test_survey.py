@@ -58,7 +58,7 @@ NEEDS = {
     "RayRefocus": "inverse",
     "CoherentRefocus": "inverse",
 }
-QUICK = ("forward", "adjoint", "ray")
+QUICK = ("forward", "ray")
 
 LENS, MEMORY = "main_lens = ", "GiB of memory"
 FIELDS = "use method partial with interleave auto"

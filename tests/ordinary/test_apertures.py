@@ -265,7 +265,7 @@ def test_a_star_in_focus_is_the_transform_of_the_mask(name):
 WALLS = [
     pytest.param("hexagon", 1.0, 0.01, marks=pytest.mark.slow),
     pytest.param("square", -3.0, 0.01, marks=pytest.mark.slow),
-    ("coded", 0.0, 0.01),
+    pytest.param("coded", 0.0, 0.01, marks=pytest.mark.slow),
     pytest.param("coded", 1.0, 0.01, marks=pytest.mark.slow),
     # Blur and diffraction of single cells are alike.
     ("coded", -6.0, 0.01),
