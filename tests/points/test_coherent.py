@@ -60,9 +60,15 @@ def direct_pupil(camera, points, given, x, y):
     return total
 
 
-@pytest.mark.parametrize("points", [NEAR, DEEP], ids=["a layer", "layers"])
-@pytest.mark.parametrize("wavefront", [(), (0, 0, 0, 0.3)], ids=["perfect", "aberrated"])
-@models
+@pytest.mark.parametrize(
+    ("points", "wavefront", "model"),
+    [
+        pytest.param(points, wavefront, model, marks=[] if wavefront and points is DEEP else [pytest.mark.slow])
+        for points in (NEAR, DEEP)
+        for wavefront in ((), (0, 0, 0, 0.3))
+        for model in ("ideal", "parabolic")
+    ],
+)
 def test_pupil_against_direct_sums(points, wavefront, model):
     camera = CAMERA.replace(wavefront=wavefront, lens_model=model)
     given = amplitudes(len(points))
@@ -87,7 +93,7 @@ def error_on_pupil(points, given, camera=CAMERA, **options):
     return error(field.samples.ravel()[some], exact)
 
 
-@models
+@pytest.mark.parametrize("model", [pytest.param("ideal", marks=pytest.mark.slow), "parabolic"])
 def test_a_point_far_from_thousands_of_others(monkeypatch, model):
     # The products of a layer are found from a part of its points, to which this one does not belong.
     monkeypatch.setattr(pupil_sums, "_BASIS", 200)
@@ -151,11 +157,11 @@ def test_squared_fields_are_the_incoherent_capture():
     assert error(total, operator.forward(weights)) < 1e-3
 
 
-@pytest.mark.parametrize("plane", ["pupil", "array", "detector"])
+@pytest.mark.parametrize("plane", ["pupil", pytest.param("array", marks=pytest.mark.slow), "detector"])
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
+        pytest.param({}, marks=pytest.mark.slow),
         {
             "mla_lattice": "hexagonal", "mla_rotation": 7.0, "crop_offset": (20, 31), "crop_size": (80, 61),
             "mla_medium": 1.5, "lens_model": "parabolic",
