@@ -2,10 +2,10 @@
 
 import math
 
-import cameras
 import numpy as np
 import pytest
-from cameras import HALF, WAVELENGTH
+from cameras import HALF, WAVELENGTH, small_camera
+from cameras import OTHER as OTHER_LENSES
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, point_spread_function, reconstruct, write_capture
 from mitsuba_plenoptic.cli import main
@@ -20,8 +20,8 @@ from mitsuba_plenoptic.views import white_image
 # Grey or random pixels and single ones are no captures, and a guard says so.
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
 
-SMALL = cameras.small_camera(20, **HALF)
-OTHER = PlenopticCamera(**cameras.OTHER, detector_width=1.2, resolution=(640, 560))
+SMALL = small_camera(20, **HALF)
+OTHER = PlenopticCamera(**OTHER_LENSES, detector_width=1.2, resolution=(640, 560))
 DISTANCES = [105.0, 120.0, 140.0]
 METHODS = {
     "coherent": {"method": "coherent"},
@@ -284,7 +284,7 @@ def test_pixels_below_zero_leave_no_light_on_average(options):
 @pytest.fixture(scope="module", params=[pytest.param(500.0, marks=pytest.mark.slow), math.inf])
 def far_point(request):
     """Return a point's distance, the camera before which it is, and its capture by waves."""
-    camera = cameras.small_camera(8, **HALF)
+    camera = small_camera(8, **HALF)
     far = min(request.param, 1e7)
     X, Y = (u * camera.mla_pitch / camera.mla_distance * far for u in (-1.5, 2.5))
     return request.param, camera, point_spread_function(camera, (X, Y, far), wavelength=WAVELENGTH)
@@ -312,7 +312,7 @@ def test_strips_of_the_detector_add_up_to_the_whole(monkeypatch):
 @pytest.mark.parametrize("oversample", [1, 10])
 def test_bins_are_sampled_finely_enough(monkeypatch, oversample):
     """Ten bins per lens show interference that single samples of them would smooth."""
-    camera = cameras.small_camera(8, **HALF)
+    camera = small_camera(8, **HALF)
     options = {"method": "coherent", "oversample": oversample}
     made = refocus(white_image(camera), 127.5, camera, **options).image
     for samples in ("_DIRECTION_SAMPLES", "_FINE_DIRECTION_SAMPLES"):
@@ -323,7 +323,7 @@ def test_bins_are_sampled_finely_enough(monkeypatch, oversample):
 
 def test_a_white_capture_is_one_where_its_waves_cancel():
     """Sharp micro-images interfere; the computed white knows nothing of it."""
-    camera = cameras.small_camera(8, **HALF)
+    camera = small_camera(8, **HALF)
     white = white_image(camera)
     options = {"method": "coherent", "oversample": 3}
     assert refocus(white, 250.0, camera, **options).image.min() < 0.2
@@ -336,7 +336,7 @@ def test_a_dark_capture_is_dark(options):
 
 
 def test_each_channel_has_its_wavelength():
-    camera = cameras.small_camera(8, **HALF)
+    camera = small_camera(8, **HALF)
     image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
     wavelengths = (620.0, 550.0, 460.0)
     result = reconstruct(Capture(image, camera, wavelengths, "wave"), 125.0, method="partial")
@@ -361,7 +361,7 @@ def test_pixels_too_coarse_for_the_wave_are_subdivided():
 @all_methods
 def test_progress_ends_complete(options):
     seen = []
-    camera = cameras.small_camera(4, **HALF)
+    camera = small_camera(4, **HALF)
     image = np.ones((128, 128, 3), np.float32)
     refocus(image, [115.0, 120.0], camera, progress=lambda *step: seen.append(step), **options)
     assert seen[0][0] == 0
@@ -386,7 +386,7 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, capfd):
 
 def test_few_lenses_far_apart_need_little_memory(monkeypatch):
     """One by one, with sums of 1026 x 1026 samples, and in full fields, of 2048 x 2048 pixels."""
-    camera = cameras.small_camera(64)
+    camera = small_camera(64)
     image = np.zeros(camera.shape, np.float32)
     image[100:124, 100:124] = image[-124:-100, -124:-100] = 1
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.04")
