@@ -106,9 +106,12 @@ class Plot(Figure):
             self.savefig(temporary, metadata=dated)
 
     def save_both(self, path: Path) -> None:
-        """Write the figure as PNG, for a page, and as PDF of the same name, for papers."""
-        for suffix in (".png", ".pdf"):
-            self.save(path.with_suffix(suffix))
+        """Write the figure as PNG, for a page, and as PDF of the same name and layout, for papers."""
+        self.save(path.with_suffix(".png"))
+        # To lay it out again would take as long as to draw it.
+        self.set_layout_engine("none")
+        self._fits_panels = False
+        self.save(path.with_suffix(".pdf"))
 
     @styled
     def png(self) -> bytes:

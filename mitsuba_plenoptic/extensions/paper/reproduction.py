@@ -94,9 +94,12 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
             for distance in settings.distances
             if (name, distance) in images
         ]
-        contact_sheet(shown).save_both(output / "first.png")
-        there = ["first.png"]
-        if len(shown) > len(settings.distances):
+        sheet, there = contact_sheet(shown), ["first.png"]
+        if len(shown) == len(settings.distances):
+            # That of the waves replaces it.
+            sheet.save(output / "first.png")
+        else:
+            sheet.save_both(output / "first.png")
             figure_1(output / "fig1.png", camera, objects)
             there.append("fig1.png")
         write_growing(output, {name: _PLATES[name] for name in there})

@@ -126,7 +126,7 @@ def test_what_is_missing_damaged_or_outdated_is_made_again(quick_waves, tiny, tm
     assert len(files(tmp_path / "killed")) > 10
     quick_waves.clear()
     reproduce(tmp_path / "killed")
-    assert "capture_wave" not in quick_waves and "partial_210" not in quick_waves
+    assert "capture_wave" not in quick_waves and "partial_225" not in quick_waves
     assert quick_waves[0] == "coherent_210"
     reproduce(tmp_path / "whole")
     whole = files(tmp_path / "whole")
