@@ -33,8 +33,6 @@ from .extensions.onchip.onchip import psf_bank as psf_bank
 from .extensions.particles import particles as particles
 from .extensions.raw import exchange as exchange
 from .extensions.raw.demosaic import demosaic as demosaic
-from .extensions.sharpness.sharpness import EdgeSharpness as EdgeSharpness
-from .extensions.sharpness.sharpness import edge_sharpness as edge_sharpness
 from .extensions.studio.viewer import Viewer as Viewer
 from .extensions.studio.viewer import view as view
 from .extensions.wavefront import far_sources as far_sources
@@ -68,6 +66,8 @@ from .prescription.objective import Objective as Objective
 from .refocus import Reconstruction as Reconstruction
 from .refocus import estimate_reconstruction as estimate_reconstruction
 from .refocus import reconstruct as reconstruct
+from .report.edge import EdgeSharpness as EdgeSharpness
+from .report.edge import edge_sharpness as edge_sharpness
 from .runtime.batches import Cluster as Cluster
 from .runtime.batches import Job as Job
 from .runtime.progress import progress_bar as progress_bar

@@ -186,7 +186,7 @@ MOVED = {
     "lens_data": "prescription.lens_data",
     "phase_screen": "camera.phase_screen",
     "detector": "light.detector",
-    "sharpness": "extensions.sharpness.sharpness",
+    "sharpness": "report.edge",
     "objective": "prescription.objective",
     "collimator": "prescription.collimator",
     "focusing": "extensions.lensdesign.focusing",
@@ -211,7 +211,7 @@ SHIPPED = {
     "particles": ("particles",),
     "prediction": ("--real",),
     "raw": ("demosaic", "exchange", ".lfp", ".lfr", ".raw", "parameters.cfg", ".mat"),
-    "sharpness": ("EdgeSharpness", "edge_sharpness", "mtf"),
+    "sharpness": ("mtf",),
     "studio": ("Viewer", "view", "preview", "sweep"),
     "wavefront": ("wavefront", "far_sources", "hcipy"),
 }  # fmt: skip

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import refuse_if
 from ..io.cache import StageOptions
 from .comparison_page import write_report
+from .edge import square_sharpness
 from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
 from .images import Brightness, luminance
 from .metrics import (
@@ -24,7 +25,6 @@ from .metrics import (
     relative_error,
     rounded,
     shape_window,
-    square_sharpness,
     ssim_text,
 )
 from .ordinary import measure_ordinary, ordinary_section
@@ -190,7 +190,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
         for method in TITLES:
             try:
-                sharpness = square_sharpness(experiment.image(method, distance), row, column, side)
+                width, mtf50 = square_sharpness(experiment.image(method, distance), row, column, side)
             except ValueError:
                 continue
             bin_size = camera.bin_size(distance)
@@ -199,8 +199,8 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
                     "shape": name,
                     "distance": distance,
                     "method": method,
-                    "width_mm": round(sharpness.width * bin_size, 4),
-                    "mtf50_per_mm": round(sharpness.mtf50 / bin_size, 4),
+                    "width_mm": round(width * bin_size, 4),
+                    "mtf50_per_mm": round(mtf50 / bin_size, 4),
                 }
             )
     return rows

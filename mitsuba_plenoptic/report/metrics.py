@@ -1,9 +1,8 @@
-"""Metrics of images and captures: differences and similarity, interference, sharpness of edges."""
+"""Metrics of images and captures: differences and similarity, interference."""
 
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -137,121 +136,6 @@ def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> 
             return None
         spans.append(span)
     return spans[0], spans[1]
-
-
-# Samples of the edge's profile per pixel, as in the standard.
-_OVERSAMPLING = 4
-
-# Widths of the windows in which the edge's line is looked for, one after the other, over that of the image.
-_WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
-
-
-@dataclass(frozen=True)
-class SquareSharpness:
-    """Sharpness of the edges of a square, or of one edge."""
-
-    # Distance in pixels from 10 to 90 per cent of the edge's height.
-    width: float
-    # Frequency in cycles per pixel at which the modulation transfer function falls to one half.
-    mtf50: float
-
-
-@dataclass(frozen=True)
-class EdgeTransfer(SquareSharpness):
-    """Sharpness of one edge, and the modulation transfer function across it."""
-
-    # In cycles per pixel.
-    frequency: np.ndarray
-    transfer: np.ndarray
-
-    def falls_to(self, level: float) -> float:
-        """Return the frequency in cycles per pixel at which the transfer function first falls to a level."""
-        return _first_crossing(self.frequency, 1 - self.transfer, 1 - level)
-
-
-def window_sharpness(image: np.ndarray) -> EdgeTransfer:
-    """Return the sharpness of a nearly vertical edge that runs from top to bottom through the image.
-
-    Unlike in `mitsuba_plenoptic.edge_sharpness`, the edge's position is known, so that interference next to it is
-    allowed, and a window of few pixels suffices.
-
-    Shapes: `image` (rows, columns).
-    """
-    image = as_array("image", image, np.float64)
-    position, profile = _profile(image)
-    low, high = np.mean(profile[:_OVERSAMPLING]), np.mean(profile[-_OVERSAMPLING:])
-    if not abs(high - low) > 0.1 * np.abs(profile).max():
-        raise ValueError("no edge: both sides are alike")
-    step = (profile - low) / (high - low)
-    width = _first_crossing(position, step, 0.9) - _first_crossing(position, step, 0.1)
-
-    spread = np.gradient(step) * np.hamming(step.size)
-    transfer = np.abs(np.fft.rfft(spread, 16 * spread.size))
-    frequency = np.fft.rfftfreq(16 * spread.size, 1 / _OVERSAMPLING)
-    # The central difference's own transfer function.
-    transfer[1:] /= np.sinc(2 * frequency[1:] / _OVERSAMPLING).clip(min=0.1)
-    transfer /= transfer[0]
-    mtf50 = _first_crossing(frequency, 1 - transfer, 0.5)
-    return EdgeTransfer(width=float(width), mtf50=float(mtf50), frequency=frequency, transfer=transfer)
-
-
-def square_sharpness(image: np.ndarray, row: float, column: float, side: float) -> SquareSharpness:
-    """Return the sharpness of a slightly turned bright square on dark ground: the median of its four edges.
-
-    The median is used because another object may lie near one of the edges.
-
-    Shapes: `image` (rows, columns).
-    """
-    # As far along an edge as its slant leaves the corners alone, and halfway to the square's middle across it.
-    reach = round(0.3 * side)
-    found = []
-    for view, r, c in ((image, row, column), (image.T, column, row)):
-        for sign in (-1, 1):
-            middle = round(c + sign * side / 2)
-            first, left = round(r) - reach, middle - reach
-            if min(first, left) < 0 or first + 2 * reach > view.shape[0] or left + 2 * reach > view.shape[1]:
-                raise ValueError("no edge: it is not in view")
-            found.append(window_sharpness(view[first : first + 2 * reach, left : left + 2 * reach]))
-    return SquareSharpness(
-        width=statistics.median(edge.width for edge in found), mtf50=statistics.median(edge.mtf50 for edge in found)
-    )
-
-
-def _profile(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances from an edge, and the mean of the pixels at each distance."""
-    rows, columns = image.shape
-    slope = np.abs(np.gradient(image, axis=1))
-    tilt, start = 0.0, (columns - 1) / 2
-    # Noise next to the edge has slopes, too: the window closes in on the line that was found before.
-    for part in _WINDOWS:
-        offset = np.arange(columns) - (start + tilt * np.arange(rows))[:, None]
-        weight = slope * np.cos(math.pi * np.clip(offset / (part * columns), -0.5, 0.5)) ** 2
-        centres = (weight * np.arange(columns)).sum(axis=1) / weight.sum(axis=1).clip(min=1e-30)
-        tilt, start = np.polyfit(np.arange(rows), centres, 1)
-    distance = (np.arange(columns) - (start + tilt * np.arange(rows))[:, None]) / math.hypot(1, tilt)
-    # Only distances that every row has.
-    reach = math.floor(min(-distance[:, 0].max(), distance[:, -1].min()) * _OVERSAMPLING)
-    if reach < 2 * _OVERSAMPLING:
-        raise ValueError("no edge: it does not run from top to bottom")
-    index = np.round(distance * _OVERSAMPLING).astype(int) + reach
-    inside = (index >= 0) & (index <= 2 * reach)
-    count = np.bincount(index[inside], minlength=2 * reach + 1)
-    total = np.bincount(index[inside], weights=image[inside], minlength=2 * reach + 1)
-    position = (np.arange(2 * reach + 1) - reach) / _OVERSAMPLING
-    filled = count > 0
-    return position, np.interp(position, position[filled], total[filled] / count[filled])
-
-
-def _first_crossing(position: np.ndarray, rising: np.ndarray, level: float) -> float:
-    """Return the first position at which a curve reaches a level, interpolated linearly; infinity if it never does."""
-    above = np.flatnonzero(rising >= level)
-    if above.size == 0:
-        return math.inf
-    i = int(above[0])
-    if i == 0:
-        return float(position[0])
-    part = (level - rising[i - 1]) / (rising[i] - rising[i - 1])
-    return float(position[i - 1] + part * (position[i] - position[i - 1]))
 
 
 _MIDDLE = 0.8

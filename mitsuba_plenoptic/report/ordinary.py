@@ -14,9 +14,9 @@ from scipy.ndimage import uniform_filter
 
 from ..errors import refusing
 from ..optics.waves import in_millimetres
+from .edge import window_sharpness
 from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
 from .images import Brightness, luminance
-from .metrics import window_sharpness
 from .pages import Section, Table, pictures_in
 from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 

@@ -1,11 +1,10 @@
-"""Metrics and the slanted edge against closed forms."""
+"""Metrics against closed forms."""
 
 import math
 
 import numpy as np
 import pytest
 import skimage.metrics
-from scipy.special import erf
 
 from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.report.metrics import (
@@ -15,8 +14,6 @@ from mitsuba_plenoptic.report.metrics import (
     lit_region,
     relative_error,
     shape_window,
-    square_sharpness,
-    window_sharpness,
 )
 
 
@@ -92,43 +89,6 @@ def test_the_window_of_a_letter_holds_its_image():
 
 def test_a_shape_out_of_view_has_no_window():
     assert shape_window(PlenopticCamera(), np.array([50, 0, 240]), np.array([60, 1, 240])) is None
-
-
-def square(sigma, tilt, size=48, side=26, fine=8):
-    """Pixel means of a turned square whose edges are blurred by a Gaussian."""
-    grid = (np.arange(size * fine) + 0.5) / fine - size / 2
-    x, y = np.meshgrid(grid, grid)
-    angle = math.radians(tilt)
-    u, v = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
-
-    def box(w):
-        return 0.5 * (erf((w + side / 2) / (sigma * 2**0.5)) - erf((w - side / 2) / (sigma * 2**0.5)))
-
-    return (box(u) * box(v)).reshape(size, fine, size, fine).mean(axis=(1, 3))
-
-
-@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0])
-@pytest.mark.parametrize("tilt", [5, -5])
-def test_edge_of_known_sharpness(sigma, tilt):
-    found = square_sharpness(square(sigma, tilt), 24, 24, 26)
-    frequency = np.linspace(1e-3, 1, 5000)
-    transfer = np.exp(-2 * (math.pi * sigma * frequency) ** 2) * np.sinc(frequency)
-    assert found.mtf50 == pytest.approx(frequency[np.argmax(transfer < 0.5)], rel=0.08)
-    assert found.width == pytest.approx(2 * 1.2816 * math.hypot(sigma, 12**-0.5), rel=0.05)
-
-
-def test_an_object_near_one_edge_does_not_matter():
-    picture = square(0.7, 5)
-    clean = square_sharpness(picture, 24, 24, 26)
-    picture[4:6, 18:30] = 1
-    assert square_sharpness(picture, 24, 24, 26).width == pytest.approx(clean.width, rel=0.1)
-
-
-def test_where_there_is_no_edge():
-    with pytest.raises(ValueError, match="no edge"):
-        window_sharpness(np.ones((16, 16)) + 1e-3 * np.random.default_rng(0).random((16, 16)))
-    with pytest.raises(ValueError, match="not in view"):
-        square_sharpness(square(0.7, 5), 4, 24, 26)
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (6, 40), (1, 1)])

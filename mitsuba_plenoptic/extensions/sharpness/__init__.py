@@ -1,4 +1,4 @@
-"""Extension `sharpness`: modulation transfer functions from slanted edges in images."""
+"""Extension `sharpness`: the command that measures modulation transfer functions from slanted edges."""
 
 from ...extension import Extension
 

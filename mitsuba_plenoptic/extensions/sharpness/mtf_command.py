@@ -61,7 +61,7 @@ def mtf(
     from ...io.captures import read_capture
     from ...refocus import read_reconstruction
     from ...refocus import reconstruct as refocus
-    from .sharpness import edge_sharpness
+    from ...report.edge import edge_sharpness
 
     given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:

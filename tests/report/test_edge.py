@@ -7,6 +7,7 @@ import pytest
 from scipy.special import erf
 
 import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.report.edge import square_sharpness, window_sharpness
 
 
 def edge(sigma, angle, *, shape=(80, 64), offset=3.3, parts=1):
@@ -103,3 +104,40 @@ def test_what_is_no_single_slanted_edge_is_refused_in_one_line(image, words):
         mp.edge_sharpness(image)
     assert str(found.value).partition("image")[2].lstrip(": ").startswith(words)
     assert "\n" not in str(found.value)
+
+
+def square(sigma, tilt, size=48, side=26, fine=8):
+    """Pixel means of a turned square whose edges are blurred by a Gaussian."""
+    grid = (np.arange(size * fine) + 0.5) / fine - size / 2
+    x, y = np.meshgrid(grid, grid)
+    angle = math.radians(tilt)
+    u, v = x * math.cos(angle) + y * math.sin(angle), y * math.cos(angle) - x * math.sin(angle)
+
+    def box(w):
+        return 0.5 * (erf((w + side / 2) / (sigma * 2**0.5)) - erf((w - side / 2) / (sigma * 2**0.5)))
+
+    return (box(u) * box(v)).reshape(size, fine, size, fine).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("tilt", [5, -5])
+def test_edge_of_known_sharpness(sigma, tilt):
+    width, mtf50 = square_sharpness(square(sigma, tilt), 24, 24, 26)
+    frequency = np.linspace(1e-3, 1, 5000)
+    transfer = np.exp(-2 * (math.pi * sigma * frequency) ** 2) * np.sinc(frequency)
+    assert mtf50 == pytest.approx(frequency[np.argmax(transfer < 0.5)], rel=0.08)
+    assert width == pytest.approx(2 * 1.2816 * math.hypot(sigma, 12**-0.5), rel=0.05)
+
+
+def test_an_object_near_one_edge_does_not_matter():
+    picture = square(0.7, 5)
+    clean, _ = square_sharpness(picture, 24, 24, 26)
+    picture[4:6, 18:30] = 1
+    assert square_sharpness(picture, 24, 24, 26)[0] == pytest.approx(clean, rel=0.1)
+
+
+def test_where_there_is_no_edge():
+    with pytest.raises(mp.InputError, match="no edge"):
+        window_sharpness(np.ones((16, 16)) + 1e-3 * np.random.default_rng(0).random((16, 16)))
+    with pytest.raises(mp.InputError, match="not in view"):
+        square_sharpness(square(0.7, 5), 4, 24, 26)

@@ -1,8 +1,12 @@
-"""The sharpness of an image from one slanted edge: its position, its spread, and the transfer function."""
+"""The sharpness of an image from one slanted edge: its position, its spread, and the transfer function.
+
+`edge_sharpness` looks for the edge; `window_sharpness` and `square_sharpness` are told where it is.
+"""
 
 from __future__ import annotations
 
 import math
+import statistics
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import gaussian_filter
 
-from ...errors import refuse_if, refusing
-from ...runtime.backend import as_array
+from ..errors import refuse_if, refusing
+from ..runtime.backend import as_array
 
 _LEAST_TILT, _MOST_TILT = 1.0, 20.0
 """Angles in degrees between edge and pixels, between which the pixels sample an edge finely and evenly."""
@@ -19,13 +23,16 @@ _LEAST_TILT, _MOST_TILT = 1.0, 20.0
 _REACH = 16
 """Pixels on each side of an edge, at most, that are looked at."""
 
-_LEAST_REACH = 5
+_LEAST_REACH, _LEAST_KNOWN_REACH = 5, 2
 
 _KNOTS = 4
 """Knots of the profile of a narrow edge in a pixel; of a wide one as many in its half width as at `_LEAST_REACH`."""
 
 _FOOT, _VALLEY = 0.1, 0.15
 """Slope over its largest at which an edge ends, and by how much it may rise again on the way."""
+
+_WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
+"""Widths of the windows in which a known edge's line is fitted, one after the other, over that of the image."""
 
 _TWO_EDGES = "image: it has two edges or more; cut out the one to measure"
 
@@ -49,8 +56,6 @@ class EdgeSharpness:
         Number of rows used; of columns, for an edge that is nearer to the rows.
     width : float
         Distance in pixels from 10 to 90 per cent of the edge's height.
-    mtf50 : float
-        Frequency in cycles per pixel at which the transfer function first falls to one half; infinity if nowhere.
     frequency, transfer : ndarray
         Modulation transfer function across the edge, pixels included, at frequencies in cycles per pixel up to 1.
         Beyond one half, the sampling limit of the image, it rests on the slant of the edge.
@@ -62,13 +67,25 @@ class EdgeSharpness:
     upright: bool
     length: int
     width: float
-    mtf50: float
     frequency: NDArray[np.float64]
     transfer: NDArray[np.float64]
+
+    @property
+    def mtf50(self) -> float:
+        """Frequency in cycles per pixel at which the transfer function first falls to one half; infinity if nowhere."""
+        return self.falls_to(0.5)
 
     def at(self, frequency: float) -> float:
         """Return the transfer function at a frequency in cycles per pixel."""
         return float(np.interp(frequency, self.frequency, self.transfer))
+
+    def falls_to(self, level: float) -> float:
+        """Return the frequency in cycles per pixel at which the transfer function first falls to a level."""
+        below = np.flatnonzero(self.transfer < level)
+        if not below.size:
+            return math.inf
+        pair = [int(below[0]), int(below[0]) - 1]
+        return float(np.interp(level, self.transfer[pair], self.frequency[pair]))
 
 
 def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
@@ -135,9 +152,9 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
         rows = _rows_with_edge(image, slope, tilt, start)
         first, last = int(rows[0]), int(rows[-1])
         index = np.arange(first, last + 1)
-        extent = max(extent, _half_width(across[index], np.asarray(start + tilt * index, np.float64)))
+        line = np.asarray(start + tilt * index, np.float64)
+        extent = max(extent, _half_width(across[index], line))
     angle = math.degrees(math.atan(tilt))
-    middle = (first + last) / 2
     _refuse_others(slope, tilt, start, index, extent)
     refuse_if(
         not _LEAST_TILT <= abs(angle) <= _MOST_TILT,
@@ -150,20 +167,63 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
         f"image: its edge is {index.size} pixels long: turned by {abs(angle):.2g} degrees it needs "
         f"{math.ceil(1 / abs(tilt))}",
     )
-    line = start + tilt * index
     reach = min(max(float(_REACH), 2 * extent), line.min(), image.shape[1] - 1 - line.max()) * math.cos(math.atan(tilt))
     least = _LEAST_REACH if extent == _LEAST_REACH else 1.3 * extent
     refuse_if(reach < least, f"image: its edge is nearer than {least:.3g} pixels to the border")
+    return _across(image[index], line, tilt, first, reach, _KNOTS * _LEAST_REACH / extent)
+
+
+def window_sharpness(image: NDArray[np.float64]) -> EdgeSharpness:
+    """Return the sharpness of a nearly vertical edge that runs from top to bottom through the middle of an image.
+
+    As the edge is known to be there, interference beside it is allowed, and a window of few pixels suffices.
+    """
+    image = as_array("image", image, np.float64)
+    rows, columns = image.shape
+    _, across = _slopes(image)
+    tilt, start = _closed_in(np.abs(across), 0.0, (columns - 1) / 2, np.array(_WINDOWS) * columns / 2)
+    line = np.asarray(start + tilt * np.arange(rows), np.float64)
+    reach = min(line.min(), columns - 1 - line.max()) * math.cos(math.atan(tilt))
+    refuse_if(reach < _LEAST_KNOWN_REACH, "image: it has no edge that runs from top to bottom")
+    # Few rows hardly sample an edge finer than by pixels.
+    return _across(image, line, tilt, 0, reach, _KNOTS * min(1.0, max(rows * abs(tilt), 1 / _KNOTS)))
+
+
+def square_sharpness(image: NDArray[np.float64], row: float, column: float, side: float) -> tuple[float, float]:
+    """Return width and mtf50 of a slightly turned bright square on dark ground: the medians of its four edges.
+
+    The median is used because another object may lie near one of the edges.
+    """
+    # As far along an edge as its slant leaves the corners alone, and halfway to the square's middle across it.
+    reach = round(0.3 * side)
+    edges = []
+    for turned, down, across in ((image, row, column), (image.T, column, row)):
+        for sign in (-1, 1):
+            top, left = round(down) - reach, round(across + sign * side / 2) - reach
+            refuse_if(
+                min(top, left) < 0 or top + 2 * reach > turned.shape[0] or left + 2 * reach > turned.shape[1],
+                "image: the edge of the square is not in view",
+            )
+            edges.append(window_sharpness(turned[top : top + 2 * reach, left : left + 2 * reach]))
+    return statistics.median(edge.width for edge in edges), statistics.median(edge.mtf50 for edge in edges)
+
+
+def _across(
+    image: NDArray[np.float64], line: NDArray[np.float64], tilt: float, first: int, reach: float, knots: float
+) -> EdgeSharpness:
+    """Return the sharpness of an edge along a line with a column in each row, of which the first has an index."""
     distance = (np.arange(image.shape[1]) - line[:, None]) / math.hypot(1, tilt)
     near = np.abs(distance) <= reach
-    width, transfer = _transfer(distance[near], image[index][near], reach, extent)
-    above = np.flatnonzero(transfer < 0.5)
-    mtf50 = math.inf
-    if above.size:
-        after = int(above[0])
-        mtf50 = float(np.interp(0.5, transfer[[after, after - 1]], _FREQUENCIES[[after, after - 1]]))
+    width, transfer = _transfer(distance[near], image[near], reach, knots)
     return EdgeSharpness(
-        middle, start + tilt * middle, angle, True, int(index.size), width, mtf50, _FREQUENCIES, transfer
+        row=first + (len(line) - 1) / 2,
+        column=float(line[0] + line[-1]) / 2,
+        angle=math.degrees(math.atan(tilt)),
+        upright=True,
+        length=len(line),
+        width=width,
+        frequency=_FREQUENCIES,
+        transfer=transfer,
     )
 
 
@@ -187,8 +247,15 @@ def _line(
         sums = np.bincount(np.round(place - place.min()).astype(int).ravel(), weights=steep.ravel())
         if sums.max() > best:
             best, tilt, start = float(sums.max()), float(trial), float(sums.argmax() + place.min())
-    # Closing in on the line that was found before, by the middle of the slope in each row.
-    for reach in np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH:
+    return _closed_in(slope, tilt, start, np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH)
+
+
+def _closed_in(
+    slope: NDArray[np.float64], tilt: float, start: float, reaches: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return the line fitted to the middle of the slope in each row, each time within a reach of the line before."""
+    rows, columns = np.indices(slope.shape)
+    for reach in reaches:
         offset = columns - (start + tilt * rows)
         weight = slope * np.cos(math.pi * np.clip(offset / (2 * reach), -0.5, 0.5)) ** 2
         total = weight.sum(axis=1)
@@ -251,9 +318,12 @@ def _refuse_others(
 
 
 def _transfer(
-    distance: NDArray[np.float64], values: NDArray[np.float64], reach: float, extent: float
+    distance: NDArray[np.float64], values: NDArray[np.float64], reach: float, density: float
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the width of an edge, and the transfer function, from pixels at distances from its line."""
+    """Return the width of an edge, and the transfer function, from pixels at distances from its line.
+
+    The profile is a spline with a density of knots in a pixel.
+    """
     order = np.argsort(distance)
     distance, values = distance[order], values[order]
     low, high = (float(values[part].mean()) for part in (distance < -0.7 * reach, distance > 0.7 * reach))
@@ -262,7 +332,7 @@ def _transfer(
     )
     step = (values - low) / (high - low)
     _refuse_saturated(step, values)
-    inner = np.linspace(-reach, reach, round(2 * reach * _KNOTS * _LEAST_REACH / extent) + 1)
+    inner = np.linspace(-reach, reach, round(2 * reach * density) + 1)
     knots = np.concatenate((np.repeat(inner[0], 3), inner, np.repeat(inner[-1], 3)))
     with refusing("image: its edge is sampled too sparsely:", ValueError, np.linalg.LinAlgError):
         profile = make_lsq_spline(distance, step, knots, k=3)
