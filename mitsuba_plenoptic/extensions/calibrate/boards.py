@@ -53,17 +53,11 @@ class Picture:
     even: float
 
 
-@dataclass(frozen=True)
-class BoardView:
-    """Approximate position of a board in a picture, in pixels."""
+def find_board(picture: Picture, board: Board) -> tuple[float, np.ndarray]:
+    """Return the disparity of a board found in a raw picture, and positions Q of its corners (rows, columns, 2).
 
-    disparity: float
-    # Positions Q of its inner corners; columns run to the right and rows down; (rows, columns, 2).
-    corners: np.ndarray
-
-
-def find_board(picture: Picture, board: Board) -> BoardView:
-    """Return the position of a board, found in a raw picture."""
+    Columns run to the right and rows down, as seen from the front of the board.
+    """
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
     for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
@@ -81,19 +75,15 @@ def find_board(picture: Picture, board: Board) -> BoardView:
             (255 * grey).astype(np.uint8), (board.columns, board.rows), flags=flags
         )
         if found:
-            return BoardView(disparity, _upright(corners.reshape(board.rows, board.columns, 2) * step))
+            corners = corners.reshape(board.rows, board.columns, 2) * step
+            if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
+                corners = corners[::-1, ::-1]
+            along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
+            return disparity, corners if along[0] * across[1] > along[1] * across[0] else corners[::-1]
     raise InputError(
         f"{picture.name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it, whole, at any "
         "distance at which several lenses see each corner"
     )
-
-
-def _upright(corners: np.ndarray) -> np.ndarray:
-    """Return corners ordered so that columns run right and rows down, as seen from the front of the board."""
-    if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
-        corners = corners[::-1, ::-1]
-    along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
-    return corners if along[0] * across[1] > along[1] * across[0] else corners[::-1]
 
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
@@ -229,8 +219,6 @@ class Saddles:
     deviation: np.ndarray
     # Half the difference between light and dark squares; (n,).
     contrast: np.ndarray
-    # Radius of the blur, 1.4 of its standard deviations; (n,).
-    blur: np.ndarray
 
 
 def find_saddles(
@@ -265,7 +253,7 @@ def _fit(
     radius: float,
     even: float,
     seen: Callable[[np.ndarray], np.ndarray] | None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(position)
     # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
     reach = (radius - np.hypot(*(position - centre).T)).clip(_LEAST_WINDOW, _WINDOW * radius)[:, None]
@@ -288,7 +276,7 @@ def _fit(
     covariance = np.linalg.pinv(information[:, :2, :2]) * (square / degrees)[:, None, None]
     deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
     deviation = np.where(enough & (np.hypot(*(p[:, :2] - position).T) < _FARTHEST), deviation, np.inf)
-    return p[:, :2], deviation, np.abs(linear[:, 1]), np.exp(p[:, 4])
+    return p[:, :2], deviation, np.abs(linear[:, 1])
 
 
 def _descend(

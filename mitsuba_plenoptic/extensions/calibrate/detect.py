@@ -7,7 +7,7 @@ positions of the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from ...runtime.limits import require_memory
 from ...views.lens_grid import lens_types
 from .blur import CutBlur
 from .board_model import numbers_of, predict_centres
-from .boards import BoardView, Picture, Saddles, find_board, find_saddles
+from .boards import Picture, find_board, find_saddles
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
 
 # Pixels of less than this fraction of the light in the middle of micro-images are not used.
@@ -94,13 +94,13 @@ def detect_corners(
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
     picture = _picture(image, white, centres, name)
-    corner, lens, saddles = _refined(picture, find_board(picture, board), camera)
+    corner, lens, position = _refined(picture, *find_board(picture, board), camera)
     refuse_if(
         not len(corner),
         f"{name}: a board of {board.columns}x{board.rows} is seen in it, but none of its corners sharply",
     )
     columns = {index: centres[index][lens] for index in ("k", "l")}
-    columns |= {"u": saddles.position[:, 0], "v": saddles.position[:, 1]}
+    columns |= {"u": position[:, 0], "v": position[:, 1]}
     columns |= {"cluster": corner, "frame": np.full(len(corner), frame)}
     return Table(name, {column: columns[column] for column in CORNER_COLUMNS})
 
@@ -191,15 +191,22 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 
 
 def _refined(
-    picture: Picture, found: BoardView, camera: PlenopticCamera | None
-) -> tuple[np.ndarray, np.ndarray, Saddles]:
-    """Return corners located through lenses: indices of corner and lens, positions in pixels, and saddles."""
+    picture: Picture, found: float, corners: np.ndarray, camera: PlenopticCamera | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return corners located through lenses: indices of corner and lens, and positions in pixels."""
     cut = None if camera is None else CutBlur(camera)
     kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
-    position, angles = found.corners.reshape(-1, 2), _directions(found.corners)
-    disparity = np.full(len(position), found.disparity)
+    # Directions in radians of the board's columns and rows at each corner.
+    steps = np.gradient(corners, axis=1), np.gradient(corners, axis=0)
+    angles = np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
+    position = corners.reshape(-1, 2)
+    disparity = np.full(len(position), found)
     for _ in range(_PASSES):
         corner, lens, expected = _expected(picture, position, disparity)
+        seen = None
+        if cut is not None and kind is not None:
+            kinds, defocus = kind[lens], cut.defocus(kind[lens], disparity[corner])
+            seen = partial(_displaced, cut, kinds, defocus)
         # A micro-image shows the directions as they are, or turned by half a turn.
         saddles = find_saddles(
             picture.image,
@@ -209,30 +216,19 @@ def _refined(
             picture.centre[lens],
             radius=picture.radius,
             even=picture.even,
-            seen=None if cut is None or kind is None else _shown(cut, kind[lens], disparity[corner]),
+            seen=seen,
         )
         good = saddles.deviation < _DEVIATION
         if good.any():
             good &= saddles.contrast > _CONTRAST * np.median(saddles.contrast[good])
-        corner, lens = corner[good], lens[good]
-        saddles = Saddles(saddles.position[good], saddles.deviation[good], saddles.contrast[good], saddles.blur[good])
-        position, disparity, agreed = _agreed(picture, corner, lens, saddles.position, position, disparity)
-    saddles = Saddles(
-        saddles.position[agreed], saddles.deviation[agreed], saddles.contrast[agreed], saddles.blur[agreed]
-    )
-    return corner[agreed], lens[agreed], saddles
+        corner, lens, located = corner[good], lens[good], saddles.position[good]
+        position, disparity, agreed = _agreed(picture, corner, lens, located, position, disparity)
+    return corner[agreed], lens[agreed], located[agreed]
 
 
-def _shown(cut: CutBlur, kind: np.ndarray, disparity: np.ndarray) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return a function for `find_saddles`: displacements from pixels to the positions that these pixels show."""
-    defocus = cut.defocus(kind, disparity)
-    return lambda rows, arm: cut.displaced(kind[rows], defocus[rows], arm)
-
-
-def _directions(corners: np.ndarray) -> np.ndarray:
-    """Return the directions in radians of the board's columns and rows at each corner."""
-    steps = np.gradient(corners, axis=1), np.gradient(corners, axis=0)
-    return np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
+def _displaced(cut: CutBlur, kind: np.ndarray, defocus: np.ndarray, rows: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Return displacements from pixels to the positions that these pixels show, for rows of candidates."""
+    return cut.displaced(kind[rows], defocus[rows], arm)
 
 
 def _expected(

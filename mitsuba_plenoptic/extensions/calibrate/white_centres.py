@@ -22,6 +22,7 @@ from ...runtime.files import atomic_output
 from ...views import LensGrid, estimate_lens_grid
 from ...views.grid_estimation import Discs, pixels_around
 from .adjustment import OUTLIER
+from .array_fit import lattice_index
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
 
 _REPEATS = 6
@@ -103,20 +104,19 @@ def find_centres(*whites: np.ndarray) -> Centres:
     inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
     lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
     vectors = np.array([first[0, 1] - first[0, 0], first[1, 0] - first[0, 0]])
-    found = [_all_centred(image, start, Discs.of(image, vectors)) for image in images]
+    blocks, found = np.array_split(start, -(-len(start) // _BLOCK)), []
+    for image in images:
+        discs = Discs.of(image, vectors)
+        parts = [_centred(image, block, discs) for block in blocks]
+        found.append(tuple(np.concatenate(values) for values in zip(*parts, strict=True)))
     centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
     used = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
     used &= np.hypot(*(centre - start).T) < radius / 2
     lens, centre, light = lens[used], centre[used], light[used]
-    residuals = centre - _plain_grid(grid, lens, centre)
+    matrix = np.column_stack([np.ones(len(lens)), lattice_index(grid, lens)])
+    residuals = centre - matrix @ np.linalg.lstsq(matrix, centre)[0]
     light = light / light.max()
     return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
-
-
-def _all_centred(image: np.ndarray, start: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
-    parts = [_centred(image, block, discs) for block in np.array_split(start, -(-len(start) // _BLOCK))]
-    centre, light = (np.concatenate(values) for values in zip(*parts, strict=True))
-    return centre, light
 
 
 def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
@@ -129,15 +129,6 @@ def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.nd
             lambda distance: np.cos(0.5 * np.pi * (1 + (distance - discs.pitch / 2) / 2).clip(0, 1)) ** 2,
         )
     return centre, light
-
-
-def _plain_grid(grid: LensGrid, lens: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Return the positions in pixels on the affine grid that fits the centres best."""
-    k, l = lens.T.astype(np.float64)  # noqa: E741
-    if grid.shifted_rows is not None:
-        k = k + 0.5 * (l % 2 == grid.shifted_rows)
-    matrix = np.column_stack([np.ones(len(k)), k, l])
-    return np.asarray(matrix @ np.linalg.lstsq(matrix, centre)[0])
 
 
 def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
