@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +16,7 @@ from ...errors import content_of, refuse_if
 if TYPE_CHECKING:
     import numpy as np
 
-    from .calibration import Board, Evaluation
+    from .calibration import Board
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -164,6 +163,7 @@ def _output(output: Path | None, suffix: str) -> Path:
 def _evaluate(path: Path, camera: str | None, board: str | None, square: float | None) -> None:
     from . import calibration
     from .calibrated_cameras import lens_index
+    from .calibration_result import error_line, outlier_lines
 
     tested, record = load_camera(_camera(camera), {})
     index = lens_index(record)
@@ -171,10 +171,8 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
     found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
     for frame, error in zip(found.frames, found.pose_errors, strict=True):
         typer.echo(f"frame {frame}: {error:.4f} px")
-    _print_outliers(found)
-    typer.echo(
-        f"reprojection error {found.error:.4f} px over {len(found.residuals)} observations of {len(found.frames)} poses"
-    )
+    for line in [*outlier_lines(found, _NAMED), error_line(found)]:
+        typer.echo(line)
 
 
 def _picture(path: Path, linear: bool) -> np.ndarray:
@@ -228,12 +226,13 @@ def _detect(
 
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     from . import calibration
+    from .calibration_result import listed
 
     output = _output(output, ".csv")
     found = calibration.find_centres(*(_picture(path, linear) for path in paths))
     calibration.write_centres(output, found)
     if found.doubtful.any():
-        lenses = _named([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()])
+        lenses = listed([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()], _NAMED)
         typer.echo(
             f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
             f"lenses (k, l) {lenses}"
@@ -282,7 +281,7 @@ def _calibrate(
     from ...runtime.files import require_writable
     from . import calibration
     from .board_model import UNITS
-    from .calibration_result import REMEDY
+    from .calibration_result import summary
 
     output = _output(output, ".json")
     start, _ = load_camera(_camera(camera), {})
@@ -299,54 +298,6 @@ def _calibrate(
         write_calibration_report(report, found, size, corners, middles)
     for name, value in found.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {UNITS[name]}".rstrip())
-    if found.blur is not None:
-        for value, deviation in zip(found.blur.focal_lengths, found.blur.deviations, strict=True):
-            typer.echo(f"{'mla_focal_length':>18} {value:14.7g} +- {deviation:.2g} mm")
-        typer.echo(f"blur radii {found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens")
-    for weakness, parts in found.weak_directions():
-        terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
-        typer.echo(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
-    if moved := found.open_direction:
-        terms = ", ".join(f"{name} {change:+.2g}" for name, change in moved.items() if name != "focal_length")
-        typer.echo(
-            f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
-            f"{REMEDY}"
-        )
-    typer.echo(f"boards in other poses are predicted to {found.prediction_deviation:.2g} px")
-    if found.by_frames:
-        typer.echo(
-            f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "
-            "model misses something: deviations are those of leaving out frames"
-        )
-    _print_outliers(found.evaluation)
-    if len(found.centre_outliers):
-        typer.echo(f"{len(found.centre_outliers)} centres not used, in lines {_named(found.centre_outliers + 2)}")
-    if found.centre_error is not None:
-        typer.echo(f"centres of micro-images {found.centre_error:.4f} px RMS over {len(found.centre_residuals)}")
-    seen = found.evaluation
-    typer.echo(
-        f"{output}: reprojection error {seen.error:.4f} px over {len(seen.residuals)} observations of "
-        f"{len(seen.frames)} poses"
-    )
-
-
-def _print_outliers(seen: Evaluation) -> None:
-    """Print the rows that are outliers, and the error without them."""
-    import numpy as np
-
-    rows = seen.outliers
-    if not len(rows):
-        return
-    frames = ", ".join(
-        f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count
-    )
-    typer.echo(f"{len(rows)} outliers, in lines {_named(rows + 2)}; by frame: {frames}")
-    typer.echo(
-        f"without outliers {seen.error_without_outliers:.4f} px over {len(seen.residuals) - len(rows)} observations"
-    )
-
-
-def _named(items: Sequence[object] | np.ndarray) -> str:
-    """Return the first items of a list as text."""
-    more = "" if len(items) <= _NAMED else f" and {len(items) - _NAMED} more; the file has them all"
-    return ", ".join(map(str, items[:_NAMED])) + more
+    *lines, error = summary(found, _NAMED)
+    for line in [*lines, f"{output}: {error}"]:
+        typer.echo(line)

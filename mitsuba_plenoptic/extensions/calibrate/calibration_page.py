@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from ...report.pages import Block, Page, Picture, Section, Table
+from ...report.pages import Page, Picture, Section, Table
 from ...report.plots import ACCENT, FAINT, INK, Plot, styled
 from .board_model import UNITS
-from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map
+from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map, summary
 from .observations import Board, placed
 from .observations import Table as Corners
 
@@ -57,63 +57,16 @@ def write_calibration_report(
         _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),
         _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
     ]
+    *lines, error = summary(calibration, _NAMED)
+    records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
+    numbers = Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
     sections = [
-        Section("Numbers", _numbers(calibration)),
+        Section("Numbers", [numbers, lines]),
         Section("Poses", [Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(seen)]),
         Section("Residuals", residuals),
     ]
-    Page("Calibration", _summary(calibration), sections).write(path)
-
-
-def _summary(calibration: Calibration) -> str:
-    """Return how well the camera explains the observations, and which of them did not count."""
-    seen, outliers = calibration.evaluation, calibration.evaluation.outliers
-    text = (
-        f"Reprojection error {seen.error:.4f} px over {len(seen.residuals)} observations of {len(seen.frames)} poses "
-        "(root mean square of two-dimensional distances, every row counted)"
-    )
-    if calibration.centre_error is not None:
-        text += f"; centres of micro-images {calibration.centre_error:.4f} px over {len(calibration.centre_residuals)}"
-    text += "."
-    if len(outliers):
-        lines = ", ".join(str(line) for line in outliers[:_NAMED] + 2)
-        more = " and more; the camera's file lists them all" if len(outliers) > _NAMED else ""
-        text += (
-            f" {len(outliers)} rows are outliers, more than six deviations from where they are predicted, and did not "
-            f"count in the fit: lines {lines}{more}. Without them the reprojection error is "
-            f"{seen.error_without_outliers:.4f} px."
-        )
-    if len(calibration.centre_outliers):
-        text += (
-            f" {len(calibration.centre_outliers)} centres of micro-images are doubtful or off the lattice and did not "
-            "count in the fit."
-        )
-    return text
-
-
-def _numbers(calibration: Calibration) -> list[Block]:
-    """Return the parameters, and what is known of them."""
-    records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
-    blocks: list[Block] = [
-        Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records),
-    ]
-    if calibration.by_frames:
-        blocks.append(
-            f"Frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains: the model "
-            "misses something, and the deviations are those of leaving out frames."
-        )
-    if calibration.blur is not None:
-        lengths = zip(calibration.blur.focal_lengths, calibration.blur.deviations, strict=True)
-        texts = ", ".join(f"{value:.5g} ± {deviation:.2g}" for value, deviation in lengths)
-        blocks.append(
-            f"Focal lengths of the microlenses from the corners' blur: {texts} mm; radii "
-            f"{calibration.blur.error:.4f} px RMS."
-        )
-    weak = [
-        f"{weakness:.1f}: " + ", ".join(f"{name} {part:+.2f}" for name, part in changes.items())
-        for weakness, changes in calibration.weak_directions()
-    ]
-    return [*blocks, "Combinations that the data determine worst, in deviations of each parameter:", weak]
+    lead = f"{error[0].upper()}{error[1:]} (root mean square of two-dimensional distances, every row counted)."
+    Page("Calibration", lead, sections).write(path)
 
 
 def _poses(seen: Evaluation) -> Table:

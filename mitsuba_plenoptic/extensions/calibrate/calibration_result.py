@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -254,6 +255,63 @@ def group_means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.n
     """Return the number of rows and the mean value of each group."""
     count = np.bincount(group)
     return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]
+
+
+def summary(found: Calibration, most: int) -> list[str]:
+    """Return lines on how well a calibration explains the data and what they leave open, with at most so many rows."""
+    lines = []
+    if found.blur is not None:
+        lengths = zip(found.blur.focal_lengths, found.blur.deviations, strict=True)
+        texts = ", ".join(f"{value:.7g} +- {deviation:.2g}" for value, deviation in lengths)
+        error = f"{found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens"
+        lines.append(f"mla_focal_length {texts} mm from blur radii, {error}")
+    for weakness, parts in found.weak_directions():
+        terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
+        lines.append(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
+    if moved := found.open_direction:
+        terms = ", ".join(f"{name} {change:+.2g}" for name, change in moved.items() if name != "focal_length")
+        lines.append(
+            f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
+            f"{REMEDY}"
+        )
+    lines.append(f"boards in other poses are predicted to {found.prediction_deviation:.2g} px")
+    if found.by_frames:
+        lines.append(
+            f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "
+            "model misses something: deviations are those of leaving out frames"
+        )
+    lines += outlier_lines(found.evaluation, most)
+    if len(found.centre_outliers):
+        rows = listed((found.centre_outliers + 2).tolist(), most)
+        lines.append(f"{len(found.centre_outliers)} centres not used, in lines {rows}")
+    if found.centre_error is not None:
+        lines.append(f"centres of micro-images {found.centre_error:.4f} px RMS over {len(found.centre_residuals)}")
+    return [*lines, error_line(found.evaluation)]
+
+
+def outlier_lines(seen: Evaluation, most: int) -> list[str]:
+    """Return lines on the rows that are outliers, and the error without them; none if there are none."""
+    rows = seen.outliers
+    if not len(rows):
+        return []
+    frames = ", ".join(
+        f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count
+    )
+    return [
+        f"{len(rows)} outliers, in lines {listed((rows + 2).tolist(), most)}; by frame: {frames}",
+        f"without outliers {seen.error_without_outliers:.4f} px over {len(seen.residuals) - len(rows)} observations",
+    ]
+
+
+def error_line(seen: Evaluation) -> str:
+    """Return the line on the error of all rows."""
+    return f"reprojection error {seen.error:.4f} px over {len(seen.residuals)} observations of {len(seen.frames)} poses"
+
+
+def listed(items: Sequence[object], most: int) -> str:
+    """Return the first items of a list as text."""
+    more = "" if len(items) <= most else f" and {len(items) - most} more; the file has them all"
+    return ", ".join(map(str, items[:most])) + more
 
 
 # A disagreement that independent residuals exceed this rarely is taken for the model's misfit.

@@ -405,7 +405,7 @@ def test_a_real_camera_in_spite_of_gross_errors(part, tmp_path, capsys):
     assert len(set(bad + 2) - named) <= 2
     printed = capsys.readouterr().out
     assert f"{len(named)} outliers, in lines" in printed
-    assert f"{len(named)} rows are outliers" in report.read_text()
+    assert f"{len(named)} outliers, in lines" in report.read_text()
     # The camera is judged by the data as they were measured.
     assert main(["calibrate", "--evaluate", str(cases.REAL / "corners.csv"), "--camera", str(output), *board]) == 0
     error = capsys.readouterr().out.splitlines()[-1].removeprefix("reprojection error ").split(" ", 1)[0]
