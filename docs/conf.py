@@ -61,6 +61,7 @@ MERGED = {
         "develop/method",
     ],
     "reference/develop/house": ["develop/light_to_pixels"],
+    "guides/inverse_problems": ["fitting"],
 }
 redirects = {
     f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"
