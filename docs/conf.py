@@ -62,6 +62,7 @@ MERGED = {
     ],
     "reference/develop/house": ["develop/light_to_pixels"],
     "guides/inverse_problems": ["fitting"],
+    "guides/calibration": ["howto/real_camera"],
 }
 redirects = {
     f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"

@@ -63,7 +63,7 @@ def scatter_of_lenses(found: WhiteFit) -> float:
 @case(
     "real.white",
     "White picture of a real light-field microscope against the camera that is fitted to two thirds of its lenses",
-    page="docs/guides/real_camera.md",
+    page="docs/guides/calibration.md",
 )
 def white(*, samples: int = 128) -> Iterator[Row]:
     """Compare the third of the lenses that fits do not see, by waves of 510 nm and by rays."""
