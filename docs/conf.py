@@ -63,6 +63,7 @@ MERGED = {
     "reference/develop/house": ["develop/light_to_pixels"],
     "guides/inverse_problems": ["fitting"],
     "guides/calibration": ["howto/real_camera"],
+    "guides/main_lenses": ["howto/realistic_lens"],
 }
 redirects = {
     f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"
