@@ -43,11 +43,11 @@ default_role = "py:obj"
 # Pages of earlier sites lead to the pages in their place: those of a folder to its shelf, merged ones by name.
 SHELVES = {"howto": "guides", "gallery": "guides/gallery", "develop": "reference/develop", "": "guides"}
 MERGED = {
-    "start/index": ["start"],
+    "start/index": ["start", "gallery/first_capture"],
     "start/compare": ["howto/compare"],
-    "start/own_scene": ["howto/own_scene"],
+    "start/own_scene": ["howto/own_scene", "gallery/your_own_scene"],
     "guides/other_programs": ["peers", "which_tool", "coming_from"],
-    "guides/datasets": ["benchmark"],
+    "guides/datasets": ["benchmark", "wave_training"],
     "guides/long_runs": ["howto/run_files"],
     "reference/models": ["models"],
     "reference/numbers": ["numbers"],
@@ -64,6 +64,8 @@ MERGED = {
     "guides/inverse_problems": ["fitting"],
     "guides/calibration": ["howto/real_camera"],
     "guides/main_lenses": ["howto/realistic_lens"],
+    "guides/sweeps": ["gallery/sweeps"],
+    "guides/exchange": ["gallery/exchange"],
 }
 redirects = {
     f"{old}/{page.stem}".lstrip("/"): f"/{shelf}/{page.stem}"

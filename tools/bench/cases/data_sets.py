@@ -65,7 +65,7 @@ FIGURES = {
         "microlenses": "f/{f_number:g}", "spot (pixels)": "{spot:.1f}",
         **{heading: f"{{{key.replace(' ', '_')}}}" for key, (heading, _) in FIGURES.items()}, "gain": "{gain}",
     },
-    page="docs/guides/wave_training.md",
+    page="docs/guides/datasets.md",
     quick={"captures": 4, "seeds": 2, "f_number": (8.0,)},
 )  # fmt: skip
 def wave_training(
