@@ -64,6 +64,9 @@ MERGED = {
     "guides/inverse_problems": ["fitting"],
     "guides/calibration": ["howto/real_camera"],
     "guides/main_lenses": ["howto/realistic_lens"],
+    "theory/accuracy": ["theory/image_quality", "theory/cost"],
+    "theory/wavefronts": ["theory/wavefront_sensing", "theory/wavefront_reconstruction"],
+    "reference/develop/index": ["develop/questions"],
     "guides/sweeps": ["gallery/sweeps"],
     "guides/exchange": ["gallery/exchange"],
 }

@@ -49,7 +49,7 @@ _PARTS = (
     "the error, on parts of scenes",
     SPEED,
     (at_most("difference", DEFAULT_ACCURACY),),
-    page="docs/theory/cost.md",
+    page="docs/theory/accuracy.md",
     quick={"count": 1},
 )
 def sharing(*, scene: str = "", count: int = 5) -> Iterator[Row]:
@@ -96,7 +96,7 @@ STARTS: dict[str, tuple[list[str], dict[str, str], float | None]] = {
     "Processor time of a new process, over that of one that imports Mitsuba alone",
     {"what": "{what}", "seconds": "{seconds:.2f}", "over `import mitsuba`": "{ratio:.1f}"},
     (at_most("ratio", "limit"),),
-    page="docs/theory/cost.md",
+    page="docs/theory/accuracy.md",
     quick={"runs": 1, "names": ("--help",)},
 )
 def start(*, runs: int = 7, names: tuple[str, ...] = tuple(STARTS)) -> Iterator[Row]:

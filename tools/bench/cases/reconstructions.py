@@ -92,7 +92,7 @@ SHOWN = "{psnr_db:.1f} dB, {correlation:.3f}"
     "Ray reconstructions of ray captures against Mitsuba's thin lens, one scale factor for a scene and a version",
     {"scene": "{scene}", "version": "{footprint}", **AGREEMENT},
     AGREEMENT_LIMITS,
-    page="docs/theory/image_quality.md",
+    page="docs/theory/accuracy.md",
     pivot=Pivot("{footprint} version", "{scene}, {distance:g} mm", SHOWN),
     quick={"spp": 4, "reference_spp": 16, "scenes": ("letters",)},
 )
@@ -141,7 +141,7 @@ def letters_captures(wave: str, size: int) -> dict[str, Capture]:
         "method": "{method}", **AGREEMENT, "highest PSNR (dB)": "{highest:.1f}", "s, all distances": "{seconds:.1f}",
     },
     AGREEMENT_LIMITS,
-    page="docs/theory/image_quality.md",
+    page="docs/theory/accuracy.md",
     pivot=Pivot("{method}", "{distance:g} mm", SHOWN),
     quick={"reference_spp": 16, "size": 1024},
 )  # fmt: skip
@@ -275,7 +275,7 @@ REFERENCE = 400.0
         "worst bin without": "{without:.4f}",
     },
     (at_most("unexplained", "limit"),),
-    page="docs/theory/image_quality.md",
+    page="docs/theory/accuracy.md",
     pivot=Pivot("{lenses} lenses, {model} capture, {lattice}, {wall}, {method}", "{distance:g} mm", "{worst:.3f}"),
     quick={"lenses": (12,), "lattices": ("square",), "distances": (210.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip

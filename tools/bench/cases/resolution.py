@@ -213,7 +213,7 @@ def in_focus(camera: PlenopticCamera, distance: float, frequency: float, angle: 
     {"camera": "{camera}", "capture": "{model}", "distance (mm)": "{distance:g}", "method": "{method}",
      "contrasts, edge": "{cell}", "off the closed form": "{difference:.3f}", "off rays": "{apart:.3f}"},
     (at_most("difference", 0.02), at_most("apart", 0.05)),
-    page="docs/theory/image_quality.md",
+    page="docs/theory/accuracy.md",
     pivot=Pivot("{camera}, {model} capture, {method}", "{distance:g} mm", "{cell}"),
     quick={"distances": (240.0,), "relative": (0.5,), "methods": ("rays",), "models": ("ray",), "lenses": 12},
 )  # fmt: skip

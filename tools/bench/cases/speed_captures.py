@@ -45,7 +45,7 @@ _LIT, _NOISY = 0.1, 0.01
         at_most("light_off", 0.01), at_most("median", 1.3), at_most("highest_of_noisy", "most"),
         at_most("estimate_part", 0.1),
     ),
-    page="docs/theory/cost.md",
+    page="docs/theory/accuracy.md",
     quick={"scenes": ("letters",), "pixels": 256, "runs": 1, "seeds": 2},
 )  # fmt: skip
 def signed_ray_cost(
@@ -132,7 +132,7 @@ def _camera(f_number: float, pixels: int, film: int, lattice: str) -> PlenopticC
         "memory above that of rays (GiB)": "{memory:.2f}",
     },
     (at_most("ratio", "limit"), at_most("memory", _MOST_MEMORY)),
-    page="docs/theory/cost.md",
+    page="docs/theory/accuracy.md",
     quick={"films": (100,), "f_numbers": (5.6,), "samples": (8,)},
 )  # fmt: skip
 def cost(

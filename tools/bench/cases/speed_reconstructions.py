@@ -46,7 +46,7 @@ LONG = 30.0
         "estimated GiB": "{estimated_memory:.2f}",
     },
     (at_most("off", "most_off"),),
-    page="docs/theory/cost.md",
+    page="docs/theory/accuracy.md",
     pivot=Pivot("{method}", "{camera}", "{seconds:.3g} s, {memory:.1f} GiB"),
     quick={"f_numbers": (10.0,), "methods": ("ray", "coherent")},
 )  # fmt: skip

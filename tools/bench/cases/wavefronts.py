@@ -193,7 +193,7 @@ def rms(terms: np.ndarray) -> float:
         "Shack-Hartmann": "{spots:.4f}", "the same without noise": "{spots_noiseless:.4f}",
     },
     (at_most("fitted", "spots"), at_most("over_stated", 3.0)),
-    page="docs/theory/wavefront_reconstruction.md",
+    page="docs/theory/wavefronts.md",
     needs=("hcipy",),
     quick={"seeds": 1, "ratios": (5.0,), "photons": (1000.0,), "modes": 6, "accuracy": 0.3},
 )  # fmt: skip
