@@ -79,20 +79,6 @@ def _add_links(app: Any, what: str, name: str, thing: Any, options: Any, lines: 
         lines += ["", "**Used in:** " + ", ".join(f":doc:`/{page}`" for page in found), ""]
 
 
-def _write_summaries(app: Any, docname: str, source: list[str]) -> None:
-    """Replace ``.. summary::`` by a table of what the page documents by name, or of a module's members."""
-
-    def table(found: re.Match[str]) -> str:
-        if found[1]:
-            names = [f"{found[1]}.{name}" for name in sorted(members(importlib.import_module(found[1])), key=str.lower)]
-        else:
-            names = re.findall(r"^\.\. auto(?:function|class):: (\S+)$", source[0], flags=re.MULTILINE)
-        return "\n".join([".. autosummary::", "   :nosignatures:", "", *(f"   ~{name}" for name in names)])
-
-    if docname.startswith("reference/python/"):
-        source[0] = re.sub(r"^\.\. summary::(?: (\S+))?$", table, source[0], flags=re.MULTILINE)
-
-
 def _linked(found: re.Match[str]) -> str:
     """Mark the classes in a type, so that they alone become links."""
     return found[1] + re.sub(r"(?:[a-z]+\.)?[A-Z]\w+", r"`\g<0>`", found[2])
@@ -135,5 +121,4 @@ def setup(app: Any) -> dict[str, Any]:
     # After the sections of NumPy docstrings have been read, which end where other text begins.
     app.connect("autodoc-process-docstring", _add_links, priority=900)
     app.connect("missing-reference", _resolve)
-    app.connect("source-read", _write_summaries)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

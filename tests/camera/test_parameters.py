@@ -253,7 +253,7 @@ print(np.abs(more / less - 1).max(), np.linalg.norm(slope - step) / np.linalg.no
 """
 
 
-_END = "\n\nif TYPE_CHECKING:\n\n    @record"
+_END = "\n\nif TYPE_CHECKING:\n\n    class ShippedParameters"
 """What follows the table."""
 
 

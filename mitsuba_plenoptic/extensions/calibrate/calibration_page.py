@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from ...report.pages import Page, Picture, Section, Table
+from ...report.pages import Block, Page, Picture, Section, Table
 from ...report.plots import ACCENT, FAINT, INK, Plot, styled
 from .board_model import UNITS
 from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map, summary
