@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -33,9 +32,9 @@ from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
-from ...runtime.batches import Box, Job, Part, add
+from ...runtime.batches import Box, Job, Part
 from .cells import BinCells, UprightBins
-from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
+from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, require_response_memory, zones
 
 _ACCURACY = 0.01
 """Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
@@ -51,7 +50,7 @@ _RADIATORS_PER_LINE = 4
 _RADIATORS_PER_SPOT = 1.5
 """The same along the spot of a point on the array, which shows how much light crosses the borders of lenses."""
 
-_PIXEL_SAMPLES = 2.4
+_PIXEL_SAMPLES = 3
 """Samples across a pixel, at least, in which the light of kernels is kept."""
 
 _INFINITY = 1e6
@@ -61,8 +60,8 @@ _INFINITY = 1e6
 def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: float) -> tuple[Grid, int]:
     """Return the grid for the light of planes at some distances, and how many samples are merged on each axis.
 
-    Pixels hardly feel detail finer than four tenths of them. Where the lattice is turned, samples are interpolated
-    before they are integrated, and none are merged.
+    Pixels hardly feel detail finer than a third of them. Where the lattice is turned, samples are interpolated before
+    they are integrated, and none are merged.
     """
     depths = [finite_distance(camera, distance) for distance in distances]
     points, system = np.array([[0.0, 0.0, depth] for depth in depths]), OpticalSystem(camera, wavelength)
@@ -73,13 +72,8 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     return Grid.of(*given, together), together
 
 
-def wave_batches(
-    grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64], radiators: int = 0
-) -> list[list[Scatter]]:
-    """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response.
-
-    By default there are as many `radiators` along a lens as the plane needs.
-    """
+def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
+    """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response."""
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
@@ -88,7 +82,7 @@ def wave_batches(
     airy = in_millimetres(grid.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
     spots = max(cells.camera.mla_pitches) / (airy + cells.camera.blur_diameter(distance))
     wanted = math.ceil(max(_RADIATORS_PER_LINE * lines, _RADIATORS_PER_SPOT * spots))
-    points_along = radiators or max(_RADIATORS, min(_MOST_RADIATORS, wanted))
+    points_along = max(_RADIATORS, min(_MOST_RADIATORS, wanted))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
     places = lens.within(places)
@@ -204,14 +198,14 @@ def _trace(batch: RayBatch) -> Part:
     return Part(Box(int(low[0]), int(low[1]), columns, rows), sums.reshape(1, rows, columns).astype(np.float32))
 
 
+Batches = Callable[[BinCells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
+"""From the cells, a distance and a cell to the batches of each of its bins."""
+
 _FINE = 6
 """Bins along a lens, at least, of which upright bins are composed that are not those of the lattice."""
 
 _ZONE = 16
-"""Lenses along an axis that one core works on, and for which one kernel serves at least."""
-
-_ALIKE = 0.06
-"""Difference of the light of two lenses, over this light, for which one kernel serves all lenses between them."""
+"""Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
 
 _MEMORY = 2 * 2**30
 """Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
@@ -259,7 +253,7 @@ class Response(StoredResponse):
             grid, self._together = ray_grid(camera), 1
             # Several of the finer bins of cells make up a bin.
             rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, distances[0], oversample)))
-            self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
+            self._batches: Batches = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
@@ -273,14 +267,10 @@ class Response(StoredResponse):
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
         each = [self._kernel_memory(distance, oversample) for distance in distances]
-        # Zones divide the work among the cores; where lenses are alike, one kernel serves several.
-        groups = zones(self._sampled, _ZONE)
-        unlike = 0.0 if _alike(camera) else math.inf
-        if wavelength:
-            unlike = max(self._unlike(distance, job) for distance in distances)
-        asked = self._zones(max(each), unlike)
-        owner = np.repeat(np.arange(len(asked)), list(map(len, asked)))[np.argsort(np.concatenate(asked))]
-        served = [owner[members[len(members) // 2]] for members in groups]
+        alike = _alike(camera, wavelength)
+        groups = self._zones(max(each), alike)
+        # If all lenses are alike, one kernel serves all zones, which only divide the work among the cores.
+        asked = groups[len(groups) // 2 :][:1] if alike else groups
         super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         self._require_memory(len(asked))
@@ -301,8 +291,8 @@ class Response(StoredResponse):
             kernels = [
                 Kernel(kernel.steps, [replace(block, matrix=next(stored)) for block in kernel.blocks])
                 for kernel in kernels
-            ]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[number] for number in served]))
+            ] * (len(groups) // len(kernels))
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -350,34 +340,15 @@ class Response(StoredResponse):
         middle: NDArray[np.int64] = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
-    def _zones(self, kernels: float, unlike: float) -> list[NDArray[np.int64]]:
-        """Return the cells of each zone of one kernel, as large as its light allows, or as memory asks."""
-        widest = max(len(self._sampled.count), int(self._sampled.count.max()))
-        width = max(_ZONE, widest if unlike <= _ALIKE else math.floor(widest * _ALIKE / unlike))
+    def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
+        """Return the cells of each zone; zones with separate kernels are so large that all kernels fit into memory."""
+        width, rows = _ZONE, len(self._sampled.count)
+        widest = max(rows, int(self._sampled.count.max()))
         while True:
-            found = zones(self._sampled, width)
-            if width >= widest or len(found) * kernels <= _MEMORY:
-                return found
+            groups = zones(self._sampled, width)
+            if alike or width >= widest or len(groups) * kernels <= _MEMORY:
+                return groups
             width *= 2
-
-    def _unlike(self, distance: float, job: Job) -> float:
-        """Return the largest difference of the light of 2 x 2 points in a corner from that in the middle, over it."""
-        index, cells = self._sampled.index, BinCells(self.cells.grid, 1)
-        corners = np.argmax(index @ cells.vectors @ np.array([[1, 1, -1, -1], [1, -1, 1, -1]]), axis=0)
-        half = 2 * sum(cells.size) + math.ceil(cells.camera.blur_diameter(distance) / cells.grid.pitch.min())
-
-        def light(cell: NDArray[np.int64]) -> NDArray[np.float32]:
-            left, top = (cell @ cells.samples + cells.first_sample - half).tolist()
-            image = np.zeros((1, 2 * half, 2 * half), np.float32)
-            batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
-            with contextlib.closing(job.workers(batches)) as parts:
-                for part in parts:
-                    box, sums = merged(part.box, backend().to_host(part.sums)[0], self._together)
-                    add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
-            return image
-
-        middle = light(self._middle(np.arange(len(index))))
-        return max(float(np.linalg.norm(light(corner) - middle) / np.linalg.norm(middle)) for corner in index[corners])
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
         """Return the approximate bytes of one kernel of a plane with all of its blocks."""
@@ -448,10 +419,11 @@ def _require_equal_lenses(camera: PlenopticCamera) -> None:
     require_ideal(camera.replace(mla_jitter=(place, 0.0)))
 
 
-def _alike(camera: PlenopticCamera) -> bool:
-    """Return whether rays one lens apart are alike: with an objective, or without aberrations."""
-    ideal = camera.lens_model == "ideal" and camera.mla_medium == 1 and not any(camera.wavefront)
-    return ideal or not camera.lens_data.converges
+def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
+    """Return whether point spreads one lens apart are equal: with an objective, or by rays without aberrations."""
+    without = camera.mla_medium == 1 and not any(camera.wavefront)
+    by_rays = wavelength is None and camera.lens_model == "ideal" and without
+    return by_rays or not camera.lens_data.converges
 
 
 def _fine(grid: Grid, camera: PlenopticCamera, distance: float, oversample: int) -> int:
