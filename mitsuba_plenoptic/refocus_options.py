@@ -143,7 +143,7 @@ def all_options() -> dict[str, Option]:
 def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
     """Return a function of ``**options`` with a signature that names them; `parameters` has their annotations.
 
-    A flag is False where it is not given, other parameters are None.
+    A parameter that is a `bool` is False where it is not given, others are None.
     """
     signature = inspect.signature(function, eval_str=True)
     own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
@@ -151,7 +151,8 @@ def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
         inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=False if get_args(kind)[:1] == (bool,) else None,
+            # `Annotated` has its type as its origin; a flag that may be None has a default of the method.
+            default=False if getattr(kind, "__origin__", kind) is bool else None,
             annotation=kind,
         )
         for name, kind in parameters.items()

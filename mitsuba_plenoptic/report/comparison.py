@@ -29,19 +29,8 @@ from .metrics import (
 )
 from .ordinary import measure_ordinary, ordinary_section
 from .pages import scene_name
-from .plots import (
-    ON_DETECTOR,
-    Plot,
-    Zoom,
-    annotate,
-    brightest_zoom,
-    lit_window,
-    object_bar,
-    scale_bar,
-    show,
-    show_difference,
-    styled,
-)
+from .plots import ON_DETECTOR, Plot, annotate, object_bar, scale_bar, show, show_difference, styled
+from .windows import Zoom, brightest_zoom, lit_window
 
 
 def compare(

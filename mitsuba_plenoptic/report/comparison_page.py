@@ -20,7 +20,7 @@ from .experiment import SLIDER_METHODS, TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .pages import Block, Page, Section, Table, pictures_in, prose, template
-from .plots import Window, Zoom, lit_window
+from .windows import Window, Zoom, lit_window
 
 _EXPLANATIONS = {
     "truth": "Mitsuba's own thin-lens camera, focused at the distance",

@@ -334,7 +334,7 @@ def run_experiment(
     truths = {}
     for distance in distances:
         # The slider's pictures have no numbers.
-        spp = settings.truth_spp if distance in settings.distances else settings.truth_spp // 4
+        spp = settings.truth_spp if distance in settings.distances else max(1, settings.truth_spp // 4)
 
         def thin_lens(
             progress: Progress, distance: float = distance, spp: int = spp

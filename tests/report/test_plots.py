@@ -17,12 +17,12 @@ from mitsuba_plenoptic.report.plots import (
     contact_sheet,
     depth_figure,
     epipolar_figure,
-    lit_window,
     scale_bar,
     show,
     stack_figure,
     views_figure,
 )
+from mitsuba_plenoptic.report.windows import lit_window
 from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, pick_views
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))

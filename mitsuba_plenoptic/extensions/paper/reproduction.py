@@ -20,20 +20,8 @@ from ...report.comparison import draw_comparison, measure
 from ...report.comparison_page import write_growing, write_report
 from ...report.experiment import METHODS, TITLES, Experiment, Images, Settings, open_store, run_experiment
 from ...report.images import Brightness, shrink
-from ...report.plots import (
-    ON_DETECTOR,
-    Plot,
-    Zoom,
-    bare,
-    contact_sheet,
-    lit_window,
-    mark,
-    object_bar,
-    scale_bar,
-    show,
-    styled,
-    zoom_at,
-)
+from ...report.plots import ON_DETECTOR, Plot, bare, contact_sheet, mark, object_bar, scale_bar, show, styled
+from ...report.windows import Zoom, lit_window, zoom_at
 from .claims import PAPER_SECONDS, check_claims, claims_section, timing_section, timing_table
 from .paper_limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3

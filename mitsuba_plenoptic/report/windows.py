@@ -1,0 +1,89 @@
+"""Parts of images that figures show: the lit part of the field, and close-ups of whole micro-images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..camera import PlenopticCamera
+from .experiment import Experiment
+
+_LENSES = 8
+"""Microlenses across a close-up."""
+
+
+class Window(NamedTuple):
+    """Part of an image, given in fractions of its height and width."""
+
+    top: float
+    bottom: float
+    left: float
+    right: float
+    field_aspect: float = 1.0
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """Return the part of an image that the window shows."""
+        rows, columns = image.shape[:2]
+        return image[
+            round(self.top * rows) : round(self.bottom * rows), round(self.left * columns) : round(self.right * columns)
+        ]
+
+    @property
+    def aspect(self) -> float:
+        """Height of the window over its width."""
+        return self.field_aspect * (self.bottom - self.top) / (self.right - self.left)
+
+
+class Zoom(NamedTuple):
+    """A close-up of the detector: a title, and a window of whole pixels."""
+
+    title: str
+    rows: slice
+    columns: slice
+
+
+def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: float = 0.05) -> Window:
+    """Return the part of the field, symmetric about its middle, that contains the light of all images."""
+    reach = []
+    for axis in (1, 0):
+        ends = []
+        for image in images:
+            most = image.max(axis=tuple(other for other in range(image.ndim) if other != 1 - axis))
+            lit = np.flatnonzero(most > fraction * image.max())
+            middle = image.shape[1 - axis] / 2
+            if lit.size:
+                ends.append(max(abs(lit[0] - middle), abs(lit[-1] + 1 - middle)) / (2 * middle))
+        reach.append(min(0.5, max(ends, default=0.5) + margin))
+    rows, columns = images[0].shape[:2]
+    return Window(0.5 - reach[0], 0.5 + reach[0], 0.5 - reach[1], 0.5 + reach[1], rows / columns)
+
+
+def brightest_zoom(experiment: Experiment) -> Zoom:
+    """Return a close-up at the place where a capture has the most contrast from lens to lens."""
+    camera = experiment.camera
+    columns, rows = camera.bin_count
+    of_lenses = experiment.ray.image
+    for axis, count in enumerate((rows, columns)):
+        of_lenses = np.stack([part.mean(axis) for part in np.array_split(of_lenses, count, axis)], axis)
+    gradient = np.hypot(*np.gradient(of_lenses))
+    half = _LENSES // 2
+    inner = gradient[half : rows - half, half : columns - half]
+    row, column = np.unravel_index(np.argmax(inner), inner.shape) if inner.size else (0, 0)
+    slopes = (np.array([column, row]) + half - np.array([columns, rows]) / 2) * camera.mla_pitch / camera.mla_distance
+    return zoom_at(f"{_LENSES} x {_LENSES} lenses", camera, slopes)
+
+
+def zoom_at(title: str, camera: PlenopticCamera, slopes: np.ndarray) -> Zoom:
+    """Return a close-up of whole micro-images around the detector point of a chief ray with slopes (x, y)."""
+    half = _LENSES / 2 * camera.micro_image_pitch / camera.pixel_size
+    pitch = camera.micro_image_pitch
+    spans = []
+    for axis in (1, 0):
+        at = round(slopes[axis] * camera.mla_distance / camera.mla_pitch) * pitch / camera.pixel_size
+        middle = camera.resolution[axis] / 2 + at
+        size = round(2 * half)
+        first = min(max(0, round(middle - half)), max(0, camera.resolution[axis] - size))
+        spans.append(slice(first, first + size))
+    return Zoom(title, spans[0], spans[1])
