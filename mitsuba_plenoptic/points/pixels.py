@@ -195,12 +195,20 @@ class PixelIntegrals:
 
 
 def _sum_of_products(terms: list[tuple[Any, Any]], values: Any) -> Any:
-    """Return the sum over terms of values (rows, columns) multiplied by sparse weights along y and x."""
+    """Return the sum over terms of values (rows, columns) multiplied by sparse weights along y and x.
+
+    Where samples are made from pixels, x comes first: rows in memory then need not be turned into columns and back when
+    there are most of them.
+    """
     libraries, total = backend_of(values), None
+    contiguous = libraries.arrays.ascontiguousarray
     for along_y, along_x in terms:
         if libraries.is_cuda:
             along_y, along_x = (libraries.sparse.csr_matrix(weights) for weights in (along_y, along_x))
-        product = libraries.arrays.ascontiguousarray((along_x @ (along_y @ values).T).T)
+        if along_y.shape[0] > along_y.shape[1]:
+            product = along_y @ contiguous((along_x @ contiguous(values.T)).T)
+        else:
+            product = contiguous((along_x @ (along_y @ values).T).T)
         total = product if total is None else total + product
     return total
 

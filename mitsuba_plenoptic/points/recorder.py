@@ -97,7 +97,7 @@ class Recorder:
         for channel in np.moveaxis(image[self.window], -1, 0):
             samples = self._pixels_of(move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
             channels.append(samples if self._upright is None else self._upright.adjoint(samples))
-        return arrays.stack(channels)
+        return channels[0][None] if len(channels) == 1 else arrays.stack(channels)
 
     @property
     def window(self) -> tuple[slice, slice]:

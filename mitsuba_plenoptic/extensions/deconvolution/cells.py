@@ -115,7 +115,7 @@ class BinCells:
         return float(self.vectors[0, 0]) / self.bins[0], float(self.vectors[1, 1]) / self.bins[1]
 
     @cached_property
-    def _origin(self) -> NDArray[np.int64]:
+    def first_sample(self) -> NDArray[np.int64]:
         """Index of the sample on the axis, the first one of cell (0, 0)."""
         return np.rint(-self.grid.origin / self.grid.pitch).astype(np.int64)
 
@@ -132,7 +132,7 @@ class BinCells:
     def holding(self, box: Box) -> CellSet:
         """Return the cells that contain the samples of a box of the grid."""
         width, height = self.size
-        low = np.array([box.left, box.top]) - self._origin
+        low = np.array([box.left, box.top]) - self.first_sample
         high = low + np.array([box.columns, box.rows]) - 1
         rows = np.arange(low[1] // height, high[1] // height + 1)
         first = (low[0] - rows * self.samples[1, 0]) // width
@@ -144,8 +144,10 @@ class BinCells:
         arrays, (width, height) = backend_of(samples).arrays, self.size
         result: NDArray[np.float32] = arrays.zeros((len(cells), height, width), np.float32)
         for number, part, inside, position in self._strips(box, cells):
-            strip = arrays.zeros((height, part * width), np.float32)
-            strip[inside] = samples[position]
+            strip = samples[position]
+            if strip.shape != (height, part * width):
+                strip = arrays.zeros((height, part * width), np.float32)
+                strip[inside] = samples[position]
             result[number : number + part] = strip.reshape(height, part, width).transpose(1, 0, 2)
         return result
 
@@ -164,8 +166,8 @@ class BinCells:
         strips = []
         for row, (number, first, count) in enumerate(zip(cells.start, cells.first, cells.count, strict=True)):
             J = cells.top + row
-            left = int(self._origin[0] + first * width + J * self.samples[1, 0]) - box.left
-            top = int(self._origin[1] + J * height) - box.top
+            left = int(self.first_sample[0] + first * width + J * self.samples[1, 0]) - box.left
+            top = int(self.first_sample[1] + J * height) - box.top
             along = slice(max(0, left), min(box.columns, left + int(count) * width))
             down = slice(max(0, top), min(box.rows, top + height))
             if along.start < along.stop and down.start < down.stop:

@@ -119,10 +119,11 @@ def merged(box: Box, samples: NDArray[np.float32], together: int) -> tuple[Box, 
     left, top = box.left // together, box.top // together
     columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
     before = box.top - top * together, box.left - left * together
-    shape = (rows - top, together, columns - left, together)
-    whole = backend_of(samples).arrays.zeros((shape[0] * together, shape[2] * together), np.float32)
+    whole = backend_of(samples).arrays.zeros(((rows - top) * together, (columns - left) * together), np.float32)
     whole[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
-    return Box(left, top, columns - left, rows - top), whole.reshape(shape).mean((1, 3), dtype=np.float32)
+    # Plane by plane, which takes a fraction of the time of a sum along two short axes.
+    total = sum(whole[row::together, column::together] for row, column in np.ndindex(together, together))
+    return Box(left, top, columns - left, rows - top), total / np.float32(together**2)
 
 
 def sparse_kernel(steps: NDArray[np.int64], dense: NDArray[np.float32]) -> Kernel:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -32,9 +33,9 @@ from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
 from ...runtime.backend import backend
-from ...runtime.batches import Box, Job, Part
+from ...runtime.batches import Box, Job, Part, add
 from .cells import BinCells, UprightBins
-from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, require_response_memory, zones
+from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
 _ACCURACY = 0.01
 """Relative error for which the grid, and how much of the diffracted light is retained, are chosen."""
@@ -72,8 +73,13 @@ def wave_grid(camera: PlenopticCamera, distances: Sequence[float], wavelength: f
     return Grid.of(*given, together), together
 
 
-def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64]) -> list[list[Scatter]]:
-    """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response."""
+def wave_batches(
+    grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.int64], radiators: int = 0
+) -> list[list[Scatter]]:
+    """Return, for each bin of a cell, the batches whose summed results on a grid are the bin's response.
+
+    By default there are as many `radiators` along a lens as the plane needs.
+    """
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     inverse_distance = float(lens.inverse_distance(np.array([[0.0, 0.0, depth]]))[0])
@@ -82,7 +88,7 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
     airy = in_millimetres(grid.wavelength) * lens.pupil_distance / (2 * lens.pupil_radius)
     spots = max(cells.camera.mla_pitches) / (airy + cells.camera.blur_diameter(distance))
     wanted = math.ceil(max(_RADIATORS_PER_LINE * lines, _RADIATORS_PER_SPOT * spots))
-    points_along = max(_RADIATORS, min(_MOST_RADIATORS, wanted))
+    points_along = radiators or max(_RADIATORS, min(_MOST_RADIATORS, wanted))
     places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
     weight = bin_weight(cells) / places.shape[1] * float(lens.open_fraction(*places.mean((0, 1))[:, None])[0])
     places = lens.within(places)
@@ -91,7 +97,7 @@ def wave_batches(grid: Grid, cells: BinCells, distance: float, cell: NDArray[np.
         positions = lens.points(points, np.full(len(points), inverse_distance))
         placement = place(grid, positions)
         alike = (np.flatnonzero(placement.samples == size) for size in np.unique(placement.samples))
-        groups = [some for same in alike for some in chunks_of(grid, placement, same, len(same))]
+        groups = [some for same in alike for some in chunks_of(grid, placement, same, math.ceil(len(same) / _BATCHES))]
         copy = Copies(np.zeros((1, 2), np.int64), np.full((1, 1), weight, np.float32))
         batches.append(
             [
@@ -198,14 +204,14 @@ def _trace(batch: RayBatch) -> Part:
     return Part(Box(int(low[0]), int(low[1]), columns, rows), sums.reshape(1, rows, columns).astype(np.float32))
 
 
-Batches = Callable[[BinCells, float, NDArray[np.int64]], Sequence[Sequence[Any]]]
-"""From the cells, a distance and a cell to the batches of each of its bins."""
-
 _FINE = 6
 """Bins along a lens, at least, of which upright bins are composed that are not those of the lattice."""
 
 _ZONE = 16
-"""Lenses along an axis for which one kernel serves, where there is memory for as many as that makes."""
+"""Lenses along an axis that one core works on, and for which one kernel serves at least."""
+
+_ALIKE = 0.06
+"""Difference of the light of two lenses, over this light, for which one kernel serves all lenses between them."""
 
 _MEMORY = 2 * 2**30
 """Bytes of a plane's kernels beyond which zones grow, and of all planes' beyond which they are stored on disk."""
@@ -220,6 +226,9 @@ _EVERYWHERE = 2**40
 
 _PROGRESS = 1000
 """Parts of a bin's light in which progress is counted."""
+
+_BATCHES = 4
+"""Batches of a bin's radiators, at least: cores share the only kernel, and its speed is known before its end."""
 
 _SPREAD_TIME, _PRODUCT_TIME, _KERNEL_TIME = 16.0, 0.05, 0.6
 """Relative times of a sample of a point spread, and, in a step of an inversion, of a product and of a kernel's sample.
@@ -253,7 +262,7 @@ class Response(StoredResponse):
             grid, self._together = ray_grid(camera), 1
             # Several of the finer bins of cells make up a bin.
             rays = math.ceil(_RAYS * math.sqrt(oversample / _fine(grid, camera, distances[0], oversample)))
-            self._batches: Batches = functools.partial(ray_batches, rays)
+            self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
@@ -267,10 +276,14 @@ class Response(StoredResponse):
         self._recorder = Recorder(camera, grid, *all_pixels)
         self._sampled = self.cells.holding(self._recorder.box)
         each = [self._kernel_memory(distance, oversample) for distance in distances]
-        alike = _alike(camera, wavelength)
-        groups = self._zones(max(each), alike)
-        # If all lenses are alike, one kernel serves all zones, which only divide the work among the cores.
-        asked = groups[len(groups) // 2 :][:1] if alike else groups
+        # Zones divide the work among the cores; where lenses are alike, one kernel serves several.
+        groups = zones(self._sampled, _ZONE)
+        unlike = 0.0 if _alike(camera) else math.inf
+        if wavelength:
+            unlike = max(self._unlike(distance, job) for distance in distances)
+        asked = self._zones(max(each), unlike)
+        owner = np.repeat(np.arange(len(asked)), list(map(len, asked)))[np.argsort(np.concatenate(asked))]
+        served = [owner[members[len(members) // 2]] for members in groups]
         super().__init__(len(distances) > 1 and _LIT * len(asked) * sum(each) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         self._require_memory(len(asked))
@@ -291,8 +304,8 @@ class Response(StoredResponse):
             kernels = [
                 Kernel(kernel.steps, [replace(block, matrix=next(stored)) for block in kernel.blocks])
                 for kernel in kernels
-            ] * (len(groups) // len(kernels))
-            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, kernels))
+            ]
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[number] for number in served]))
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -340,15 +353,34 @@ class Response(StoredResponse):
         middle: NDArray[np.int64] = own[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
         return middle
 
-    def _zones(self, kernels: float, alike: bool) -> list[NDArray[np.int64]]:
-        """Return the cells of each zone; zones with separate kernels are so large that all kernels fit into memory."""
-        width, rows = _ZONE, len(self._sampled.count)
-        widest = max(rows, int(self._sampled.count.max()))
+    def _zones(self, kernels: float, unlike: float) -> list[NDArray[np.int64]]:
+        """Return the cells of each zone of one kernel, as large as its light allows, or as memory asks."""
+        widest = max(len(self._sampled.count), int(self._sampled.count.max()))
+        width = max(_ZONE, widest if unlike <= _ALIKE else math.floor(widest * _ALIKE / unlike))
         while True:
-            groups = zones(self._sampled, width)
-            if alike or width >= widest or len(groups) * kernels <= _MEMORY:
-                return groups
+            found = zones(self._sampled, width)
+            if width >= widest or len(found) * kernels <= _MEMORY:
+                return found
             width *= 2
+
+    def _unlike(self, distance: float, job: Job) -> float:
+        """Return the largest difference of the light of 2 x 2 points in a corner from that in the middle, over it."""
+        index, cells = self._sampled.index, BinCells(self.cells.grid, 1)
+        corners = np.argmax(index @ cells.vectors @ np.array([[1, 1, -1, -1], [1, -1, 1, -1]]), axis=0)
+        half = 2 * sum(cells.size) + math.ceil(cells.camera.blur_diameter(distance) / cells.grid.pitch.min())
+
+        def light(cell: NDArray[np.int64]) -> NDArray[np.float32]:
+            left, top = (cell @ cells.samples + cells.first_sample - half).tolist()
+            image = np.zeros((1, 2 * half, 2 * half), np.float32)
+            batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
+            with contextlib.closing(job.workers(batches)) as parts:
+                for part in parts:
+                    box, sums = merged(part.box, backend().to_host(part.sums)[0], self._together)
+                    add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
+            return image
+
+        middle = light(self._middle(np.arange(len(index))))
+        return max(float(np.linalg.norm(light(corner) - middle) / np.linalg.norm(middle)) for corner in index[corners])
 
     def _kernel_memory(self, distance: float, oversample: int) -> float:
         """Return the approximate bytes of one kernel of a plane with all of its blocks."""
@@ -419,11 +451,10 @@ def _require_equal_lenses(camera: PlenopticCamera) -> None:
     require_ideal(camera.replace(mla_jitter=(place, 0.0)))
 
 
-def _alike(camera: PlenopticCamera, wavelength: float | None) -> bool:
-    """Return whether point spreads one lens apart are equal: with an objective, or by rays without aberrations."""
-    without = camera.mla_medium == 1 and not any(camera.wavefront)
-    by_rays = wavelength is None and camera.lens_model == "ideal" and without
-    return by_rays or not camera.lens_data.converges
+def _alike(camera: PlenopticCamera) -> bool:
+    """Return whether rays one lens apart are alike: with an objective, or without aberrations."""
+    ideal = camera.lens_model == "ideal" and camera.mla_medium == 1 and not any(camera.wavefront)
+    return ideal or not camera.lens_data.converges
 
 
 def _fine(grid: Grid, camera: PlenopticCamera, distance: float, oversample: int) -> int:
