@@ -21,9 +21,6 @@ from .board_model import NAMES, Observations, predict, predict_centres
 # errors one row in 60 million lies there.
 OUTLIER = 6.0
 
-# Rows beyond this number of deviations count by their distance instead of its square (Huber).
-_HUBER = 4.0
-
 _MOST_REPEATS = 30
 
 
@@ -39,7 +36,7 @@ def outlying(distance: np.ndarray) -> np.ndarray:
 
 def huber(distance: np.ndarray) -> np.ndarray:
     """Return Huber's weights for robust fits: beyond a limit, residuals count by their size instead of its square."""
-    bound = _HUBER * max(deviation(distance), 1e-9)
+    bound = 4.0 * max(deviation(distance), 1e-9)
     return bound / np.maximum(distance, bound)
 
 
@@ -56,24 +53,25 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
     def solve(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         root = np.sqrt(weights)
         rows = (matrix * root[:, None, None]).reshape(-1, matrix.shape[2])
-        found = np.linalg.lstsq(rows, (values * root[:, None]).ravel())[0]
-        return found, np.hypot(*(matrix @ found - values).T)
+        solution = np.linalg.lstsq(rows, (values * root[:, None]).ravel())[0]
+        return solution, np.hypot(*(matrix @ solution - values).T)
 
-    found, distance = solve(np.ones(len(values)))
+    solution, distance = solve(np.ones(len(values)))
     last = np.inf
     for _ in range(_MOST_REPEATS):
         total = float(distance.sum())
         if not total < 0.999 * last:
             break
         last = total
-        found, distance = solve(1 / np.maximum(distance, 1e-3 * np.median(distance) + 1e-12))
+        solution, distance = solve(1 / np.maximum(distance, 1e-3 * np.median(distance) + 1e-12))
     good = ~outlying(distance)
     for _ in range(_MOST_REPEATS):
-        found, distance = solve(good.astype(float))
-        before, good = good, ~outlying(distance)
+        solution, distance = solve(good.astype(float))
+        before = good
+        good = ~outlying(distance)
         if (before == good).all():
             break
-    return found / np.where(scale > 0, scale, 1), distance, good
+    return solution / np.where(scale > 0, scale, 1), distance, good
 
 
 def both_axes(matrix: np.ndarray) -> np.ndarray:
@@ -81,10 +79,7 @@ def both_axes(matrix: np.ndarray) -> np.ndarray:
     return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
 
 
-_MOST_STEPS = 200
 _MOST_POSE_STEPS = 60
-_DONE = 1e-8
-_MOST_DAMPING = 1e10
 
 
 @dataclass(frozen=True)
@@ -136,15 +131,15 @@ class Problem:
         )
         triangles = []
         for index in range(len(poses)):
-            part = rows[self.corners.pose == index].reshape(-1, rows.shape[2])
-            triangles.append(_triangle(part))
+            residual_rows = rows[self.corners.pose == index].reshape(-1, rows.shape[2])
+            triangles.append(_triangle(residual_rows))
         camera = [triangle[6:, 6:] for triangle in triangles]
         if self.centres is not None:
             pixel, by_numbers = predict_centres(
                 numbers, self.centres.lens, pixel_size=self.pixel_size, row_ratio=self.row_ratio
             )
-            part = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
-            camera.append(_triangle(self.centre_weight * part.reshape(-1, part.shape[2])))
+            residual_rows = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
+            camera.append(_triangle(self.centre_weight * residual_rows.reshape(-1, residual_rows.shape[2])))
         return [triangle[:6] for triangle in triangles], camera
 
 
@@ -174,24 +169,26 @@ def adjust(
     free: Sequence[str] = NAMES,
     weights: np.ndarray | None = None,
     *,
-    most_steps: int = _MOST_STEPS,
+    most_steps: int = 200,
 ) -> Adjusted:
     """Return the camera parameters and poses that minimise the weighted sum of squared residuals.
 
     Shapes: `weights` (n,).
     """
-    chosen = np.array([NAMES.index(name) for name in free], dtype=int)
+    free_index = np.array([NAMES.index(name) for name in free], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights
     cost = problem.cost(numbers, poses, weights)
     refuse_if(
         not np.isfinite(cost),
         "calibration: the camera cannot see the board at the start: its numbers do not fit the data",
     )
-    damping, steps = 1e-3, 0
-    camera_scale, pose_scale = np.zeros(len(chosen)), np.zeros((len(poses), 6))
+    damping = 1e-3
+    steps = 0
+    camera_scale = np.zeros(len(free_index))
+    pose_scale = np.zeros((len(poses), 6))
     while steps < most_steps:
-        triangles, parts = problem.blocks(numbers, poses, weights, chosen)
-        camera = np.concatenate(parts)
+        triangles, camera_blocks = problem.blocks(numbers, poses, weights, free_index)
+        camera = np.concatenate(camera_blocks)
         both = np.concatenate([*(triangle[:, 6:] for triangle in triangles), camera])
         camera_scale = np.maximum(camera_scale, np.sqrt((both[:, :-1] ** 2).sum(0)))
         pose_scale = np.maximum(pose_scale, [np.sqrt((triangle[:, :6] ** 2).sum(0)) for triangle in triangles])
@@ -199,17 +196,20 @@ def adjust(
             steps += 1
             step, pose_steps = _solve(triangles, camera, np.sqrt(damping) * camera_scale, np.sqrt(damping) * pose_scale)
             new = numbers.copy()
-            new[chosen] += step
+            new[free_index] += step
             new_poses = poses + pose_steps
             new_cost = problem.cost(new, new_poses, weights)
             if new_cost <= cost:
                 break
             damping *= 8
-            if damping > _MOST_DAMPING:
+            if damping > 1e10:
                 return Adjusted(numbers, poses, cost, steps)
         gain = cost - new_cost
-        numbers, poses, cost, damping = new, new_poses, new_cost, max(damping / 10, 1e-12)
-        if gain <= _DONE * cost:
+        numbers = new
+        poses = new_poses
+        cost = new_cost
+        damping = max(damping / 10, 1e-12)
+        if gain <= 1e-8 * cost:
             break
     return Adjusted(numbers, poses, cost, steps)
 
@@ -219,24 +219,25 @@ def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weigh
 
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
     """
-    found = adjust(problem, numbers, poses, (), weights, most_steps=_MOST_POSE_STEPS).poses
+    fitted = adjust(problem, numbers, poses, (), weights, most_steps=_MOST_POSE_STEPS).poses
     flip = np.diag([1.0, 1.0, -1.0])
-    reversed_ = found.copy()
-    for pose in reversed_:
+    mirrored = fitted.copy()
+    for pose in mirrored:
         pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
-    reversed_ = adjust(problem, numbers, reversed_, (), weights, most_steps=_MOST_POSE_STEPS).poses
+    mirrored = adjust(problem, numbers, mirrored, (), weights, most_steps=_MOST_POSE_STEPS).poses
     squares = [
-        np.bincount(problem.corners.pose, weights * (problem.residuals(numbers, each) ** 2).sum(1))
-        for each in (found, reversed_)
+        np.bincount(problem.corners.pose, weights * (problem.residuals(numbers, candidate) ** 2).sum(1))
+        for candidate in (fitted, mirrored)
     ]
-    return np.where((squares[1] < squares[0])[:, None], reversed_, found)
+    return np.where((squares[1] < squares[0])[:, None], mirrored, fitted)
 
 
 def _solve(
     triangles: list[np.ndarray], camera: np.ndarray, camera_damping: np.ndarray, pose_damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the steps of camera and poses that solve the damped linear system, its columns scaled to equal norms."""
-    reduced, heads = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))], []
+    reduced = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))]
+    heads = []
     for triangle, damping in zip(triangles, pose_damping, strict=True):
         damped = _triangle(np.concatenate([triangle, np.pad(np.diag(damping), ((0, 0), (0, triangle.shape[1] - 6)))]))
         heads.append(damped[:6])

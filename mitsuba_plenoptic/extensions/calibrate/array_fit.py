@@ -13,12 +13,6 @@ from ...errors import refuse_if
 from ...lattice.lens_shifts import WARP_POWERS, Displacement
 from ...views import LensGrid
 
-_LARGEST_ERROR = 0.03
-"""Part by which the pitch of the picture may differ from the camera's."""
-
-_QUADRATIC, _CUBIC = 60, 200
-"""Lenses from which on a warp of the second and of the third degree is fitted."""
-
 
 @dataclass(frozen=True)
 class ArrayFit:
@@ -65,36 +59,39 @@ def require_alike(grid: LensGrid, camera: PlenopticCamera) -> None:
         f"mla_lattice = {camera.mla_lattice}: the picture shows rows that are "
         f"{'not ' if hexagonal else ''}shifted by half a pitch",
     )
-    lattice, scale = camera.lattice, camera.image_growth / camera.pixel_size
-    expected, found = lattice.nearest_distance * scale, grid.nearest_distance
+    lattice = camera.lattice
+    scale = camera.image_growth / camera.pixel_size
+    nominal = lattice.nearest_distance * scale
+    measured = grid.nearest_distance
     refuse_if(
-        abs(found / expected - 1) > _LARGEST_ERROR,
-        f"camera: its micro-images are {expected:.4g} pixels apart, in the picture {found:.4g}: mla_pitch or the size "
-        "of pixels is wrong",
+        abs(measured / nominal - 1) > 0.03,
+        f"camera: its micro-images are {nominal:.4g} pixels apart, in the picture {measured:.4g}: mla_pitch or the "
+        "size of pixels is wrong",
     )
 
 
-def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 3) -> ArrayFit:
+def fit_array(pixels: np.ndarray, index: np.ndarray, camera: PlenopticCamera, degree: int = 3) -> ArrayFit:
     """Fit the array to places (n, 2) in pixels, where the first pixel's centre is 0, of lenses with indices (n, 2).
 
     The warp has the degree at most, and a lower one for few lenses; of degree 1 there is none.
     """
     scale = camera.pixel_size / camera.image_growth
     at_axis = (np.array(camera.resolution) / 2 - camera.crop_offset) - 0.5
-    wanted = (place - at_axis) * scale
-    nearest = index[np.hypot(*wanted.T).argmin()]
+    target = (pixels - at_axis) * scale
+    nearest = index[np.hypot(*target.T).argmin()]
     steps = index - nearest
     matrix = np.column_stack([np.ones(len(steps)), steps])
-    middle, along, across = np.linalg.lstsq(matrix, wanted)[0]
-    turn = math.atan2(along[1], along[0])
-    degree = min(degree, 3 if len(place) >= _CUBIC else 2 if len(place) >= _QUADRATIC else 1)
+    middle, along, across = np.linalg.lstsq(matrix, target)[0]
+    angle_of_rows = math.atan2(along[1], along[0])
+    degree = min(degree, 3 if len(pixels) >= 200 else 2 if len(pixels) >= 60 else 1)
     terms = [(i, j) for i, j in WARP_POWERS if i + j <= degree]
     # Coefficients of a warp in pixels at the farthest lens, so that all numbers are of one size.
-    reach = np.abs(wanted).max()
+    reach = np.abs(target).max()
 
     def displaced(numbers: np.ndarray) -> np.ndarray:
         pitch, row, angle, x0, y0 = numbers[:5]
-        c, s = math.cos(angle), math.sin(angle)
+        c = math.cos(angle)
+        s = math.sin(angle)
         u, v = steps[:, 0] * pitch, steps[:, 1] * row
         x, y = x0 + c * u - s * v, y0 + s * u + c * v
         powers = (
@@ -106,20 +103,20 @@ def fit_array(place: np.ndarray, index: np.ndarray, camera: PlenopticCamera, deg
     start = [
         math.hypot(*along),
         float(-along[1] * across[0] + along[0] * across[1]) / math.hypot(*along),
-        turn,
+        angle_of_rows,
         *middle,
     ]
-    found = scipy.optimize.least_squares(
-        lambda numbers: ((displaced(numbers) - wanted) / scale).ravel(),
+    solution = scipy.optimize.least_squares(
+        lambda numbers: ((displaced(numbers) - target) / scale).ravel(),
         np.array([*start, *np.zeros(2 * len(terms))]),
         x_scale=np.array([1e-3 * scale] * 2 + [1e-4, scale, scale] + [0.1] * (2 * len(terms))),
         loss="soft_l1",
         f_scale=0.2,
     ).x
-    pitch, row, angle, x0, y0 = found[:5]
+    pitch, row, angle, x0, y0 = solution[:5]
     warp = np.zeros((2, len(WARP_POWERS)))
-    for number, (i, j) in enumerate(terms):
-        warp[:, number] = found[5:].reshape(2, -1)[:, number] * scale / reach ** (i + j)
+    for column, (i, j) in enumerate(terms):
+        warp[:, column] = solution[5:].reshape(2, -1)[:, column] * scale / reach ** (i + j)
     aspect = camera.lattice.row_distance / camera.mla_pitches[1]
     pitches = float(pitch), float(row / aspect)
     plain = camera.replace(mla_pitch=pitches, mla_rotation=math.degrees(angle), mla_offset=(0.0, 0.0))

@@ -27,14 +27,6 @@ from .adjustment import Adjusted
 from .board_model import AT, Observations
 from .observations import placed
 
-# The part of the radii's variance that may be left, and the least part of that which curves instead of lines leave:
-# radii without a sign are bent where they are in focus.
-_LEFT = 0.1
-_STRAIGHT = 0.5
-
-# The least that z/a must vary by.
-_LEAST_SPREAD = 0.01
-
 
 @dataclass(frozen=True)
 class Blur:
@@ -59,7 +51,7 @@ class Blur:
 
 def fit_blur(
     radius: np.ndarray,
-    seen: Observations,
+    observed: Observations,
     numbers: np.ndarray,
     poses: np.ndarray,
     lattice: Lattice,
@@ -70,26 +62,26 @@ def fit_blur(
 
     Shapes: `radius` (n,), `numbers`, `poses` (17,).
     """
-    ratio = image_ratios(seen, numbers, poses)
-    row = np.round(seen.lens[:, 1])
-    kind = np.zeros(len(row), dtype=int)
+    ratio = image_ratios(observed, numbers, poses)
+    row = np.round(observed.lens[:, 1])
+    lens_type = np.zeros(len(row), dtype=int)
     if types > 1:
         column, _ = lattice.unit_centre(0.0, row)
-        kind = np.asarray(lattice.lens_type(np.round(seen.lens[:, 0] - column), row), dtype=int)
-    counts = np.bincount(kind, minlength=types)
+        lens_type = np.asarray(lattice.lens_type(np.round(observed.lens[:, 0] - column), row), dtype=int)
+    counts = np.bincount(lens_type, minlength=types)
     refuse_if(
-        (counts < 2).any() or np.ptp(ratio) < _LEAST_SPREAD,
+        (counts < 2).any() or np.ptp(ratio) < 0.01,
         "corners: rho: blur radii are given, but of too few lenses or all at one depth to determine focus",
     )
-    matrix = np.column_stack([*np.eye(types)[kind].T, ratio])
+    matrix = np.column_stack([*np.eye(types)[lens_type].T, ratio])
     line = np.linalg.lstsq(matrix, radius)[0]
-    left = radius - matrix @ line
-    square = float(np.mean(left**2))
+    residual = radius - matrix @ line
+    square = float(np.mean(residual**2))
     curves = np.column_stack([matrix, *(matrix[:, :-1] * ratio[:, None]).T, *(matrix[:, :-1] * ratio[:, None] ** 2).T])
     bent = float(np.mean((radius - curves @ np.linalg.lstsq(curves, radius)[0]) ** 2))
     rounding = 1e-12 * float(np.var(radius))
     refuse_if(
-        not (square < _LEFT * np.var(radius) and bent + rounding > _STRAIGHT * square),
+        not (square < 0.1 * np.var(radius) and bent + rounding > 0.5 * square),
         f"corners: rho: {math.sqrt(square):.3g} of {np.std(radius):.3g} pixels of the blur radii are not explained "
         f"by {types} type{'s' if types > 1 else ''} of microlenses, as many as mla_focal_length lists: radii must "
         "have a sign, other in front of focus than behind it; leave the column out if they have none",
@@ -99,29 +91,30 @@ def fit_blur(
     z = float(numbers[AT["detector_distance"]])
     refuse_if(not (over > 0).all(), "corners: rho: the focal lengths that fit the blur radii best are not positive")
     # Observations of one corner of one picture err together, as such radii are mostly found from its depth.
-    group = np.unique(np.column_stack([seen.pose, seen.board]), axis=0, return_inverse=True)[1].ravel()
+    group = np.unique(np.column_stack([observed.pose, observed.board]), axis=0, return_inverse=True)[1].ravel()
     inverse = np.linalg.inv(matrix.T @ matrix)
-    scores = np.stack([np.bincount(group, left * column) for column in matrix.T], axis=-1) @ inverse
+    scores = np.stack([np.bincount(group, residual * column) for column in matrix.T], axis=-1) @ inverse
     covariance = scores.T @ scores
-    others = []
+    moved_lengths = []
     for solution in moved:
-        matrix[:, -1] = image_ratios(seen, solution.numbers, solution.poses)
+        matrix[:, -1] = image_ratios(observed, solution.numbers, solution.poses)
         *heights, steep = np.linalg.lstsq(matrix, radius)[0]
-        others.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
-    camera = ((np.array(others).reshape(-1, types) - z / over) ** 2).sum(0)
+        moved_lengths.append(solution.numbers[AT["detector_distance"]] / (1 - np.array(heights) / steep))
+    camera = ((np.array(moved_lengths).reshape(-1, types) - z / over) ** 2).sum(0)
     deviations = []
     for index in range(types):
         # Of z/f = 1 - position / slope.
         slope = np.zeros(types + 1)
-        slope[index], slope[-1] = -1 / scale, line[index] / scale**2
+        slope[index] = -1 / scale
+        slope[-1] = line[index] / scale**2
         deviations.append(float(np.sqrt(slope @ covariance @ slope * (z / over[index] ** 2) ** 2 + camera[index])))
     return Blur(tuple((z / over).tolist()), tuple(deviations), abs(float(scale)), math.sqrt(square))
 
 
-def image_ratios(seen: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def image_ratios(observed: Observations, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return z/a for each observation: the detector's distance from the array over that of the corner's image."""
     f, b, z = numbers[:3]
-    distance = placed(seen.board, poses, seen.pose)[:, 2]
+    distance = placed(observed.board, poses, observed.pose)[:, 2]
     return np.asarray(z / (b - distance * f / (distance - f)))
 
 

@@ -33,12 +33,6 @@ from .observations import (
 )
 from .start import board_images, start_values, upright_poses
 
-# How often it is decided anew which rows are outliers.
-_MOST_ROUNDS = 10
-
-# A frame with fewer of its rows left is not one that the others' camera sees.
-_LEFT_OF_FRAME = 0.5
-
 # Errors of detected centres are correlated over about this many lenses along each axis: the centres weigh accordingly
 # less.
 _CORRELATED = 16
@@ -46,14 +40,6 @@ _CORRELATED = 16
 # Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can be
 # counted in shifted rows, too, but these have cells and types of lenses that it does not have.
 _MOST_UNLIKE = 1.1
-
-# Pixels by which boards in other poses may deviate from where they are predicted.
-_UNPREDICTED = 1.0
-
-# How much farther from the centres of their micro-images than the pupil's image reaches corners may be seen, and how
-# much wider than the lenses' distance that image may be: the f-number need not be exact.
-_MOST_BEYOND = 1.6
-_MOST_OVERLAP = 1.5
 
 
 @suggest_keywords
@@ -99,61 +85,67 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
         "hexagonal lattice by 90 degrees if its columns do",
     )
-    seen, frames = observations(corners, board, index)
-    problem = Problem(seen, start.pixel_size, start.lattice.row_ratio)
+    observed, frames = observations(corners, board, index)
+    problem = Problem(observed, start.pixel_size, start.lattice.row_ratio)
     numbers, poses, good = start_values(problem, board, frames, grid, middle)
     if centres:
-        used, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
-        problem = _with_centres(problem, centres, used, index, weight)
+        inliers, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
+        problem = _with_centres(problem, centres, inliers, index, weight)
     else:
         problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
     weights = np.where(good, huber(_distance(problem, numbers, poses)), 0.0)
-    found, steps = adjust(problem, numbers, poses, weights=weights), 0
-    for _ in range(_MOST_ROUNDS):
-        steps += found.steps
-        before, weights = weights, _weights(problem, found, frames)
-        found = adjust(problem, found.numbers, found.poses, weights=weights)
+    fit = adjust(problem, numbers, poses, weights=weights)
+    steps = 0
+    for _ in range(10):
+        steps += fit.steps
+        before = weights
+        weights = _weights(problem, fit, frames)
+        fit = adjust(problem, fit.numbers, fit.poses, weights=weights)
         if ((before > 0) == (weights > 0)).all():
             break
     # The principal point goes to the grid of half pixels that a detector can be centred on.
-    rest = [name for name in NAMES if not name.startswith("principal")]
-    weights = _weights(problem, found, frames)
-    final = adjust(problem, on_pixel_grid(found.numbers), found.poses, rest, weights)
-    known = deviations(problem, final, weights)
-    elsewhere = prediction_deviation(problem, final, known.covariance)
+    free_names = [name for name in NAMES if not name.startswith("principal")]
+    weights = _weights(problem, fit, frames)
+    final = adjust(problem, on_pixel_grid(fit.numbers), fit.poses, free_names, weights)
+    uncertainty = deviations(problem, final, weights)
+    beyond = prediction_deviation(problem, final, uncertainty.covariance)
     refuse_if(
-        not elsewhere < _UNPREDICTED,
-        f"corners: they leave open where this camera sees boards in other poses, +- {elsewhere:.2g} pixels: {REMEDY}",
+        not beyond < 1.0,
+        f"corners: they leave open where this camera sees boards in other poses, +- {beyond:.2g} pixels: {REMEDY}",
     )
-    uncertain = known.values[AT["focal_length"]]
+    uncertain = uncertainty.values[AT["focal_length"]]
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), uncertain)
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
-    centre_residuals, centre_outliers = np.zeros((0, 2)), np.zeros(0, dtype=int)
+    centre_residuals = np.zeros((0, 2))
+    centre_outliers = np.zeros(0, dtype=int)
     if centres:
-        every = _with_centres(problem, centres, np.ones(len(used), dtype=bool), index, weight)
-        centre_residuals, centre_outliers = every.centre_residuals(final.numbers), np.flatnonzero(~used)
+        all_centres = _with_centres(problem, centres, np.ones(len(inliers), dtype=bool), index, weight)
+        centre_residuals = all_centres.centre_residuals(final.numbers)
+        centre_outliers = np.flatnonzero(~inliers)
     blur = None
     if BLUR_COLUMN in corners.columns:
-        used, types = weights > 0, len(start.mla_focal_lengths)
-        moved = moved_solutions(problem, final, weights, known.covariance)
-        radius, numbers = corners[BLUR_COLUMN][used], final.numbers
-        blur = fit_blur(radius, seen.keep(used), numbers, final.poses, camera.lattice, types, moved)
+        inliers = weights > 0
+        types = len(start.mla_focal_lengths)
+        moved = moved_solutions(problem, final, weights, uncertainty.covariance)
+        radius = corners[BLUR_COLUMN][inliers]
+        numbers = final.numbers
+        blur = fit_blur(radius, observed.keep(inliers), numbers, final.poses, camera.lattice, types, moved)
         camera = camera.replace(mla_focal_length=blur.focal_lengths)
     return Calibration(
         camera,
         index,
-        Evaluation(problem.residuals(final.numbers, final.poses), frames, seen.pose, final.poses),
+        Evaluation(problem.residuals(final.numbers, final.poses), frames, observed.pose, final.poses),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        dict(zip(NAMES, known.values.tolist(), strict=True)),
-        known.covariance / np.outer(known.values, known.values),
+        dict(zip(NAMES, uncertainty.values.tolist(), strict=True)),
+        uncertainty.covariance / np.outer(uncertainty.values, uncertainty.values),
         centre_residuals,
-        steps + found.steps + final.steps,
+        steps + fit.steps + final.steps,
         blur,
-        known.disagreement,
-        known.by_frames,
+        uncertainty.disagreement,
+        uncertainty.by_frames,
         centre_outliers,
-        elsewhere,
+        beyond,
     )
 
 
@@ -176,20 +168,22 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     """
     camera.require_array("evaluate")
     require_on_detector(corners, camera.crop_size)
-    numbers, lattice = numbers_of(camera), camera.lattice
+    numbers = numbers_of(camera)
+    lattice = camera.lattice
     principal = numbers[[AT["principal_u"], AT["principal_v"]]]
     scale = camera.micro_image_pitch / camera.mla_pitch / camera.pixel_size
-    u, v = np.array(lattice.from_frame(1.0, 0.0)), np.array(lattice.from_frame(0.0, 1.0))
+    u = np.array(lattice.from_frame(1.0, 0.0))
+    v = np.array(lattice.from_frame(0.0, 1.0))
     offset = numbers[[AT["offset_x"], AT["offset_y"]]]
     grid = np.stack([offset, u * lattice.pitches[0], v * lattice.row_distance]) * scale
     grid[0] += principal
     if index is None:
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
-    seen, frames = observations(corners, board, index)
-    problem = Problem(seen, camera.pixel_size, lattice.row_ratio)
+    observed, frames = observations(corners, board, index)
+    problem = Problem(observed, camera.pixel_size, lattice.row_ratio)
     _, maps, good = board_images(problem, board, frames, grid, principal)
     poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length), good.astype(float))
-    return Evaluation(problem.residuals(numbers, poses), frames, seen.pose, poses)
+    return Evaluation(problem.residuals(numbers, poses), frames, observed.pose, poses)
 
 
 def cross_validate(
@@ -213,54 +207,57 @@ def cross_validate(
     dict
         RMS error in pixels by frame.
     """
-    seen, frames = observations(corners, board, calibration.index)
+    observed, frames = observations(corners, board, calibration.index)
     camera = calibration.camera
-    whole = Problem(seen, camera.pixel_size, camera.lattice.row_ratio)
+    all_poses = Problem(observed, camera.pixel_size, camera.lattice.row_ratio)
     if centres:
-        used, weight = _used_centres(centres, calibration.index, calibration.evaluation.residuals)
-        whole = _with_centres(whole, centres, used, calibration.index, weight)
-    numbers, poses = np.array(list(calibration.numbers.values())), calibration.evaluation.poses
+        inliers, weight = _used_centres(centres, calibration.index, calibration.evaluation.residuals)
+        all_poses = _with_centres(all_poses, centres, inliers, calibration.index, weight)
+    numbers = np.array(list(calibration.numbers.values()))
+    poses = calibration.evaluation.poses
     errors = {}
-    for out, frame in enumerate(frames):
-        problem = _poses(whole, seen.pose != out)
+    for left_out, frame in enumerate(frames):
+        problem = _poses(all_poses, observed.pose != left_out)
         if not centres:
-            kept = calibration.evaluation.residuals[seen.pose != out]
-            problem = _through_pupil(problem, kept, ~outlying(np.hypot(*kept.T)))
-        weights = _weights(problem, Adjusted(numbers, np.delete(poses, out, 0), 0.0, 0), np.delete(frames, out))
-        found = adjust(problem, numbers, np.delete(poses, out, 0), weights=weights)
-        alone = _poses(Problem(seen, whole.pixel_size, whole.row_ratio), seen.pose == out)
-        refitted = adjust(alone, found.numbers, poses[out : out + 1], ())
+            residuals = calibration.evaluation.residuals[observed.pose != left_out]
+            problem = _through_pupil(problem, residuals, ~outlying(np.hypot(*residuals.T)))
+        weights = _weights(
+            problem, Adjusted(numbers, np.delete(poses, left_out, 0), 0.0, 0), np.delete(frames, left_out)
+        )
+        fit = adjust(problem, numbers, np.delete(poses, left_out, 0), weights=weights)
+        alone = _poses(Problem(observed, all_poses.pixel_size, all_poses.row_ratio), observed.pose == left_out)
+        refitted = adjust(alone, fit.numbers, poses[left_out : left_out + 1], ())
         errors[int(frame)] = float(np.sqrt(2 * refitted.cost / len(alone.corners)))
     return errors
 
 
-def _poses(problem: Problem, used: np.ndarray) -> Problem:
+def _poses(problem: Problem, chosen: np.ndarray) -> Problem:
     """Return a problem restricted to some poses."""
-    seen = problem.corners
-    _, pose = np.unique(seen.pose[used], return_inverse=True)
-    some = replace(seen.keep(used), pose=pose)
-    return Problem(some, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
+    observed = problem.corners
+    _, pose = np.unique(observed.pose[chosen], return_inverse=True)
+    selection = replace(observed.keep(chosen), pose=pose)
+    return Problem(selection, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)
 
 
-def _with_centres(problem: Problem, centres: Table, used: np.ndarray, index: LensIndex, weight: float) -> Problem:
+def _with_centres(problem: Problem, centres: Table, inliers: np.ndarray, index: LensIndex, weight: float) -> Problem:
     """Return a problem with some of the centres added."""
     nothing = np.zeros((0, 2))
-    seen = Observations(index.unit(centres["k"], centres["l"])[used], centres.pixel[used], nothing, nothing)
-    return Problem(problem.corners, problem.pixel_size, problem.row_ratio, seen, weight)
+    observed = Observations(index.unit(centres["k"], centres["l"])[inliers], centres.pixel[inliers], nothing, nothing)
+    return Problem(problem.corners, problem.pixel_size, problem.row_ratio, observed, weight)
 
 
-def _through_pupil(problem: Problem, residuals: np.ndarray, used: np.ndarray) -> Problem:
+def _through_pupil(problem: Problem, residuals: np.ndarray, good: np.ndarray) -> Problem:
     """Return a problem without centres, constrained so that corners are seen through the pupil and near their centres.
 
     Over the pupil's image, the rows of one corner spread evenly, and err together: each corner counts once. Without
     this, pupil and principal point could put the camera's micro-images some lenses beside the corners.
     """
-    seen = problem.corners.keep(used)
-    matrix = np.column_stack([np.ones(len(seen)), seen.lens])
-    spread = deviation(robust_lines(both_axes(matrix), seen.pixel)[1])
-    count = len(np.unique(np.column_stack([seen.pose, seen.board]), axis=0))
-    weight = max(deviation(np.hypot(*residuals[used].T)), 1e-3) / spread * np.sqrt(count / len(seen))
-    return replace(problem, centres=seen, centre_weight=float(weight))
+    observed = problem.corners.keep(good)
+    matrix = np.column_stack([np.ones(len(observed)), observed.lens])
+    spread = deviation(robust_lines(both_axes(matrix), observed.pixel)[1])
+    count = len(np.unique(np.column_stack([observed.pose, observed.board]), axis=0))
+    weight = max(deviation(np.hypot(*residuals[good].T)), 1e-3) / spread * np.sqrt(count / len(observed))
+    return replace(problem, centres=observed, centre_weight=float(weight))
 
 
 def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tuple[np.ndarray, float]:
@@ -270,11 +267,11 @@ def _used_centres(centres: Table, index: LensIndex, residuals: np.ndarray) -> tu
     """
     i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
     matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
-    _, distance, used = robust_lines(both_axes(matrix), centres.pixel)
+    _, distance, inliers = robust_lines(both_axes(matrix), centres.pixel)
     if DOUBTFUL_COLUMN in centres.columns:
-        used &= centres[DOUBTFUL_COLUMN] == 0
-    own = [max(deviation(each), 1e-3) for each in (np.hypot(*residuals.T), distance[used])]
-    return used, own[0] / own[1] / _CORRELATED
+        inliers &= centres[DOUBTFUL_COLUMN] == 0
+    scatter = [max(deviation(distances), 1e-3) for distances in (np.hypot(*residuals.T), distance[inliers])]
+    return inliers, scatter[0] / scatter[1] / _CORRELATED
 
 
 def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -284,7 +281,7 @@ def _distance(problem: Problem, numbers: np.ndarray, poses: np.ndarray) -> np.nd
 
 def _require_matching_pupil(
     problem: Problem,
-    found: Adjusted,
+    fit: Adjusted,
     weights: np.ndarray,
     start: PlenopticCamera,
     board: Board,
@@ -296,34 +293,35 @@ def _require_matching_pupil(
     If squares are stated s times too large, the object space scales by s and the image space by 1/s along the axis,
     which explains the corners equally well.
     """
-    f, b, z = found.numbers[:3]
+    f, b, z = fit.numbers[:3]
     radius = z / b * f / (2 * start.f_number) / problem.pixel_size
-    seen = problem.corners
-    middle, _ = predict_centres(found.numbers, seen.lens, pixel_size=problem.pixel_size, row_ratio=problem.row_ratio)
-    reach = float(np.quantile(np.hypot(*(seen.pixel - middle)[weights > 0].T), 0.95))
-    if reach > _MOST_BEYOND * radius:
+    observed = problem.corners
+    middle, _ = predict_centres(fit.numbers, observed.lens, pixel_size=problem.pixel_size, row_ratio=problem.row_ratio)
+    reach = float(np.quantile(np.hypot(*(observed.pixel - middle)[weights > 0].T), 0.95))
+    if reach > 1.6 * radius:
         wrong = f"corners are seen {reach:.3g} pixels from the centres of their micro-images"
-    elif 2 * radius > _MOST_OVERLAP * pitch:
+    elif 2 * radius > 1.5 * pitch:
         wrong = f"micro-images are {pitch:.3g} pixels apart"
     else:
         return
-    others = f", or {REMEDY} (focal length {f:.3g} +- {uncertain:.2g} mm)" if uncertain > OPEN * f else ""
+    alternative = f", or {REMEDY} (focal length {f:.3g} +- {uncertain:.2g} mm)" if uncertain > OPEN * f else ""
     raise InputError(
         f"corners: with squares of {board.square:g} mm and the camera's f-number of {start.f_number:.3g} micro-images "
         f"would have a radius of {radius:.3g} pixels, but {wrong}: check the distance of the board's corners and the "
-        f"f-number{others}"
+        f"f-number{alternative}"
     )
 
 
-def _weights(problem: Problem, found: Adjusted, frames: np.ndarray) -> np.ndarray:
+def _weights(problem: Problem, fit: Adjusted, frames: np.ndarray) -> np.ndarray:
     """Return the weight of each corner in the fit: smaller for residuals beyond a limit, 0 for outliers."""
-    distance = _distance(problem, found.numbers, found.poses)
+    distance = _distance(problem, fit.numbers, fit.poses)
     weights = np.where(outlying(distance), 0.0, huber(distance))
     pose = problem.corners.pose
-    rows, left = np.bincount(pose), np.bincount(pose, weights > 0)
-    for index in np.flatnonzero(left < _LEFT_OF_FRAME * rows):
+    rows = np.bincount(pose)
+    inliers = np.bincount(pose, weights > 0)
+    for index in np.flatnonzero(inliers < 0.5 * rows):
         raise InputError(
-            f"frame {frames[index]}: {rows[index] - left[index]:.0f} of its {rows[index]} rows are outliers of the "
+            f"frame {frames[index]}: {rows[index] - inliers[index]:.0f} of its {rows[index]} rows are outliers of the "
             "camera that explains the other frames: correct or remove the frame"
         )
     return weights

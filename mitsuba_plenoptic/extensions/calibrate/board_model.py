@@ -38,7 +38,7 @@ CALIBRATED = (
 """Parameters that are calibrated, in the order of a vector, before the principal point and `distortion`."""
 
 UNITS = (
-    {part: unit for name in CALIBRATED for part, unit in part_units(name).items()}
+    {number: unit for name in CALIBRATED for number, unit in part_units(name).items()}
     | {"principal_u": "pixels", "principal_v": "pixels"}
     | part_units("distortion")
 )
@@ -51,29 +51,18 @@ NAMES = tuple(UNITS)
 AT = {name: index for index, name in enumerate(NAMES)}
 """Index of each name in the vector."""
 
-# The tilt is a thousandth of a radian and the distortion a few per cent, so that each step gains five digits.
-_NEWTON_STEPS = 2
-
 
 @dataclass(frozen=True)
 class Observations:
-    """Observed corners or centres, as arrays with one row per observation.
+    """Observed corners or centres, as arrays with one row per observation."""
 
-    Attributes
-    ----------
-    lens : (n, 2) array
-        Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them.
-    pixel : (n, 2) array
-        Column and row; the centre of the first pixel is 0.
-    board : (n, 2) array
-        Position of the corner on its board in mm.
-    pose : (n,) array
-        Index of the board's pose, from 0.
-    """
-
+    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them, (n, 2).
     lens: np.ndarray
+    # Column and row; the centre of the first pixel is 0, (n, 2).
     pixel: np.ndarray
+    # Position of the corner on its board in mm, (n, 2).
     board: np.ndarray
+    # Index of the board's pose, from 0.
     pose: np.ndarray
 
     def __len__(self) -> int:
@@ -145,7 +134,8 @@ def predict_centres(
     """
     c, h, c_by, h_by = _lenses(numbers, lens, row_ratio)
     b, z = numbers[1:3]
-    before, behind = (b - h)[:, None], (z + h)[:, None]
+    before = (b - h)[:, None]
+    behind = (z + h)[:, None]
     p_by = c_by * (1 + behind / before)[:, :, None]
     p_by += (c * (before + behind) / before**2)[:, :, None] * h_by[:, None]
     p_by[:, :, AT["detector_distance"]] += c / before
@@ -154,26 +144,29 @@ def predict_centres(
 
 
 def predict(
-    numbers: np.ndarray, poses: np.ndarray, seen: Observations, *, pixel_size: float, row_ratio: float
+    numbers: np.ndarray, poses: np.ndarray, observed: Observations, *, pixel_size: float, row_ratio: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the predicted positions of corners in pixels, and the derivatives of these positions.
 
     Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
     """
     f, b, z = numbers[:3]
-    n = len(seen)
-    c, h, c_by, h_by = _lenses(numbers, seen.lens, row_ratio)
+    n = len(observed)
+    c, h, c_by, h_by = _lenses(numbers, observed.lens, row_ratio)
     # The point and its image.
-    corner = np.concatenate([seen.board, np.zeros((n, 1))], axis=1)
-    X, X_by = np.empty((n, 3)), np.zeros((n, 3, 6))
+    corner = np.concatenate([observed.board, np.zeros((n, 1))], axis=1)
+    X = np.empty((n, 3))
+    X_by = np.zeros((n, 3, 6))
     for index, pose in enumerate(poses):
-        mine = seen.pose == index
-        turned = Rotation.from_rotvec(pose[:3]).apply(corner[mine])
-        X[mine] = turned + pose[3:]
-        arm = np.zeros((len(turned), 3, 3))
-        arm[:, 0, 1], arm[:, 0, 2], arm[:, 1, 2] = turned[:, 2], -turned[:, 1], turned[:, 0]
-        X_by[mine, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
-        X_by[mine, :, 3:] = np.eye(3)
+        of_pose = observed.pose == index
+        rotated = Rotation.from_rotvec(pose[:3]).apply(corner[of_pose])
+        X[of_pose] = rotated + pose[3:]
+        arm = np.zeros((len(rotated), 3, 3))
+        arm[:, 0, 1] = rotated[:, 2]
+        arm[:, 0, 2] = -rotated[:, 1]
+        arm[:, 1, 2] = rotated[:, 0]
+        X_by[of_pose, :, :3] = (arm - arm.transpose(0, 2, 1)) @ _left_jacobian(pose[:3])
+        X_by[of_pose, :, 3:] = np.eye(3)
     g = X[:, 2]
     # Nearer than the focal length there is no image: the caller sees values that are not finite.
     beyond = np.where(g > f, g - f, np.nan)
@@ -183,13 +176,15 @@ def predict(
     q_by_X[:, 0, 0] = q_by_X[:, 1, 1] = -f / beyond
     q_by_X[:, :, 2] = -q / beyond[:, None]
     gamma_by_g = -(f**2) / (beyond**2 * b)
-    q_by, gamma_by = np.zeros((n, 2, len(NAMES))), np.zeros((n, len(NAMES)))
+    q_by = np.zeros((n, 2, len(NAMES)))
+    gamma_by = np.zeros((n, len(NAMES)))
     q_by[:, :, AT["focal_length"]] = -X[:, :2] * (g / beyond**2)[:, None]
     gamma_by[:, AT["focal_length"]] = g**2 / (beyond**2 * b)
     gamma_by[:, AT["mla_distance"]] = -gamma / b
     # The ray's slope.
     t = np.zeros((n, 2))
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(2):
+        # the tilt is a thousandth of a radian and the distortion a few per cent: each step gains five digits
         m = c - h[:, None] * t
         P = c + (b - h)[:, None] * t
         source, bend, source_by = undistorted(m, numbers[12:])
@@ -230,11 +225,14 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
     apertures and focal lengths of the microlenses, and the refraction model.
     """
     ends = np.cumsum([len(parts_of(like, name)) for name in CALIBRATED])
-    *rest, beyond = np.split(numbers, ends)
-    parts, focal_length = dict(zip(CALIBRATED, rest, strict=True)), numbers[AT["focal_length"]]
-    parts |= {"distortion": beyond[2:], "aperture_radius": np.array([focal_length / (2 * like.f_number)])}
-    offset, parts["mla_offset"] = parts["mla_offset"], np.zeros(2)
-    resolution, crop = [], []
+    *leading, beyond = np.split(numbers, ends)
+    values = dict(zip(CALIBRATED, leading, strict=True))
+    focal_length = numbers[AT["focal_length"]]
+    values |= {"distortion": beyond[2:], "aperture_radius": np.array([focal_length / (2 * like.f_number)])}
+    offset = values["mla_offset"]
+    values["mla_offset"] = np.zeros(2)
+    resolution = []
+    crop = []
     for pixels, principal in zip(like.crop_size, numbers[_PRINCIPAL], strict=True):
         # Twice the distance of the axis from the first pixel's edge.
         twice = round(2 * principal) + 1
@@ -242,7 +240,7 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
         resolution.append(max(twice, 2 * pixels - twice))
     camera = with_parts(
         like,
-        parts,
+        values,
         detector_width=like.pixel_size * resolution[0],
         resolution=tuple(resolution),
         crop_offset=tuple(crop),
@@ -253,6 +251,6 @@ def camera_of(numbers: np.ndarray, like: PlenopticCamera) -> PlenopticCamera:
 
 def numbers_of(camera: PlenopticCamera) -> np.ndarray:
     """Return the parameters of a camera that a calibration fits, as a vector in the order of `NAMES`."""
-    parts = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
+    values = {name: parts_of(camera, name) for name in CALIBRATED} | {"mla_offset": camera.lattice.centre(0.0, 0.0)}
     principal = [(size - 1) / 2 - offset for size, offset in zip(camera.resolution, camera.crop_offset, strict=True)]
-    return np.concatenate([*parts.values(), principal, camera.distortion])
+    return np.concatenate([*values.values(), principal, camera.distortion])

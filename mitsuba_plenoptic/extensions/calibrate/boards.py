@@ -25,13 +25,6 @@ from ...errors import InputError, require_module
 from ...runtime.backend import set_variant
 from .observations import Board
 
-# Disparities that are tried: below, a micro-image shows too little of the scene, above, too few lenses see a point.
-_LEAST, _MOST, _COUNT = 0.04, 0.6, 28
-
-# Positions at which lenses are compared, about; and the best disparities at which the board is looked for.
-_TRIED = 30_000
-_LOOKED_AT = 6
-
 # Lenses of which a position of the view is the mean.
 _LENSES = 3
 
@@ -60,7 +53,7 @@ def find_board(picture: Picture, board: Board) -> tuple[float, np.ndarray]:
     """
     cv2 = require_module("cv2", "detecting corners needs a package: pip install 'mitsuba-plenoptic[calibration]'")
     tree = cKDTree(picture.centre)
-    for disparity in _disparities(picture, tree)[:_LOOKED_AT]:
+    for disparity in _disparities(picture, tree)[:6]:
         step = max(1.0, 0.6 / abs(disparity))
         positions = _positions(picture, step)
         flat = positions.reshape(-1, 2)
@@ -71,14 +64,15 @@ def find_board(picture: Picture, board: Board) -> tuple[float, np.ndarray]:
         grey = np.nan_to_num((view - low) / max(high - low, 1e-12)).clip(0, 1)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
         # The other detector, findChessboardCornersSB, finds corners in noise here, others each time.
-        found, corners = cv2.findChessboardCorners(
+        is_board, corners = cv2.findChessboardCorners(
             (255 * grey).astype(np.uint8), (board.columns, board.rows), flags=flags
         )
-        if found:
+        if is_board:
             corners = corners.reshape(board.rows, board.columns, 2) * step
             if (corners[:, -1] - corners[:, 0])[:, 0].sum() < 0:
                 corners = corners[::-1, ::-1]
-            along, across = (corners[:, -1] - corners[:, 0]).sum(0), (corners[-1] - corners[0]).sum(0)
+            along = (corners[:, -1] - corners[:, 0]).sum(0)
+            across = (corners[-1] - corners[0]).sum(0)
             return disparity, corners if along[0] * across[1] > along[1] * across[0] else corners[::-1]
     raise InputError(
         f"{picture.name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it, whole, at any "
@@ -88,16 +82,17 @@ def find_board(picture: Picture, board: Board) -> tuple[float, np.ndarray]:
 
 def _disparities(picture: Picture, tree: cKDTree) -> np.ndarray:
     """Return candidate disparities, sorted by how well neighbouring lenses agree about the picture."""
-    sizes = np.geomspace(_LEAST, _MOST, _COUNT)
+    # disparities: below, a micro-image shows too little of the scene; above, too few lenses see a point
+    sizes = np.geomspace(0.04, 0.6, 28)
     disparities = np.concatenate([sizes, -sizes])
-    position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / _TRIED))).reshape(-1, 2)
+    position = _positions(picture, max(picture.radius, np.sqrt(picture.image.size / 30_000))).reshape(-1, 2)
     _, lens = tree.query(position, k=_LENSES)
     errors = []
     for disparity in disparities:
         view, spread = _seen(picture, position, lens, disparity)
-        known = np.isfinite(spread)
-        total = np.var(view[known]) if known.sum() > 0.1 * known.size else 0.0
-        errors.append(float(spread[known].mean() / total) if total > 0 else np.inf)
+        finite = np.isfinite(spread)
+        total = np.var(view[finite]) if finite.sum() > 0.1 * finite.size else 0.0
+        errors.append(float(spread[finite].mean() / total) if total > 0 else np.inf)
     return disparities[np.argsort(errors)]
 
 
@@ -124,10 +119,6 @@ def _seen(picture: Picture, position: np.ndarray, lens: np.ndarray, disparity: f
         spread = (weight * (value - mean[:, None]) ** 2).sum(1) / total
     spread[(weight > 0).sum(1) < 2] = np.nan
     return mean, spread
-
-
-# What lies behind the board is hidden by its margin, in squares.
-_MARGIN = 1.0
 
 
 def board_scene(
@@ -189,21 +180,14 @@ def board_scene(
             "integrator": {"type": "path", "max_depth": 1},
             "sensor": camera.to_sensor() | {"sampler": {"type": "independent", "sample_count": spp}},
             "squares": shining(texture, rectangle(0.0, 0.0)),
-            "margin": shining(light, rectangle(_MARGIN, 1e-3 * board.square)),
+            "margin": shining(light, rectangle(1.0, 1e-3 * board.square)),
         },
         parallel=False,
     )
 
 
-_STEPS = 12
-_BLOCK = 2048
-
-# Blur in pixels that a fit starts with, and that it stays within.
-_BLUR = 1.2
-_LEAST_BLUR, _MOST_BLUR = 0.3, 6.0
-
 # Radius of the window about a corner: pixels at least, and the fraction of the micro-image's radius at most.
-_LEAST_WINDOW, _WINDOW = 2.0, 0.6
+_WINDOW = 0.6
 
 # A corner moves by no more than this from where it was looked for, in pixels.
 _FARTHEST = 3.0
@@ -230,18 +214,18 @@ def find_saddles(
     *,
     radius: float,
     even: float,
-    seen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    displacement: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Saddles:
     """Return corners refined by least squares, each within a window in its micro-image.
 
     Shapes: `image`, `weight` (rows, columns), `position` (n, 2), `angles` (n, 2), `centre` (n, 2).
     """
-    blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // _BLOCK)))
-    parts = []
+    blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // 2048)))
+    fits = []
     for rows in blocks:
-        shift = None if seen is None else partial(seen, rows)
-        parts.append(_fit(image, weight, position[rows], angles[rows], centre[rows], radius, even, shift))
-    return Saddles(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+        of_block = None if displacement is None else partial(displacement, rows)
+        fits.append(_fit(image, weight, position[rows], angles[rows], centre[rows], radius, even, of_block))
+    return Saddles(*(np.concatenate(values) for values in zip(*fits, strict=True)))
 
 
 def _fit(
@@ -252,26 +236,26 @@ def _fit(
     centre: np.ndarray,
     radius: float,
     even: float,
-    seen: Callable[[np.ndarray], np.ndarray] | None,
+    displacement: Callable[[np.ndarray], np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(position)
     # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
-    reach = (radius - np.hypot(*(position - centre).T)).clip(_LEAST_WINDOW, _WINDOW * radius)[:, None]
+    reach = (radius - np.hypot(*(position - centre).T)).clip(2.0, _WINDOW * radius)[:, None]
     half = int(np.ceil(_WINDOW * radius))
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
     pixel = np.round(position).astype(int)[:, None] + steps
     x, y = (pixel[:, :, axis].clip(0, image.shape[1 - axis] - 1) for axis in (0, 1))
     arm = pixel - centre[:, None]
-    shown = pixel if seen is None else pixel + seen(arm)
+    shown_at = pixel if displacement is None else pixel + displacement(arm)
     # A window with a soft rim that is symmetrical about the corner, without what is beyond the evenly lit part.
-    distance = np.hypot(*np.moveaxis(shown - position[:, None], 2, 0))
+    distance = np.hypot(*np.moveaxis(shown_at - position[:, None], 2, 0))
     w = weight[y, x] * (reach + 0.5 - distance).clip(0, 1)
     w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
     w *= (pixel == np.stack([x, y], axis=-1)).all(2)
     value = image[y, x]
     enough = w.sum(1) > 12
-    p = np.concatenate([position, angles, np.full((n, 1), np.log(_BLUR))], axis=1)
-    p, linear, square, information = _descend(shown, value, w, p, position)
+    p = np.concatenate([position, angles, np.full((n, 1), np.log(1.2))], axis=1)
+    p, linear, square, information = _descend(shown_at, value, w, p, position)
     degrees = np.maximum(w.sum(1) - 7, 1)
     covariance = np.linalg.pinv(information[:, :2, :2]) * (square / degrees)[:, None, None]
     deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
@@ -283,12 +267,12 @@ def _descend(
     pixel: np.ndarray, value: np.ndarray, w: np.ndarray, p: np.ndarray, position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return position, angles and blur of a corner that minimise the residual; level and contrast follow."""
-    linear, square, jacobian, left = _model(pixel, value, w, p)
+    linear, square, jacobian, residual = _model(pixel, value, w, p)
     damping = np.full(len(p), 1e-2)
-    low, high = np.log([_LEAST_BLUR, _MOST_BLUR])
-    for _ in range(_STEPS):
+    low, high = np.log([0.3, 6.0])
+    for _ in range(12):
         matrix = np.einsum("npa,np,npb->nab", jacobian, w, jacobian, optimize=True)
-        slope = np.einsum("npa,np,np->na", jacobian, w, left, optimize=True)
+        slope = np.einsum("npa,np,np->na", jacobian, w, residual, optimize=True)
         scale = np.einsum("naa->na", matrix) + 1e-12
         damped = matrix + (damping[:, None] * scale)[:, :, None] * np.eye(5)
         new = p + np.linalg.solve(damped, slope[:, :, None])[:, :, 0].clip(-1, 1)
@@ -301,7 +285,7 @@ def _descend(
         linear = np.where(better[:, None], tried[0], linear)
         square = np.where(better, tried[1], square)
         jacobian = np.where(better[:, None, None], tried[2], jacobian)
-        left = np.where(better[:, None], tried[3], left)
+        residual = np.where(better[:, None], tried[3], residual)
     information = np.einsum("npa,np,npb->nab", jacobian, w, jacobian, optimize=True)
     return p, linear, square, information
 
@@ -314,26 +298,28 @@ def _model(
     blur = np.exp(p[:, 4])[:, None]
     edges = []
     for angle in (p[:, 2, None], p[:, 3, None]):
-        cosine, sine = np.cos(angle), np.sin(angle)
+        cosine = np.cos(angle)
+        sine = np.sin(angle)
         t = (cosine * arm[:, :, 1] - sine * arm[:, :, 0]) / blur
         # By t; by the angle; along both axes.
         edges.append((erf(t), 2 / np.sqrt(np.pi) * np.exp(-t * t), t, arm, cosine, sine))
     product = edges[0][0] * edges[1][0]
     weights = w.sum(1) + 1e-30
-    mean, mean_value = (w * product).sum(1) / weights, (w * value).sum(1) / weights
+    mean = (w * product).sum(1) / weights
+    mean_value = (w * value).sum(1) / weights
     about = product - mean[:, None]
     contrast = (w * about * value).sum(1) / ((w * about * about).sum(1) + 1e-30)
     level = mean_value - contrast * mean
-    left = value - level[:, None] - contrast[:, None] * product
+    residual = value - level[:, None] - contrast[:, None] * product
     jacobian = np.zeros((*product.shape, 5))
-    for own, (other, (_, bell, t, _, cosine, sine)) in enumerate(zip(edges[::-1], edges, strict=True)):
-        by_t = contrast[:, None] * bell * other[0]
+    for index, (crossed, (_, bell, t, _, cosine, sine)) in enumerate(zip(edges[::-1], edges, strict=True)):
+        by_t = contrast[:, None] * bell * crossed[0]
         jacobian[:, :, 0] += by_t * sine / blur
         jacobian[:, :, 1] -= by_t * cosine / blur
-        jacobian[:, :, 2 + own] = by_t * -(sine * arm[:, :, 1] + cosine * arm[:, :, 0]) / blur
+        jacobian[:, :, 2 + index] = by_t * -(sine * arm[:, :, 1] + cosine * arm[:, :, 0]) / blur
         jacobian[:, :, 4] -= by_t * t
     # What level and contrast make up for is no information.
     for base in (np.ones_like(product), about):
-        part = np.einsum("np,np,npa->na", w, base, jacobian) / ((w * base * base).sum(1) + 1e-30)[:, None]
-        jacobian -= base[:, :, None] * part[:, None]
-    return np.stack([level, contrast], axis=-1), (w * left * left).sum(1), jacobian, left
+        projection = np.einsum("np,np,npa->na", w, base, jacobian) / ((w * base * base).sum(1) + 1e-30)[:, None]
+        jacobian -= base[:, :, None] * projection[:, None]
+    return np.stack([level, contrast], axis=-1), (w * residual * residual).sum(1), jacobian, residual

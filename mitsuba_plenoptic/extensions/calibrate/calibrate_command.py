@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 # Outliers that are printed by line.
 _NAMED = 10
 
-_WAVELENGTH = 550.0
-"""Wavelength in nanometres of fits by waves for which none is given."""
-
 _PICTURES = (".exr", ".png", ".tif", ".tiff")
 
 
@@ -95,12 +92,12 @@ def calibrate(
     if bool(sources) == (evaluate is not None):
         raise typer.BadParameter("give corners or pictures, or corners to --evaluate", param_hint="SOURCE")
     for path in [*sources, *filter(None, [evaluate])]:
-        what = (
+        content = (
             content_of(path) if path.exists() and (path == evaluate or path.suffix.lower() not in _PICTURES) else "text"
         )
         refuse_if(
-            not what.startswith("text") and path.suffix.lower() not in LYTRO_SUFFIXES,
-            f"{path}: it is {what}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
+            not content.startswith("text") and path.suffix.lower() not in LYTRO_SUFFIXES,
+            f"{path}: it is {content}; corners are a table (.csv), pictures and white images .exr, .png or .tiff",
         )
         refuse_if(
             path.suffix.lower() in LYTRO_SUFFIXES,
@@ -168,10 +165,10 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
     tested, record = load_camera(_camera(camera), {})
     index = lens_index(record)
     size = _board(board, square)
-    found = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
-    for frame, error in zip(found.frames, found.pose_errors, strict=True):
+    evaluation = calibration.evaluate(calibration.read_corners(path, size, tested.crop_size), size, tested, index)
+    for frame, error in zip(evaluation.frames, evaluation.pose_errors, strict=True):
         typer.echo(f"frame {frame}: {error:.4f} px")
-    for line in [*outlier_lines(found, _NAMED), error_line(found)]:
+    for line in [*outlier_lines(evaluation, _NAMED), error_line(evaluation)]:
         typer.echo(line)
 
 
@@ -179,8 +176,8 @@ def _picture(path: Path, linear: bool) -> np.ndarray:
     from ...io.captures import Capture
     from ...views.light_field_files import read_recording
 
-    found = read_recording(path, linear)
-    return found.image if isinstance(found, Capture) else found
+    recording = read_recording(path, linear)
+    return recording.image if isinstance(recording, Capture) else recording
 
 
 def _detect(
@@ -198,11 +195,12 @@ def _detect(
     from . import calibration
     from .calibrated_cameras import lens_index
 
-    output, known = _output(output, ".csv"), None
+    output = _output(output, ".csv")
+    known_camera = None
     if camera is not None:
-        known, record = load_camera(camera, {})
-        middles = calibration.camera_centres(known, lens_index(record))
-        light = white_image(known) if white is None else _picture(white, linear)
+        known_camera, record = load_camera(camera, {})
+        middles = calibration.camera_centres(known_camera, lens_index(record))
+        light = white_image(known_camera) if white is None else _picture(white, linear)
     elif white is not None:
         light = _picture(white, linear)
         middles = calibration.find_centres(light).table(white.name)
@@ -212,16 +210,16 @@ def _detect(
         )
     if centres is not None:
         middles = calibration.read_centres(centres)
-    found = []
+    tables = []
     for frame, path in enumerate(paths):
         picture = _picture(path, linear)
-        found.append(
-            calibration.detect_corners(picture, light, middles, board, camera=known, frame=frame, name=path.name)
+        tables.append(
+            calibration.detect_corners(picture, light, middles, board, camera=known_camera, frame=frame, name=path.name)
         )
-        seen = len(np.unique(found[-1]["cluster"]))
-        typer.echo(f"frame {frame}, {path.name}: {seen} corners, seen {len(found[-1]['k'])} times")
-    calibration.write_corners(output, calibration.concatenate(found))
-    typer.echo(f"{output}: {sum(len(table['k']) for table in found)} corners in {len(paths)} pictures")
+        distinct = len(np.unique(tables[-1]["cluster"]))
+        typer.echo(f"frame {frame}, {path.name}: {distinct} corners, seen {len(tables[-1]['k'])} times")
+    calibration.write_corners(output, calibration.concatenate(tables))
+    typer.echo(f"{output}: {sum(len(table['k']) for table in tables)} corners in {len(paths)} pictures")
 
 
 def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
@@ -229,20 +227,20 @@ def _centres(paths: list[Path], output: Path | None, linear: bool) -> None:
     from .calibration_result import listed
 
     output = _output(output, ".csv")
-    found = calibration.find_centres(*(_picture(path, linear) for path in paths))
-    calibration.write_centres(output, found)
-    if found.doubtful.any():
-        lenses = listed([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()], _NAMED)
+    centres = calibration.find_centres(*(_picture(path, linear) for path in paths))
+    calibration.write_centres(output, centres)
+    if centres.doubtful.any():
+        lenses = listed([f"({column}, {row})" for column, row in centres.lens[centres.doubtful].tolist()], _NAMED)
         typer.echo(
-            f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
+            f"{centres.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
             f"lenses (k, l) {lenses}"
         )
-    along, across = found.grid.spacing
-    rows = "" if found.grid.shifted_rows is None else ", every second row shifted"
+    along, across = centres.grid.spacing
+    rows = "" if centres.grid.shifted_rows is None else ", every second row shifted"
     typer.echo(
-        f"{output}: {len(found.pixel)} centres, {found.error:.3f} px RMS from a regular grid of {along:.5f} x "
-        f"{across:.5f} px{rows}, turned by {math.degrees(found.grid.rotation):.4f} degrees; the faintest micro-image "
-        f"has {found.light.min():.0%} of the brightest's light"
+        f"{output}: {len(centres.pixel)} centres, {centres.error:.3f} px RMS from a regular grid of {along:.5f} x "
+        f"{across:.5f} px{rows}, turned by {math.degrees(centres.grid.rotation):.4f} degrees; the faintest micro-image "
+        f"has {centres.light.min():.0%} of the brightest's light"
     )
 
 
@@ -260,13 +258,13 @@ def _fit(
 
     if len(sources) > 1:
         raise typer.BadParameter("a camera is fitted to one white picture", param_hint="SOURCE")
-    known, _ = load_camera(_camera(camera), {})
+    nominal, _ = load_camera(_camera(camera), {})
     by_rays = model == "ray"
     refuse_if(by_rays and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out")
     if report:
         require_writable(report, ".html")
-    length = None if by_rays else wavelength or _WAVELENGTH
-    fit_camera(sources[0], _output(output, ".json"), known, dark, length, report)
+    length = None if by_rays else wavelength or 550.0
+    fit_camera(sources[0], _output(output, ".json"), nominal, dark, length, report)
 
 
 def _calibrate(
@@ -290,14 +288,14 @@ def _calibrate(
     middles = None if centres is None else calibration.read_centres(centres)
     if report:
         require_writable(report, ".html")
-    found = calibration.calibrate(corners, size, start, middles)
-    calibration.write_calibration(output, found, size)
+    calibration_found = calibration.calibrate(corners, size, start, middles)
+    calibration.write_calibration(output, calibration_found, size)
     if report:
         from .calibration_page import write_calibration_report
 
-        write_calibration_report(report, found, size, corners, middles)
-    for name, value in found.numbers.items():
-        typer.echo(f"{name:>18} {value:14.7g} +- {found.deviations[name]:.2g} {UNITS[name]}".rstrip())
-    *lines, error = summary(found, _NAMED)
+        write_calibration_report(report, calibration_found, size, corners, middles)
+    for name, value in calibration_found.numbers.items():
+        typer.echo(f"{name:>18} {value:14.7g} +- {calibration_found.deviations[name]:.2g} {UNITS[name]}".rstrip())
+    *lines, error = summary(calibration_found, _NAMED)
     for line in [*lines, f"{output}: {error}"]:
         typer.echo(line)

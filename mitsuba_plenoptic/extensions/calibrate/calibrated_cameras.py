@@ -24,9 +24,6 @@ from .board_model import NAMES, camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
 
-_PIXELS = "u is the column and v the row in the recorded picture; (0, 0) is the centre of its first pixel"
-_POSES = "by frame: rotation vector in radians and place of corner 0 in mm, from the board's to the camera frame"
-
 
 def write_calibration(path: str | Path, calibration: Calibration, board: Board) -> None:
     """Write a calibrated camera as a JSON file, completely or not at all.
@@ -40,15 +37,19 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
     board : Board
         The board that was seen.
     """
-    seen = calibration.evaluation
+    evaluation = calibration.evaluation
     record = {
         "lens_index": asdict(calibration.index),
-        "pixel": {"size_mm": calibration.camera.pixel_size, "convention": _PIXELS},
+        "pixel": {
+            "size_mm": calibration.camera.pixel_size,
+            "convention": "u is the column and v the row in the recorded picture; "
+            "(0, 0) is the centre of its first pixel",
+        },
         "board": {"columns": board.columns, "rows": board.rows, "square_mm": board.square},
-        "reprojection_error_px": seen.error,
-        "reprojection_error_without_outliers_px": seen.error_without_outliers,
+        "reprojection_error_px": evaluation.error,
+        "reprojection_error_without_outliers_px": evaluation.error_without_outliers,
         "centre_error_px": calibration.centre_error,
-        "observations": len(seen.residuals),
+        "observations": len(evaluation.residuals),
         "numbers": {
             name: {"value": value, "deviation": calibration.deviations[name]}
             for name, value in calibration.numbers.items()
@@ -61,9 +62,10 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         ],
         "open_direction": calibration.open_direction,
         "prediction_deviation_px": calibration.prediction_deviation,
-        "pose_convention": _POSES,
-        "poses": {str(frame): pose.tolist() for frame, pose in zip(seen.frames, seen.poses, strict=True)},
-        "outlier_rows": (seen.outliers + 2).tolist(),
+        "pose_convention": "by frame: rotation vector in radians and place of corner 0 in mm, "
+        "from the board's to the camera frame",
+        "poses": {str(frame): pose.tolist() for frame, pose in zip(evaluation.frames, evaluation.poses, strict=True)},
+        "outlier_rows": (evaluation.outliers + 2).tolist(),
         "outlier_centre_rows": (calibration.centre_outliers + 2).tolist(),
     }
     text = json.dumps({**calibration.camera.to_dict(), "calibration": record}, indent=1) + "\n"
@@ -102,11 +104,11 @@ def lens_index(record: Any) -> LensIndex | None:
     with refusing(
         f"calibration = {short_repr(record)}: it has no lens_index of odd_rows, row_sign and first", *NO_RECORD
     ):
-        given = record["lens_index"]
-        odd_rows, row_sign, (k, l) = given["odd_rows"], given["row_sign"], given["first"]  # noqa: E741
+        index = record["lens_index"]
+        odd_rows, row_sign, (k, l) = index["odd_rows"], index["row_sign"], index["first"]  # noqa: E741
     refuse_if(
         odd_rows not in (-0.5, 0, 0.5) or row_sign not in (-1, 1),
-        f"lens_index = {short_repr(given)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1",
+        f"lens_index = {short_repr(index)}: odd_rows is -0.5, 0 or 0.5 and row_sign is -1 or 1",
     )
     first = require_count("first", k, minimum=-(2**20)), require_count("first", l, minimum=-(2**20))
     return LensIndex(float(odd_rows), int(row_sign), first)
@@ -120,15 +122,19 @@ def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
     some 1e-4 rad in a real camera, becomes tilt and rotation to first order.
     """
     with refusing("it is no configuration of libpleno:", IndexError, OverflowError, *NO_RECORD):
-        sensor, mla, lens = values["sensor"], values["mla"], values["main_lens"]
+        sensor = values["sensor"]
+        mla = values["mla"]
+        lens = values["main_lens"]
         size = require_number("scale", float(sensor["scale"]), positive=True)
-        columns, rows = int(sensor["width"]), int(sensor["height"])
+        columns = int(sensor["width"])
+        rows = int(sensor["height"])
         x0, y0, detector = _numbers(sensor["pose"]["translation"][0])
         x1, y1, height = _numbers(mla["mesh"]["pose"]["translation"][0])
         rotation = np.array([_numbers(row) for row in mla["mesh"]["pose"]["rotation"]])
         pitches = _numbers(mla["mesh"]["pitch"][0])
         count = int(mla["mesh"]["width"]), int(mla["mesh"]["height"])
-        f, stop = float(lens["f"]), float(lens["aperture"])
+        f = float(lens["f"])
+        stop = float(lens["aperture"])
         distances = {"f": f, "aperture": stop, "mla": -height, "sensor": height - detector}
         for name, value in distances.items():
             require_number(name, value, positive=True)
@@ -171,11 +177,12 @@ def _numbers(values: Any) -> list[float]:
 def _inverse_distortion(distortion: np.ndarray, reach: float) -> np.ndarray:
     """Return the coefficients that best undo a distortion over a disc; distortions have opposite signs in x and y."""
     radius, angle = np.meshgrid(np.linspace(0.02, 1, 40) * reach, np.linspace(0, 2 * np.pi, 24, endpoint=False))
-    x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+    x = (radius * np.cos(angle)).ravel()
+    y = (radius * np.sin(angle)).ravel()
     k1, k2, k3, p1, p2 = distortion * [1, 1, 1, -1, -1]
     u, v = undistort(x, y, (k1, k2, k3, p1, p2))
     unit = np.eye(5)
     columns = [np.concatenate(undistort(u, v, e)) - np.concatenate([u, v]) for e in unit]
     scale = np.array([np.abs(column).max() for column in columns])
-    wanted = np.concatenate([x - u, y - v])
-    return np.asarray(np.linalg.lstsq(np.stack(columns, axis=-1) / scale, wanted)[0] / scale)
+    target = np.concatenate([x - u, y - v])
+    return np.asarray(np.linalg.lstsq(np.stack(columns, axis=-1) / scale, target)[0] / scale)

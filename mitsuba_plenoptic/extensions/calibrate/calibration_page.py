@@ -24,9 +24,6 @@ _ENLARGED = 100
 # Parts of which the residuals by field and by depth are listed.
 _PARTS = 6
 
-_WIDTH = 8.0
-"""Width of the figures in inches."""
-
 _NAMED = 100
 """Lines of outliers that are named."""
 
@@ -35,24 +32,25 @@ def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Corners, centres: Corners | None
 ) -> None:
     """Write the report on a calibration as an HTML page."""
-    size, seen = calibration.camera.crop_size, calibration.evaluation
-    outliers = seen.outliers
+    size = calibration.camera.crop_size
+    evaluation = calibration.evaluation
+    outliers = evaluation.outliers
     lens = residual_map(calibration, board, corners, "lens", 1)
     # Rows far off would hide in means what the others show.
-    usual = replace(calibration, evaluation=seen.without_outliers())
-    corners = corners.keep(np.delete(np.arange(len(seen.residuals)), outliers))
+    usual = replace(calibration, evaluation=evaluation.without_outliers())
+    corners = corners.keep(np.delete(np.arange(len(evaluation.residuals)), outliers))
     field, depth = (
         residual_map(usual, board, corners, by, parts) for by, parts in (("field", _CELLS), ("depth", _PARTS))
     )
     maps = [("Corners", field.key, field.mean)]
     if centres is not None:
-        used = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
-        middle, cell = field_cells(centres.pixel[used], size[0] / _CELLS)
-        maps.append(("Centres of micro-images", middle, group_means(-calibration.centre_residuals[used], cell)[1]))
-    shown = f"observed less predicted, outliers left out, means of cells of the detector, enlarged {_ENLARGED} times."
+        fitted = np.delete(np.arange(len(centres.pixel)), calibration.centre_outliers)
+        middle, cell = field_cells(centres.pixel[fitted], size[0] / _CELLS)
+        maps.append(("Centres of micro-images", middle, group_means(-calibration.centre_residuals[fitted], cell)[1]))
+    caption = f"observed less predicted, outliers left out, means of cells of the detector, enlarged {_ENLARGED} times."
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
     residuals: list[Block] = [
-        *(Picture(arrows(middle, mean, size).png(), f"{name}: {shown}") for name, middle, mean in maps),
+        *(Picture(arrows(middle, mean, size).png(), f"{name}: {caption}") for name, middle, mean in maps),
         Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
         _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),
         _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
@@ -62,20 +60,20 @@ def write_calibration_report(
     numbers = Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
     sections = [
         Section("Numbers", [numbers, lines]),
-        Section("Poses", [Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(seen)]),
+        Section("Poses", [Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(evaluation)]),
         Section("Residuals", residuals),
     ]
     lead = f"{error[0].upper()}{error[1:]} (root mean square of two-dimensional distances, every row counted)."
     Page("Calibration", lead, sections).write(path)
 
 
-def _poses(seen: Evaluation) -> Table:
+def _poses(evaluation: Evaluation) -> Table:
     """Return the position and the error of each board."""
-    outliers = np.bincount(seen.pose[seen.outliers], minlength=len(seen.frames))
+    outliers = np.bincount(evaluation.pose[evaluation.outliers], minlength=len(evaluation.frames))
     columns = {"frame": "{0}", "error, px": "{1:.4f}", "outliers": "{2}"}
-    columns |= {f"{axis}, mm": f"{{{number}:.2f}}" for number, axis in enumerate("xyz", 3)}
-    positions = np.asarray(seen.poses)[:, 3:].T
-    return Table(columns, zip(seen.frames, seen.pose_errors, outliers, *positions, strict=True))
+    columns |= {f"{axis}, mm": f"{{{column}:.2f}}" for column, axis in enumerate("xyz", 3)}
+    positions = np.asarray(evaluation.poses)[:, 3:].T
+    return Table(columns, zip(evaluation.frames, evaluation.pose_errors, outliers, *positions, strict=True))
 
 
 def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> Table:
@@ -87,16 +85,16 @@ def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float,
     """Return ranges of a quantity that hold equally many observations, and the RMS residual in each range."""
     squares = (residuals**2).sum(1)
     return [
-        (float(quantity[part[0]]), float(quantity[part[-1]]), len(part), math.sqrt(squares[part].mean()))
-        for part in np.array_split(np.argsort(quantity), _PARTS)
-        if len(part)
+        (float(quantity[rows[0]]), float(quantity[rows[-1]]), len(rows), math.sqrt(squares[rows].mean()))
+        for rows in np.array_split(np.argsort(quantity), _PARTS)
+        if len(rows)
     ]
 
 
 @styled
 def arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> Plot:
     """Return a figure of mean residuals as arrows from the middle of each cell of the detector."""
-    plot = Plot(_WIDTH)
+    plot = Plot(8.0)
     axes = _detector(plot, size)
     x, y = (middle + 0.5).T
     axes.quiver(x, y, *(_ENLARGED * mean).T, angles="xy", scale_units="xy", scale=1, color="#9a5b00", width=0.0016)
@@ -107,13 +105,13 @@ def arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> Plot:
 @styled
 def lens_errors(lens: ResidualMap, size: Sequence[int]) -> Plot:
     """Return a figure of the error of each lens, at its micro-image."""
-    plot = Plot(_WIDTH)
+    plot = Plot(8.0)
     axes = _detector(plot, size)
     most = max(float(np.quantile(lens.error, 0.95)), 1e-12)
     x, y = (lens.key[:, 2:] + 0.5).T
-    drawn = axes.scatter(x, y, c=lens.error, s=6, cmap="YlOrBr", vmin=0, vmax=most)
+    marks = axes.scatter(x, y, c=lens.error, s=6, cmap="YlOrBr", vmin=0, vmax=most)
     end = "max" if lens.error.max() > most else "neither"
-    plot.colour_bar(drawn, axes, f"px; up to {lens.error.max():.2f}", extend=end)
+    plot.colour_bar(marks, axes, f"px; up to {lens.error.max():.2f}", extend=end)
     return plot
 
 
@@ -128,18 +126,20 @@ def _detector(plot: Plot, size: Sequence[int]) -> Axes:
 @styled
 def boards(calibration: Calibration, board: Board) -> Plot:
     """Return a figure of the boards, obliquely from the side, with the camera at the left end of the axis."""
-    width, height = (board.columns - 1) * board.square, (board.rows - 1) * board.square
+    width = (board.columns - 1) * board.square
+    height = (board.rows - 1) * board.square
     outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
-    seen = calibration.evaluation
-    plot = Plot(_WIDTH)
+    evaluation = calibration.evaluation
+    plot = Plot(8.0)
     ((axes,),) = plot.panels(1, 1, 0.4)
     axes.axhline(0, color=FAINT, linewidth=0.5)
     axes.plot(0, 0, "o", color=INK, markersize=5)
     axes.annotate("camera", (0, 0), (0, -8), textcoords="offset points", va="top", size=8, color=FAINT)
-    for frame, pose in zip(seen.frames, seen.poses, strict=True):
+    for frame, pose in zip(evaluation.frames, evaluation.poses, strict=True):
         corner = placed(outline, pose[None], np.zeros(len(outline), dtype=int))
         # Oblique: depth to the right, x towards the reader.
-        across, up = corner[:, 2] + 0.35 * corner[:, 0], corner[:, 1] - 0.35 * corner[:, 0]
+        across = corner[:, 2] + 0.35 * corner[:, 0]
+        up = corner[:, 1] - 0.35 * corner[:, 0]
         axes.fill(across, up, facecolor=f"{ACCENT}26", edgecolor="#9a5b00", linewidth=0.8)
         axes.annotate(f"{frame}", (across[0], up[0]), size=8, color=FAINT)
     axes.set_aspect("equal", adjustable="datalim")

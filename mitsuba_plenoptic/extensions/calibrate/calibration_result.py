@@ -140,13 +140,13 @@ class Calibration:
         Only parameters with a correlation above 0.5 are named. Empty if the deviation is below a tenth of the focal
         length.
         """
-        at = NAMES.index("focal_length")
+        focal = NAMES.index("focal_length")
         if self.deviations["focal_length"] < OPEN * abs(self.numbers["focal_length"]):
             return {}
         return {
-            name: float(part) * self.deviations[name]
-            for name, part in zip(NAMES, self.correlation[at], strict=True)
-            if abs(part) > 0.5
+            name: float(correlation) * self.deviations[name]
+            for name, correlation in zip(NAMES, self.correlation[focal], strict=True)
+            if abs(correlation) > 0.5
         }
 
     def weak_directions(self, count: int = 3) -> list[tuple[float, dict[str, float]]]:
@@ -223,7 +223,8 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     """
     require_choice("by", by, GROUPED_BY)
     require_count("parts", parts, minimum=1, maximum=1000)
-    seen, camera = calibration.evaluation, calibration.camera
+    evaluation = calibration.evaluation
+    camera = calibration.camera
     if by == "lens":
         lenses, group = np.unique(np.stack([corners["k"], corners["l"]], axis=-1), axis=0, return_inverse=True)
         unit = calibration.index.unit(*lenses.T)
@@ -232,16 +233,17 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
     elif by == "depth":
-        depth = placed(board.places(corners["cluster"]), seen.poses, seen.pose)[:, 2]
+        depth = placed(board.places(corners["cluster"]), evaluation.poses, evaluation.pose)[:, 2]
         group = np.empty(len(depth), dtype=int)
-        ranges = [part for part in np.array_split(np.argsort(depth, kind="stable"), parts) if len(part)]
-        for number, part in enumerate(ranges):
-            group[part] = number
-        key = np.array([depth[part[[0, -1]]] for part in ranges])
+        ranges = [rows for rows in np.array_split(np.argsort(depth, kind="stable"), parts) if len(rows)]
+        for index, rows in enumerate(ranges):
+            group[rows] = index
+        key = np.array([depth[rows[[0, -1]]] for rows in ranges])
     else:
-        key, group = seen.frames[:, None], seen.pose
-    count, mean = group_means(-seen.residuals, group.ravel())
-    square = np.bincount(group.ravel(), (seen.residuals**2).sum(1)) / count
+        key = evaluation.frames[:, None]
+        group = evaluation.pose
+    count, mean = group_means(-evaluation.residuals, group.ravel())
+    square = np.bincount(group.ravel(), (evaluation.residuals**2).sum(1)) / count
     return ResidualMap(by, key.astype(float), count, mean, np.sqrt(square))
 
 
@@ -257,68 +259,67 @@ def group_means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.n
     return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]
 
 
-def summary(found: Calibration, most: int) -> list[str]:
+def summary(calibration: Calibration, most: int) -> list[str]:
     """Return lines on how well a calibration explains the data and what they leave open, with at most so many rows."""
     lines = []
-    if found.blur is not None:
-        lengths = zip(found.blur.focal_lengths, found.blur.deviations, strict=True)
+    if calibration.blur is not None:
+        lengths = zip(calibration.blur.focal_lengths, calibration.blur.deviations, strict=True)
         texts = ", ".join(f"{value:.7g} +- {deviation:.2g}" for value, deviation in lengths)
-        error = f"{found.blur.error:.4f} px RMS, {found.blur.scale:.4g} px for the whole lens"
+        error = f"{calibration.blur.error:.4f} px RMS, {calibration.blur.scale:.4g} px for the whole lens"
         lines.append(f"mla_focal_length {texts} mm from blur radii, {error}")
-    for weakness, parts in found.weak_directions():
-        terms = ", ".join(f"{name} {part:+.2f}" for name, part in parts.items())
+    for weakness, parts in calibration.weak_directions():
+        terms = ", ".join(f"{name} {weight:+.2f}" for name, weight in parts.items())
         lines.append(f"poorly determined, {weakness:.1f} times the deviations: {terms}")
-    if moved := found.open_direction:
+    if moved := calibration.open_direction:
         terms = ", ".join(f"{name} {change:+.2g}" for name, change in moved.items() if name != "focal_length")
         lines.append(
             f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
             f"{REMEDY}"
         )
-    lines.append(f"boards in other poses are predicted to {found.prediction_deviation:.2g} px")
-    if found.by_frames:
+    lines.append(f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} px")
+    if calibration.by_frames:
         lines.append(
-            f"frames disagree {found.disagreement:.1f} times as much as their own scatter explains, so that the "
+            f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
             "model misses something: deviations are those of leaving out frames"
         )
-    lines += outlier_lines(found.evaluation, most)
-    if len(found.centre_outliers):
-        rows = listed((found.centre_outliers + 2).tolist(), most)
-        lines.append(f"{len(found.centre_outliers)} centres not used, in lines {rows}")
-    if found.centre_error is not None:
-        lines.append(f"centres of micro-images {found.centre_error:.4f} px RMS over {len(found.centre_residuals)}")
-    return [*lines, error_line(found.evaluation)]
+    lines += outlier_lines(calibration.evaluation, most)
+    if len(calibration.centre_outliers):
+        rows = listed((calibration.centre_outliers + 2).tolist(), most)
+        lines.append(f"{len(calibration.centre_outliers)} centres not used, in lines {rows}")
+    if calibration.centre_error is not None:
+        lines.append(
+            f"centres of micro-images {calibration.centre_error:.4f} px RMS over {len(calibration.centre_residuals)}"
+        )
+    return [*lines, error_line(calibration.evaluation)]
 
 
-def outlier_lines(seen: Evaluation, most: int) -> list[str]:
+def outlier_lines(evaluation: Evaluation, most: int) -> list[str]:
     """Return lines on the rows that are outliers, and the error without them; none if there are none."""
-    rows = seen.outliers
+    rows = evaluation.outliers
     if not len(rows):
         return []
     frames = ", ".join(
-        f"{count} of {seen.frames[pose]}" for pose, count in enumerate(np.bincount(seen.pose[rows])) if count
+        f"{count} of {evaluation.frames[pose]}"
+        for pose, count in enumerate(np.bincount(evaluation.pose[rows]))
+        if count
     )
     return [
         f"{len(rows)} outliers, in lines {listed((rows + 2).tolist(), most)}; by frame: {frames}",
-        f"without outliers {seen.error_without_outliers:.4f} px over {len(seen.residuals) - len(rows)} observations",
+        f"without outliers {evaluation.error_without_outliers:.4f} px over {len(evaluation.residuals) - len(rows)} "
+        "observations",
     ]
 
 
-def error_line(seen: Evaluation) -> str:
+def error_line(evaluation: Evaluation) -> str:
     """Return the line on the error of all rows."""
-    return f"reprojection error {seen.error:.4f} px over {len(seen.residuals)} observations of {len(seen.frames)} poses"
+    count = len(evaluation.residuals)
+    return f"reprojection error {evaluation.error:.4f} px over {count} observations of {len(evaluation.frames)} poses"
 
 
 def listed(items: Sequence[object], most: int) -> str:
     """Return the first items of a list as text."""
     more = "" if len(items) <= most else f" and {len(items) - most} more; the file has them all"
     return ", ".join(map(str, items[:most])) + more
-
-
-# A disagreement that independent residuals exceed this rarely is taken for the model's misfit.
-_CHANCE = 1e-3
-
-# Degrees of freedom from which on a frame's own scatter is well known.
-_MANY = 100
 
 
 @dataclass(frozen=True)
@@ -338,36 +339,38 @@ class Deviations:
         return np.sqrt(np.diag(self.covariance))
 
 
-def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviations:
+def deviations(problem: Problem, fit: Adjusted, weights: np.ndarray) -> Deviations:
     """Return standard deviations and covariance of a fit's parameters, of which none is held fixed.
 
     Shapes: `weights` (n,).
     """
     count = len(NAMES)
-    _, parts = problem.blocks(found.numbers, found.poses, weights, np.arange(count))
-    rows = np.concatenate(parts)
+    _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
+    rows = np.concatenate(blocks)
     scale = np.sqrt((rows[:, :count] ** 2).sum(0))
-    parts = [part / np.append(scale, 1.0) for part in parts]
-    used = 2 * np.bincount(problem.corners.pose, weights > 0)
-    squares = (weights[:, None] * problem.residuals(found.numbers, found.poses) ** 2).sum()
-    variance = float(squares) / max(1, used.sum() - count - found.poses.size)
-    inverse = np.linalg.pinv(np.linalg.qr(np.concatenate(parts)[:, :count], mode="r"))
+    blocks = [block / np.append(scale, 1.0) for block in blocks]
+    row_counts = 2 * np.bincount(problem.corners.pose, weights > 0)
+    squares = (weights[:, None] * problem.residuals(fit.numbers, fit.poses) ** 2).sum()
+    variance = float(squares) / max(1, row_counts.sum() - count - fit.poses.size)
+    inverse = np.linalg.pinv(np.linalg.qr(np.concatenate(blocks)[:, :count], mode="r"))
     covariance = variance * inverse @ inverse.T
-    frames = len(used)
-    moved, freedom = 0.0, -count
-    for part, values in zip(parts, used, strict=False):
+    frames = len(row_counts)
+    moved = 0.0
+    freedom = -count
+    for block, values in zip(blocks, row_counts, strict=False):
         # The triangle's last column: what the parameters can explain of the frame's residuals, and what is left of
         # them.
-        own = int(values) - found.poses.shape[1] - count
-        if own > 0:
-            scatter = float(part[count, -1] ** 2) / own
-            moved += float((part[:count, -1] ** 2).sum()) / (scatter if own > _MANY else max(scatter, variance))
+        left_over = int(values) - fit.poses.shape[1] - count
+        if left_over > 0:
+            scatter = float(block[count, -1] ** 2) / left_over
+            # a frame's scatter is well measured from a hundred degrees of freedom on
+            moved += float((block[:count, -1] ** 2).sum()) / (scatter if left_over > 100 else max(scatter, variance))
             freedom += count
     disagreement = max(1.0, moved / freedom) if freedom > 0 else 1.0
-    by_frames = freedom > 0 and disagreement > chi2.ppf(1 - _CHANCE, freedom) / freedom
+    by_frames = freedom > 0 and disagreement > chi2.ppf(1 - 1e-3, freedom) / freedom
     if by_frames:
-        others = [np.concatenate(parts[:g] + parts[g + 1 :]) for g in range(frames)]
-        without = np.array([np.linalg.lstsq(each[:, :count], each[:, -1])[0] for each in others])
+        others = [np.concatenate(blocks[:g] + blocks[g + 1 :]) for g in range(frames)]
+        without = np.array([np.linalg.lstsq(block[:, :count], block[:, -1])[0] for block in others])
         without -= without.mean(0)
         # From few frames the variance itself is uncertain, and errors over it follow Student's distribution.
         student = (frames - 1) / max(frames - 3, 0.5)
@@ -377,40 +380,38 @@ def deviations(problem: Problem, found: Adjusted, weights: np.ndarray) -> Deviat
     return Deviations(covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames))
 
 
-def moved_solutions(problem: Problem, found: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
+def moved_solutions(problem: Problem, fit: Adjusted, weights: np.ndarray, covariance: np.ndarray) -> list[Adjusted]:
     """Return solutions one standard deviation away along each independent combination of parameters, poses refitted.
 
     For any quantity that follows from parameters and poses, the squared changes add up to its variance.
     """
-    heads, _ = problem.blocks(found.numbers, found.poses, weights, np.arange(len(NAMES)))
+    heads, _ = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(NAMES)))
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     moved = []
     for step in (vectors * np.sqrt(values.clip(0))).T * scale:
         poses = [-np.linalg.solve(head[:, :6], head[:, 6:-1] @ step) for head in heads]
-        moved.append(Adjusted(found.numbers + step, found.poses + poses, found.cost, 0))
+        moved.append(Adjusted(fit.numbers + step, fit.poses + poses, fit.cost, 0))
     return moved
 
 
-# How far boards are turned about their middle to find how well others than those seen are predicted, in radians.
-_TURNED = np.deg2rad(30) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-
-
-def prediction_deviation(problem: Problem, found: Adjusted, covariance: np.ndarray) -> float:
+def prediction_deviation(problem: Problem, fit: Adjusted, covariance: np.ndarray) -> float:
     """Return the RMS displacement, in pixels, of corners of turned boards due to errors of the parameters."""
-    seen, count = problem.corners, len(NAMES)
-    middle = np.append((seen.board.min(0) + seen.board.max(0)) / 2, 0.0)
-    square, rows = 0.0, 0
-    for turn in _TURNED:
-        old = Rotation.from_rotvec(found.poses[:, :3])
+    observed = problem.corners
+    count = len(NAMES)
+    middle = np.append((observed.board.min(0) + observed.board.max(0)) / 2, 0.0)
+    square = 0.0
+    rows = 0
+    for turn in np.deg2rad(30) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]):
+        old = Rotation.from_rotvec(fit.poses[:, :3])
         new = Rotation.from_rotvec(turn) * old
-        place = found.poses[:, 3:] + old.apply(middle) - new.apply(middle)
-        poses = np.concatenate([new.as_rotvec(), place], axis=1)
+        translation = fit.poses[:, 3:] + old.apply(middle) - new.apply(middle)
+        poses = np.concatenate([new.as_rotvec(), translation], axis=1)
         # A corner within the focal length has no image.
-        imaged = np.isfinite(problem.residuals(found.numbers, poses)).all(1)
-        turned = replace(problem, corners=seen.keep(imaged), centres=None)
-        _, parts = turned.blocks(found.numbers, poses, np.ones(imaged.sum()), np.arange(count))
-        by_numbers = np.concatenate(parts)[:, :count]
+        imaged = np.isfinite(problem.residuals(fit.numbers, poses)).all(1)
+        turned = replace(problem, corners=observed.keep(imaged), centres=None)
+        _, blocks = turned.blocks(fit.numbers, poses, np.ones(imaged.sum()), np.arange(count))
+        by_numbers = np.concatenate(blocks)[:, :count]
         square += float(((by_numbers @ covariance) * by_numbers).sum())
         rows += int(imaged.sum())
     return float(np.sqrt(square / rows)) if rows else np.inf

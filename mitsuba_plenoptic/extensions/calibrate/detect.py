@@ -24,29 +24,6 @@ from .board_model import numbers_of, predict_centres
 from .boards import Picture, find_board, find_saddles
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table
 
-# Pixels of less than this fraction of the light in the middle of micro-images are not used.
-_DARK = 0.25
-
-# Micro-images are evenly lit as far from their centres as they give this fraction of their middle's light on average.
-# Beyond, the main lens's rim cuts the blur of what is seen, which moves it outwards. Where this is less than this
-# fraction of the micro-images' radius, there is too little without the rest.
-_EVEN, _LEAST_EVEN = 0.97, 0.6
-
-# Corners nearer than this to a micro-image's rim, in pixels, are not searched for.
-_RIM = 3.0
-
-# How often corners are looked for, from where they were found the time before.
-_PASSES = 3
-
-# Limits of an accepted corner: its deviation in pixels at most, its fraction of the median contrast at least, and how
-# far it may lie from where the other lenses see it: a multiple of the typical distance, or pixels.
-_DEVIATION = 0.5
-_CONTRAST = 0.3
-_OUTLIER, _NEAR = 6.0, 0.3
-
-# Lenses that must see a corner.
-_FEWEST = 3
-
 
 def detect_corners(
     image: np.ndarray,
@@ -118,11 +95,13 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     camera.require_array("camera_centres")
     camera.require_thin("centres of micro-images are computed")
     camera.require_resolved()
-    lattice, size = camera.lattice, np.array(camera.crop_size)
+    lattice = camera.lattice
+    size = np.array(camera.crop_size)
     index = index or LensIndex(0.5 if lattice.stagger == 2 else 0.0, 1, (0, 0))
 
     def pixels(unit: np.ndarray) -> np.ndarray:
-        pixel_size, ratio = camera.pixel_size, lattice.row_ratio
+        pixel_size = camera.pixel_size
+        ratio = lattice.row_ratio
         return predict_centres(numbers_of(camera), unit, pixel_size=pixel_size, row_ratio=ratio)[0]
 
     # Where the picture's corners would be among the lenses, were the array not tilted.
@@ -141,7 +120,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
 
 
 def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) -> Picture:
-    values, light = (_grey(what, given) for what, given in ((name, image), ("white", white)))
+    values, light = (_grey(label, picture) for label, picture in ((name, image), ("white", white)))
     refuse_if(
         values.shape != light.shape,
         f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
@@ -158,29 +137,32 @@ def _picture(image: np.ndarray, white: np.ndarray, centres: Table, name: str) ->
     full = float(np.median(light[row[inside], column[inside]]))
     refuse_if(not full > 0, "white: it is dark in the middle of its micro-images")
     weight = (light / full).clip(max=1)
-    weight[weight < _DARK] = 0
+    weight[weight < 0.25] = 0
     divided = values / np.where(weight > 0, light / full, 1)
     # Micro-images may be smaller than their distance allows, on all of the picture that they cover.
-    low, high = middle[inside].min(0).astype(int), middle[inside].max(0).astype(int) + 1
+    low = middle[inside].min(0).astype(int)
+    high = middle[inside].max(0).astype(int) + 1
     lit = (weight[low[1] : high[1], low[0] : high[0]] > 0).mean() * np.prod(high - low) / inside.sum()
     radius = min(nearest, float(np.sqrt(lit / np.pi)))
     even = evenly_lit(light, middle[inside], radius)
-    return Picture(name, divided, weight, middle[inside], radius, even if even > _LEAST_EVEN * radius else radius)
+    return Picture(name, divided, weight, middle[inside], radius, even if even > 0.6 * radius else radius)
 
 
 def evenly_lit(light: np.ndarray, centre: np.ndarray, radius: float) -> float:
     """Return the radius in pixels within which micro-images are, on average, as bright as in their middle."""
     half = int(radius) + 1
-    whole = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
+    uncut = centre[((centre > half) & (centre < np.array(light.shape)[::-1] - half - 1)).all(1)]
     steps = np.stack(np.meshgrid(*[np.arange(-half, half + 1)] * 2), axis=-1).reshape(-1, 2)
-    pixel = np.round(whole).astype(int)[:, None] + steps
+    pixel = np.round(uncut).astype(int)[:, None] + steps
     values = light[pixel[:, :, 1], pixel[:, :, 0]]
-    own = values[:, np.abs(steps).max(1) <= 1].mean(1)
-    lit = own > 0
+    middle = values[:, np.abs(steps).max(1) <= 1].mean(1)
+    lit = middle > 0
     # Rings of half a pixel, as far as all of them is seen.
-    ring = (2 * np.hypot(*np.moveaxis(pixel - whole[:, None], 2, 0))[lit]).astype(int)
-    ratio = np.bincount(ring.ravel(), (values[lit] / own[lit, None]).ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
-    dark = np.flatnonzero(ratio[: 2 * half] < _EVEN)
+    ring = (2 * np.hypot(*np.moveaxis(pixel - uncut[:, None], 2, 0))[lit]).astype(int)
+    ratio = np.bincount(ring.ravel(), (values[lit] / middle[lit, None]).ravel()) / np.maximum(
+        np.bincount(ring.ravel()), 1
+    )
+    dark = np.flatnonzero(ratio[: 2 * half] < 0.97)
     return min(radius, dark[0] / 2) if dark.size else radius
 
 
@@ -191,22 +173,23 @@ def _grey(name: str, image: np.ndarray) -> np.ndarray:
 
 
 def _refined(
-    picture: Picture, found: float, corners: np.ndarray, camera: PlenopticCamera | None
+    picture: Picture, first_disparity: float, corners: np.ndarray, camera: PlenopticCamera | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return corners located through lenses: indices of corner and lens, and positions in pixels."""
     cut = None if camera is None else CutBlur(camera)
-    kind = None if camera is None else lens_types(camera, picture.centre + 0.5)
+    lens_type = None if camera is None else lens_types(camera, picture.centre + 0.5)
     # Directions in radians of the board's columns and rows at each corner.
     steps = np.gradient(corners, axis=1), np.gradient(corners, axis=0)
     angles = np.stack([np.arctan2(step[..., 1], step[..., 0]).ravel() for step in steps], axis=-1)
     position = corners.reshape(-1, 2)
-    disparity = np.full(len(position), found)
-    for _ in range(_PASSES):
+    disparity = np.full(len(position), first_disparity)
+    for _ in range(3):
         corner, lens, expected = _expected(picture, position, disparity)
-        seen = None
-        if cut is not None and kind is not None:
-            kinds, defocus = kind[lens], cut.defocus(kind[lens], disparity[corner])
-            seen = partial(_displaced, cut, kinds, defocus)
+        displacement = None
+        if cut is not None and lens_type is not None:
+            kinds = lens_type[lens]
+            defocus = cut.defocus(lens_type[lens], disparity[corner])
+            displacement = partial(_displaced, cut, kinds, defocus)
         # A micro-image shows the directions as they are, or turned by half a turn.
         saddles = find_saddles(
             picture.image,
@@ -216,26 +199,30 @@ def _refined(
             picture.centre[lens],
             radius=picture.radius,
             even=picture.even,
-            seen=seen,
+            displacement=displacement,
         )
-        good = saddles.deviation < _DEVIATION
+        good = saddles.deviation < 0.5
         if good.any():
-            good &= saddles.contrast > _CONTRAST * np.median(saddles.contrast[good])
-        corner, lens, located = corner[good], lens[good], saddles.position[good]
+            good &= saddles.contrast > 0.3 * np.median(saddles.contrast[good])
+        corner = corner[good]
+        lens = lens[good]
+        located = saddles.position[good]
         position, disparity, agreed = _agreed(picture, corner, lens, located, position, disparity)
     return corner[agreed], lens[agreed], located[agreed]
 
 
-def _displaced(cut: CutBlur, kind: np.ndarray, defocus: np.ndarray, rows: np.ndarray, arm: np.ndarray) -> np.ndarray:
+def _displaced(
+    cut: CutBlur, lens_type: np.ndarray, defocus: np.ndarray, rows: np.ndarray, arm: np.ndarray
+) -> np.ndarray:
     """Return displacements from pixels to the positions that these pixels show, for rows of candidates."""
-    return cut.displaced(kind[rows], defocus[rows], arm)
+    return cut.displaced(lens_type[rows], defocus[rows], arm)
 
 
 def _expected(
     picture: Picture, position: np.ndarray, disparity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return indices of corner and lens for each pair that should be visible, and the expected position in pixels."""
-    reach = (picture.radius - _RIM) / np.abs(disparity)
+    reach = (picture.radius - 3.0) / np.abs(disparity)
     lenses = cKDTree(picture.centre).query_ball_point(position, reach)
     corner = np.repeat(np.arange(len(position)), [len(some) for some in lenses])
     lens = np.concatenate([np.array(some, dtype=int) for some in lenses])
@@ -247,35 +234,39 @@ def _agreed(
     picture: Picture,
     corner: np.ndarray,
     lens: np.ndarray,
-    seen: np.ndarray,
+    located: np.ndarray,
     position: np.ndarray,
     disparity: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return recomputed positions and disparities of corners, and a mask of the observations that agree with both."""
-    position, disparity = position.copy(), disparity.copy()
-    agreed = np.zeros(len(seen), dtype=bool)
+    position = position.copy()
+    disparity = disparity.copy()
+    agrees = np.zeros(len(located), dtype=bool)
     for index in range(len(position)):
-        mine = np.flatnonzero(corner == index)
-        centre = picture.centre[lens[mine]]
-        chosen = np.ones(len(mine), dtype=bool)
+        rows = np.flatnonzero(corner == index)
+        centre = picture.centre[lens[rows]]
+        chosen = np.ones(len(rows), dtype=bool)
         for _ in range(3):
-            if chosen.sum() < _FEWEST:
+            if chosen.sum() < 3:
                 break
             # p - C = sigma C - sigma Q is linear in sigma and sigma Q.
-            around, moved = centre[chosen], (seen[mine] - centre)[chosen]
-            about, shift = around.mean(0), moved.mean(0)
+            around = centre[chosen]
+            moved = (located[rows] - centre)[chosen]
+            about = around.mean(0)
+            shift = moved.mean(0)
             spread = ((around - about) ** 2).sum()
             if not spread > 0:
                 break
             slope = ((around - about) * (moved - shift)).sum() / spread
             if not 0.5 < slope / disparity[index] < 2:
                 break
-            miss = np.hypot(*(shift + slope * (centre - about) - (seen[mine] - centre)).T)
-            chosen = miss < max(_NEAR, _OUTLIER * np.median(miss[chosen]) / 1.17741)
+            miss = np.hypot(*(shift + slope * (centre - about) - (located[rows] - centre)).T)
+            chosen = miss < max(0.3, 6.0 * np.median(miss[chosen]) / 1.17741)
         else:
-            disparity[index], position[index] = slope, about - shift / slope
-            agreed[mine[chosen]] = True
-    return position, disparity, agreed
+            disparity[index] = slope
+            position[index] = about - shift / slope
+            agrees[rows[chosen]] = True
+    return position, disparity, agrees
 
 
 def write_corners(path: str | Path, corners: Table) -> None:

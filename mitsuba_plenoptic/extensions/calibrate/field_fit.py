@@ -17,28 +17,15 @@ from .micro_image import NUMBERS, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
 Show = Callable[[int, int], None]
-
-_DEGREES = {"radius": 4, "ellipse_x": 4, "ellipse_y": 4, "centre_x": 3, "centre_y": 3, "slope_x": 2, "slope_y": 2}
-_DEGREES |= {"apodisation_2": 2}
-"""Degrees of polynomials over the field; numbers that are missing here are the same everywhere."""
-
 _STEPS = dict.fromkeys(NUMBERS, 0.01) | {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002}
 """Steps of differences that give derivatives."""
 
-_ZONES, ZONE_LENSES = 8, 24
-"""Zones of the field along a side, at most, and lenses of a zone that a fit uses."""
+ZONE_LENSES = 24
+"""Lenses of a zone that a fit uses."""
 
-_REPEATS, _CONVERGED = 12, 1e-4
-"""Steps of a fit at most, and the relative change of the residual that ends it."""
-
-_OUTLIER, _LEAST_SPREAD = 6.0, 0.005
-"""Deviations beyond which a pixel is dust or a defect, and the least deviation, as pictures hardly have noise."""
-
+_REPEATS = 12
 _BINS = 2
 """Bins of mean micro-images along a pixel."""
-
-_BOOTSTRAPS = 100
-"""Draws of lenses that give deviations."""
 
 
 class FieldNumbers:
@@ -49,10 +36,14 @@ class FieldNumbers:
 
         Numbers named as `zero` stay so.
         """
-        self.middle, self.scale = (np.array(size) - 1) / 2, max(size) / 2
+        self.middle = (np.array(size) - 1) / 2
+        self.scale = max(size) / 2
         # A polynomial has at most a quarter as many coefficients as there are lenses.
         most = next(degree for degree in (4, 3, 2, 1, 0) if 4 * terms_of(degree) <= max(lenses, 4))
-        self.degrees = {name: -1 if name in zero else min(_DEGREES.get(name, 0), most) for name in NUMBERS}
+        # Numbers that are missing here are the same everywhere.
+        degrees = {"radius": 4, "ellipse_x": 4, "ellipse_y": 4, "centre_x": 3, "centre_y": 3}
+        degrees |= {"slope_x": 2, "slope_y": 2, "apodisation_2": 2}
+        self.degrees = {name: -1 if name in zero else min(degrees.get(name, 0), most) for name in NUMBERS}
         self.coefficients = {name: np.zeros(terms_of(degree)) for name, degree in self.degrees.items()}
         for name in NUMBERS:
             self.coefficients[name][:1] = getattr(start, name)
@@ -60,25 +51,27 @@ class FieldNumbers:
     @classmethod
     def of(cls, middle: np.ndarray, scale: float, coefficients: dict[str, np.ndarray]) -> FieldNumbers:
         """Return polynomials about a middle in pixels, of places over a scale, with known coefficients."""
-        made = cls((1, 1), 0, PupilNumbers(1.0))
-        made.middle, made.scale, made.coefficients = middle, scale, coefficients
-        return made
+        field = cls((1, 1), 0, PupilNumbers(1.0))
+        field.middle = middle
+        field.scale = scale
+        field.coefficients = coefficients
+        return field
 
     @property
     def number(self) -> np.ndarray:
         """Index in `NUMBERS` of each coefficient, in their order."""
         return np.repeat(np.arange(len(NUMBERS)), [len(self.coefficients[name]) for name in NUMBERS])
 
-    def terms(self, place: np.ndarray) -> np.ndarray:
+    def terms(self, position: np.ndarray) -> np.ndarray:
         """Return the monomial of each coefficient at places (n, 2), which run from -1 to 1 along the longer side."""
-        x, y = ((place - self.middle) / self.scale).T
+        x, y = ((position - self.middle) / self.scale).T
         powers = [(total - j, j) for total in range(5) for j in range(total + 1)]
         columns = [powers[: len(self.coefficients[name])] for name in NUMBERS]
         return np.stack([x**i * y**j for some in columns for i, j in some], axis=-1)
 
-    def values(self, place: np.ndarray) -> np.ndarray:
+    def values(self, position: np.ndarray) -> np.ndarray:
         """Return the numbers (n, 11) at places (n, 2) in pixels."""
-        products = self.terms(place) * np.concatenate([self.coefficients[name] for name in NUMBERS])
+        products = self.terms(position) * np.concatenate([self.coefficients[name] for name in NUMBERS])
         return np.stack([products[:, self.number == index].sum(1) for index in range(len(NUMBERS))], axis=-1)
 
     def split(self, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -88,8 +81,8 @@ class FieldNumbers:
     def deviations(self, equations: np.ndarray, generator: np.random.Generator) -> dict[str, np.ndarray]:
         """Return the coefficients' standard deviations from lenses drawn again, by normal equations of lenses."""
         count = len(equations)
-        drawn = (generator.multinomial(count, np.full(count, 1 / count)) for _ in range(_BOOTSTRAPS))
-        changes = [solved(np.tensordot(times, equations, 1)) for times in drawn]
+        resampled = (generator.multinomial(count, np.full(count, 1 / count)) for _ in range(100))
+        changes = [solved(np.tensordot(times, equations, 1)) for times in resampled]
         return self.split(np.std(changes, axis=0))
 
 
@@ -109,12 +102,13 @@ class FieldZones:
     """Squares of the field, each with lenses of a picture."""
 
     def __init__(
-        self, place: np.ndarray, chosen: np.ndarray, most: int = 0, generator: np.random.Generator | None = None
+        self, position: np.ndarray, chosen: np.ndarray, most: int = 0, generator: np.random.Generator | None = None
     ) -> None:
         """Divide chosen lenses at places (n, 2), and keep at most a number of each zone, drawn at random."""
-        low, width = place[chosen].min(0), np.ptp(place[chosen], axis=0).max()
-        count = int(np.clip(np.sqrt(chosen.sum() / ZONE_LENSES), 1, _ZONES))
-        index = ((place - low) / width * count).astype(int).clip(0, count - 1) @ [1, count]
+        low = position[chosen].min(0)
+        width = np.ptp(position[chosen], axis=0).max()
+        count = int(np.clip(np.sqrt(chosen.sum() / ZONE_LENSES), 1, 8))
+        index = ((position - low) / width * count).astype(int).clip(0, count - 1) @ [1, count]
         self.lenses: list[np.ndarray] = []
         for zone in np.unique(index[chosen]):
             lenses = np.flatnonzero(chosen & (index == zone))
@@ -125,36 +119,26 @@ class FieldZones:
 
 @dataclass(frozen=True)
 class LensPixels:
-    """Pixels of lenses, each at the lens whose cell the pixel is in, beside the model.
+    """Pixels (lenses, pixels) of lenses, each at the lens whose cell the pixel is in, beside the model."""
 
-    Attributes
-    ----------
-    x, y : (lenses, pixels) arrays
-        Offsets in pixels from the image of the lens's place.
-    weight : (lenses, pixels) array
-        1 for pixels that count, 0 for those of other lenses, saturated, dead, and, as they lie off the model, of dust.
-    brightness : (lenses,) array
-        Recorded value over the model's.
-    residual : (lenses, pixels) array
-        Recorded values over the brightness, less the model.
-    slopes : (numbers, lenses, pixels) array
-        Derivatives of the model by the numbers, less their part that a change of brightness explains.
-    dust : int
-        Number of pixels that lie off the model.
-    """
-
+    # Offsets in pixels from the image of the lens's place.
     x: np.ndarray
     y: np.ndarray
+    # 0 for pixels of other lenses, saturated, dead, and of dust, which lie off the model.
     weight: np.ndarray
+    # Recorded value over the model's, (lenses,).
     brightness: np.ndarray
+    # Recorded values over the brightness, less the model.
     residual: np.ndarray
+    # Derivatives (numbers, lenses, pixels) by the numbers, less what a change of brightness explains.
     slopes: np.ndarray
+    # Number of pixels that lie off the model.
     dust: int
 
-    def equations(self, terms: np.ndarray, number: np.ndarray) -> np.ndarray:
+    def equations(self, terms: np.ndarray, number_index: np.ndarray) -> np.ndarray:
         """Return each lens's normal equations (lenses, n, n + 1) for coefficients with terms (lenses, n)."""
         root = np.sqrt(self.weight)
-        design = (self.slopes * root)[number].transpose(1, 0, 2) * terms[:, :, None]
+        design = (self.slopes * root)[number_index].transpose(1, 0, 2) * terms[:, :, None]
         sides = design @ (root * self.residual)[:, :, None]
         return np.concatenate([design @ design.transpose(0, 2, 1), sides], axis=2)
 
@@ -204,27 +188,32 @@ class WhiteRecording:
     camera: PlenopticCamera
     model: MicroImageModel
 
-    def pixels(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def pixels(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return values, offsets x and y, and weights (lenses, pixels) of pixels about places (lenses, 2)."""
-        camera, image = self.camera, self.frame.light
+        camera = self.camera
+        image = self.frame.light
         to_array = camera.pixel_size / camera.image_growth
         half = int(np.ceil(camera.lattice.cell_reach / to_array)) + 1
-        window, base = np.arange(-half, half + 1), np.rint(place).astype(int)
+        window = np.arange(-half, half + 1)
+        base = np.rint(position).astype(int)
         column, row = np.broadcast_arrays(base[:, 0, None, None] + window, base[:, 1, None, None] + window[:, None])
-        x, y = column - place[:, 0, None, None], row - place[:, 1, None, None]
+        x = column - position[:, 0, None, None]
+        y = row - position[:, 1, None, None]
         middle = camera.lattice.centre(0.0, 0.0)
         i, j = camera.lattice.cell(x * to_array + middle[0], y * to_array + middle[1])
         rows, columns = image.shape
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (np.rint(i) == 0) & (np.rint(j) == 0)
-        column, row = column.clip(0, columns - 1), row.clip(0, rows - 1)
+        column = column.clip(0, columns - 1)
+        row = row.clip(0, rows - 1)
         weight = (inside & self.frame.good[row, column]).astype(np.float64)
-        flat = len(place), -1
+        flat = len(position), -1
         return image[row, column].reshape(flat), x.reshape(flat), y.reshape(flat), weight.reshape(flat)
 
-    def beside(self, place: np.ndarray, field: FieldNumbers) -> LensPixels:
+    def beside(self, position: np.ndarray, field: FieldNumbers) -> LensPixels:
         """Return the pixels of a zone's lenses at places (n, 2) beside the model."""
-        value, x, y, good = self.pixels(place)
-        at_lens, at_zone = field.values(place), field.values(place.mean(0)[None])[0]
+        value, x, y, good = self.pixels(position)
+        at_lens = field.values(position)
+        at_zone = field.values(position.mean(0)[None])[0]
         samples = self.model.samples(PupilNumbers(*at_zone))
         image = self.model.at(samples, x, y)
         slopes = np.empty((len(NUMBERS), *image.shape))
@@ -238,29 +227,35 @@ class WhiteRecording:
             power = np.maximum((weight * image * image).sum(1), 1e-9)
             brightness = (weight * image * value).sum(1) / power
             residual = value / np.maximum(brightness, 1e-9)[:, None] - image
-            spread = max(1.4826 * float(np.median(np.abs(residual[weight > 0]))), _LEAST_SPREAD)
-            weight = good * (np.abs(residual) < _OUTLIER * spread)
+            spread = max(1.4826 * float(np.median(np.abs(residual[weight > 0]))), 0.005)
+            weight = good * (np.abs(residual) < 6.0 * spread)
         slopes -= (np.einsum("nlp,lp->nl", slopes, weight * image) / power)[:, :, None] * image
         return LensPixels(x, y, weight, brightness, residual, slopes, int((good - weight).sum()))
 
-    def fit(self, place: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> np.ndarray:
+    def fit(self, position: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> np.ndarray:
         """Fit the polynomials to the lenses of zones; return normal equations (lenses, n, n + 1) of each lens."""
-        best, damping, equations = np.inf, 0.0, np.zeros(0)
+        best = np.inf
+        damping = 0.0
+        equations = np.zeros(0)
         before = dict(field.coefficients)
         for repeat in range(_REPEATS):
-            found, square, count = [], 0.0, 0.0
+            normals = []
+            square = 0.0
+            count = 0.0
             for zone, lenses in enumerate(zones.lenses):
                 show(repeat * len(zones.lenses) + zone, _REPEATS * len(zones.lenses))
-                part = self.beside(place[lenses], field)
-                found.append(part.equations(field.terms(place[lenses]), field.number))
-                square += float((part.weight * part.residual**2).sum())
-                count += float(part.weight.sum())
+                pixels = self.beside(position[lenses], field)
+                normals.append(pixels.equations(field.terms(position[lenses]), field.number))
+                square += float((pixels.weight * pixels.residual**2).sum())
+                count += float(pixels.weight.sum())
             error = np.sqrt(square / count)
             if error < best:
-                equations, before = np.concatenate(found), dict(field.coefficients)
-                if best - error < _CONVERGED * best:
+                equations = np.concatenate(normals)
+                before = dict(field.coefficients)
+                if best - error < 1e-4 * best:
                     break
-                best, damping = error, damping / 10
+                best = error
+                damping = damping / 10
             else:
                 damping = max(10 * damping, 1e-3)
             change = field.split(solved(equations.sum(0), damping))
@@ -269,44 +264,50 @@ class WhiteRecording:
         show(1, 1)
         return equations
 
-    def judged(self, place: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> Judgement:
+    def judged(self, position: np.ndarray, zones: FieldZones, field: FieldNumbers, show: Show) -> Judgement:
         """Return how well zones' lenses at places (n, 2) agree with the model."""
-        moved, brightness = np.full(place.shape, np.nan), np.full(len(place), np.nan)
+        moved = np.full(position.shape, np.nan)
+        brightness = np.full(len(position), np.nan)
         half = _BINS * int(np.ceil(self.model.reach))
         side = 2 * half + 1
-        totals, shared, squares, common, dust = np.zeros((2, side * side)), np.zeros(2), 0.0, 0.0, 0
+        totals = np.zeros((2, side * side))
+        shared = np.zeros(2)
+        squares = 0.0
+        common = 0.0
+        dust = 0
         centres = [NUMBERS.index(name) for name in ("centre_x", "centre_y")]
         for zone, lenses in enumerate(zones.lenses):
             show(zone, len(zones.lenses))
-            part = self.beside(place[lenses], field)
-            own = part.equations(np.ones((len(lenses), 2)), np.array(centres))
-            shift = np.linalg.solve(own[:, :, :2] + 1e-9 * np.eye(2), own[:, :, 2:])[..., 0]
-            moved[lenses] = place[lenses] + field.values(place[lenses])[:, centres] + shift
-            brightness[lenses], dust = part.brightness, dust + part.dust
-            counts = part.weight > 0
-            column, row = (np.rint(_BINS * each[counts]).astype(int) + half for each in (part.x, part.y))
-            residual = part.residual[counts]
-            number, first, second = (
+            pixels = self.beside(position[lenses], field)
+            normals = pixels.equations(np.ones((len(lenses), 2)), np.array(centres))
+            shift = np.linalg.solve(normals[:, :, :2] + 1e-9 * np.eye(2), normals[:, :, 2:])[..., 0]
+            moved[lenses] = position[lenses] + field.values(position[lenses])[:, centres] + shift
+            brightness[lenses] = pixels.brightness
+            dust += pixels.dust
+            counts = pixels.weight > 0
+            column, row = (np.rint(_BINS * offsets[counts]).astype(int) + half for offsets in (pixels.x, pixels.y))
+            residual = pixels.residual[counts]
+            count, total, square = (
                 np.bincount(row * side + column, residual**power, minlength=side * side) for power in (0.0, 1.0, 2.0)
             )
-            squares += float(second.sum())
+            squares += float(square.sum())
             pairs = counts[:, 1:] & counts[:, :-1]
-            shared += np.array([(part.residual[:, 1:] * part.residual[:, :-1])[pairs].sum(), pairs.sum()])
-            totals += number, first
+            shared += np.array([(pixels.residual[:, 1:] * pixels.residual[:, :-1])[pairs].sum(), pairs.sum()])
+            totals += count, total
             # The mean's square less its expectation for residuals that are independent.
-            several = number > 1
-            mean = first[several] / number[several]
-            variance = (second[several] - number[several] * mean**2).clip(0) / (number[several] - 1)
-            common += float((number[several] * mean**2 - variance).sum())
+            repeated = count > 1
+            mean = total[repeated] / count[repeated]
+            variance = (square[repeated] - count[repeated] * mean**2).clip(0) / (count[repeated] - 1)
+            common += float((count[repeated] * mean**2 - variance).sum())
         show(1, 1)
-        pixels = totals[0].sum()
+        pixel_count = totals[0].sum()
         mean = totals[1] / np.maximum(totals[0], 1)
         return Judgement(
-            residual=float(np.sqrt(squares / pixels)),
-            systematic=float(np.sqrt(max(common / pixels, 0))),
+            residual=float(np.sqrt(squares / pixel_count)),
+            systematic=float(np.sqrt(max(common / pixel_count, 0))),
             structure=float(np.sqrt(max(shared[0] / max(shared[1], 1), 0))),
-            mean_image=float(np.sqrt((totals[0] * mean**2).sum() / pixels)),
-            outliers=dust / (pixels + dust),
+            mean_image=float(np.sqrt((totals[0] * mean**2).sum() / pixel_count)),
+            outliers=dust / (pixel_count + dust),
             difference=mean.reshape(side, side),
             place=moved,
             brightness=brightness,

@@ -16,15 +16,12 @@ from ...prescription.objective import Objective
 from .array_fit import ArrayFit
 from .field_fit import FieldNumbers
 
-_ODD = ("slope_x", "slope_y")
-"""Numbers of the pupil that change sign, as a lens turns the pupil's image by half a turn."""
-
 
 def fitted_camera(
     camera: PlenopticCamera,
     array: ArrayFit,
     field: FieldNumbers,
-    place: np.ndarray,
+    position: np.ndarray,
     lens: np.ndarray,
     light: np.ndarray,
 ) -> PlenopticCamera:
@@ -35,9 +32,9 @@ def fitted_camera(
     """
     shrunk = camera.pixel_size / camera.image_growth
     # The widest pupil, which the vignetting of other places makes narrower.
-    radius = float((field.terms(place)[:, field.number == 0] @ field.coefficients["radius"]).max())
+    radius = float((field.terms(position)[:, field.number == 0] @ field.coefficients["radius"]).max())
     polynomials = {name: field.coefficients[name] for name in OF_VIGNETTING}
-    polynomials |= {name: -polynomials[name] for name in _ODD}
+    polynomials |= {name: -polynomials[name] for name in ("slope_x", "slope_y")}
     polynomials["radius"] = polynomials["radius"] / radius
     changes: dict[str, Any] = {
         **array.lattice_parameters(),
@@ -60,7 +57,8 @@ def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: np.ndarray, l
     column = along - 0.5 * (row % 2) if camera.lattice.stagger == 2 else along
     index = np.rint(np.stack([column, row], axis=-1)).astype(int)
     # Lenses beyond, which the borders of the picture cut.
-    low, high = index.min(0) - 2, index.max(0) + 2
+    low = index.min(0) - 2
+    high = index.max(0) + 2
     columns, rows = np.meshgrid(*(np.arange(first, last + 1) for first, last in zip(low, high, strict=True)))
     values = scipy.interpolate.griddata(index, light, (columns, rows), method="nearest")
     return LensTransmissions(values, first=(int(low[0]), int(low[1])))

@@ -20,9 +20,6 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...runtime.limits import require_memory
 
-_OVERSAMPLING = 4
-"""Samples of the model along a pixel, at most."""
-
 _WIDEST = 512
 """Samples of the model along a side, about."""
 
@@ -92,10 +89,11 @@ class MicroImageModel:
             len(camera.mla_focal_lengths) > 1,
             "mla_focal_length: white pictures are fitted for arrays of one focal length",
         )
-        step = max(1 / _OVERSAMPLING, _PITCHES * pitch / _WIDEST)
+        step = max(1 / 4, _PITCHES * pitch / _WIDEST)
         count = scipy.fft.next_fast_len(int(np.ceil(_PITCHES * pitch / step)), real=True)
         require_memory(200.0 * count**2, f"model of micro-images of {count} x {count} samples")
-        self._step, self._count = step, count
+        self._step = step
+        self._count = count
         axis = (np.arange(count) - count // 2) * step
         self._x, self._y = np.meshgrid(axis, axis)
         self._fx, self._fy = np.meshgrid(scipy.fft.rfftfreq(count, step), scipy.fft.fftfreq(count, step))
@@ -158,6 +156,6 @@ def _wave_transfer(camera: PlenopticCamera, wavelength: float, fx: np.ndarray, f
     padded = scipy.fft.fft2(field, (2 * size, 2 * size))
     correlation = scipy.fft.ifft2(np.abs(padded) ** 2)
     correlation = correlation / correlation[0, 0].real
-    across, down = (np.rint(each * reach / lag).astype(int) for each in (fx, fy))
+    across, down = (np.rint(frequencies * reach / lag).astype(int) for frequencies in (fx, fy))
     within = (np.abs(across) < size) & (np.abs(down) < size)
     return np.where(within, correlation[down % (2 * size), across % (2 * size)], 0)

@@ -32,15 +32,6 @@ DOUBTFUL_COLUMN = "doubtful"
 _WHOLE = {"k", "l", "cluster", "frame", DOUBTFUL_COLUMN}
 _LARGEST = 2**20
 
-# Another lattice is chosen only if it reduces the pixels' distances from the grid by this factor.
-_OTHER_LATTICE = 0.8
-
-# Lenses of fewer pixels resolve no corner, and their centres are of no use.
-_CLOSEST = 2
-
-# A table with a greater part of its pixels off the detector is of another detector; fewer are outliers.
-_MOST_OFF = 0.1
-
 
 @dataclass(frozen=True)
 class Board:
@@ -139,13 +130,13 @@ def concatenate(tables: Sequence[Table]) -> Table:
 def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> Table:
     """Return a table of the named columns of a CSV file, with the optional columns that the file has."""
     path = Path(path)
-    first, _, rest = read_text(path, LARGEST_FILE).partition("\n")
+    first, _, body = read_text(path, LARGEST_FILE).partition("\n")
     header = [name.strip() for name in first.split(",")]
     missing = [name for name in names if name not in header]
     if missing:
         raise InputError(f"{path}: it has no column {missing[0]}; it needs {', '.join(names)}")
     names += tuple(name for name in optional if name in header)
-    lines = [line for line in rest.splitlines() if line.strip()]
+    lines = [line for line in body.splitlines() if line.strip()]
     refuse_if(not lines, f"{path}: it has no rows")
     with refusing(f"{path}: it is no table of numbers:", ValueError):
         rows = np.loadtxt(lines, delimiter=",", usecols=[header.index(name) for name in names], ndmin=2)
@@ -223,7 +214,7 @@ def read_centres(path: str | Path) -> Table:
 def require_on_detector(table: Table, size: tuple[int, int]) -> None:
     """Refuse a table whose positions lie outside the detector."""
     off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
-    if off.size > _MOST_OFF * len(table.pixel):
+    if off.size > 0.1 * len(table.pixel):
         u, v = table.pixel[off[0]]
         raise InputError(
             f"{table.name}, row {off[0] + 2}: pixel ({u:g}, {v:g}): the camera's detector has {size[0]} x {size[1]} "
@@ -241,8 +232,8 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return positions on boards, (n, 2), in the camera frame, (n, 3), with the pose of each row."""
     flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
-    turned: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
-    return turned + poses[pose, 3:]
+    rotated: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
+    return rotated + poses[pose, 3:]
 
 
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
@@ -250,7 +241,9 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
 
     Shapes: `middle` (2,); the result (3, 2).
     """
-    pixel, best, other = table.pixel, None, np.inf
+    pixel = table.pixel
+    best = None
+    other_error = np.inf
     for odd_rows in (-0.5, 0.0, 0.5):
         lenses = LensIndex(odd_rows, 1, (0, 0)).unit(table["k"], table["l"])
         matrix = np.column_stack([np.ones(len(lenses)), lenses])
@@ -262,16 +255,16 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
         grid = grid.reshape(2, 3).T
         error = float(np.sqrt((distance[good] ** 2).mean()))
         if hexagonal != bool(odd_rows):
-            other = min(other, error)
+            other_error = min(other_error, error)
         elif best is None or error < best[0]:
             best = error, odd_rows, grid
     assert best is not None
     error, odd_rows, grid = best
-    if other < _OTHER_LATTICE * error:
+    if other_error < 0.8 * error:
         rows = "does not shift" if hexagonal else "shifts"
         raise InputError(
             f"{table.name}: the array {rows} its odd rows by half a pitch, other than the camera's mla_lattice: pixels "
-            f"lie {error:.3g} from a grid of that and {other:.3g} from the other"
+            f"lie {error:.3g} from a grid of that and {other_error:.3g} from the other"
         )
     refuse_if(
         error > 0.5 * min(np.hypot(*step) for step in grid[1:]),
@@ -279,8 +272,8 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
         "must count the lenses of a row and l the rows",
     )
     refuse_if(
-        np.hypot(*grid[1]) < _CLOSEST,
-        f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {_CLOSEST} are needed at "
+        np.hypot(*grid[1]) < 2,
+        f"{table.name}: its lenses are {np.hypot(*grid[1]):.3g} pixels apart, where {2} are needed at "
         "least: u and v must be in pixels",
     )
     along, j = np.linalg.solve(grid[1:].T, middle - grid[0])

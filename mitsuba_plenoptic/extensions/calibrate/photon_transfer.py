@@ -23,40 +23,14 @@ _ORDERS = 2, 4, 6
 """Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high
 ones reach from narrow micro-images to their rims. Both add variance, so that the order with the least gain counts."""
 
-_SMOOTH, _FLATTEST = 1.5, 0.3
-"""Width in pixels of the Gaussian that shows where a picture is flat, and the part of it that is called so."""
+_BLOCKS = 16
+"""Blocks along either side that are drawn with replacement for deviations."""
 
-_BLOCKS, _DRAWS = 16, 200
-"""Blocks along either side that are drawn with replacement, and the number of draws, for deviations."""
-
-_STEPS = 12
-"""Points of the line that is returned."""
-
-_DEAD, _HOT = 0.25, 10.0
-"""Light of a dead pixel over that of its darkest neighbour, and standard deviations of a hot one in the dark."""
-
-_LEAST, _MOST_CUT = 32, 0.01
-"""Fewest rows and columns of a picture, and the largest part of a dark one that may be cut off at 0."""
-
-_BRIGHTEST, _HIGHEST, _HEADROOM, _LEAST_NOISE = (0.25, 0.1, 0.03), 0.999, 2.2, 1.5
-"""Wells are full where the brightest parts of a picture are nearer to their highest numbers than 2.2 standard
-deviations, where noise alone would spread further, or where they vary by less than 1.5 times the dark variance."""
-
-_CLEAR, _FEWEST_LEFT = 6.0, 0.05
-"""Deviations below a full well at which pixels are not cut off, and the part of a picture that must remain."""
+_LEAST = 32
+"""Fewest rows and columns of a picture."""
 
 _ROUNDING = 1 / 12
 """Variance of rounding."""
-
-
-_TOGETHER = 0.9
-"""Fraction of saturated pixels around one that is saturated because its light is, and not by noise."""
-
-_ENOUGH = 2500
-"""Numbers of which the highest ones tell a full well."""
-
-_MOST_ALONE = 5e-4
-"""Pixels that noise makes saturated, over all, in a single white picture."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +114,8 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     >>> round(found.gain, 2), round(found.read_noise, 1)
     (0.5, 4.0)
     """
-    bright, black = _frames("white", white), _frames("dark", dark)
+    bright = _frames("white", white)
+    black = _frames("dark", dark)
     refuse_if(
         bright.shape[1:] != black.shape[1:],
         f"dark of shape {black.shape[1:]}: it must have the pixels of the white picture, {bright.shape[1:]}",
@@ -150,17 +125,20 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     bits = require_count("bits", bits, maximum=16)
     top = 2**bits - 1
     refuse_if(max(bright.max(), black.max()) > top, f"bits = {bits}: the pictures have numbers up to {bright.max():g}")
-    cut = float((black <= 0).mean())
-    refuse_if(cut > _MOST_CUT, f"dark: {cut:.0%} of its pixels are 0: noise is cut off; raise the camera's black level")
+    clipped = float((black <= 0).mean())
+    refuse_if(
+        clipped > 0.01, f"dark: {clipped:.0%} of its pixels are 0: noise is cut off; raise the camera's black level"
+    )
 
     offset = black.mean(0)
-    level, noise = float(np.median(offset)), 1.4826 * float(np.median(np.abs(offset - np.median(offset)))) + 1
-    hot = np.abs(offset - level) > _HOT * noise
+    level = float(np.median(offset))
+    noise = 1.4826 * float(np.median(np.abs(offset - np.median(offset)))) + 1
+    hot = np.abs(offset - level) > 10.0 * noise
     mean_light = bright.mean(0) - level
     ring = np.ones((3, 3), bool)
     ring[1, 1] = False
     around = ndimage.minimum_filter(mean_light, footprint=ring, mode="mirror")
-    dead = (mean_light < _DEAD * around) & (around > _HOT * noise)
+    dead = (mean_light < 0.25 * around) & (around > 10.0 * noise)
     saturated = (bright >= top).any(0)
     bad = hot | dead | saturated
     refuse_if(
@@ -168,9 +146,9 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     )
 
     # Where single pixels are saturated, the largest number cuts off the noise of those around.
-    alone = saturated & (ndimage.uniform_filter(saturated.astype(np.float32), 3) < _TOGETHER)
+    alone = saturated & (ndimage.uniform_filter(saturated.astype(np.float32), 3) < 0.9)
     refuse_if(
-        len(bright) == 1 and alone.mean() > _MOST_ALONE,
+        len(bright) == 1 and alone.mean() > 5e-4,
         f"white: {alone.sum()} single pixels have the largest number, {top}: their noise is cut off; expose it less, "
         "or give several",
     )
@@ -188,30 +166,34 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     def spreads() -> list[_Spread]:
         if len(bright) > 1:
             return [_Spread.of(bright - level, bad)]
-        found = [_Spread.of(bright - level, bad, order, _FLATTEST) for order in _ORDERS]
-        return sorted(found, key=lambda spread: estimate(spread)[0])
+        by_order = [_Spread.of(bright - level, bad, order, 0.3) for order in _ORDERS]
+        return sorted(by_order, key=lambda spread: estimate(spread)[0])
 
-    light, *others = spreads()
+    light, *later_orders = spreads()
     smooth = ndimage.uniform_filter(mean_light, 5)
-    for part in _BRIGHTEST:
-        brightest = light.used & (smooth >= np.quantile(smooth[light.used], 1 - part))
-        if brightest.sum() * len(bright) < _ENOUGH:
+    for fraction in (0.25, 0.1, 0.03):
+        # wells are full where the brightest pixels are nearer to their highest numbers than noise would spread,
+        # or vary hardly more than in the dark
+        brightest = light.good & (smooth >= np.quantile(smooth[light.good], 1 - fraction))
+        if brightest.sum() * len(bright) < 2500:
             break
-        top_mean, top_variance = float(smooth[brightest].mean()), float(light.variances[brightest].mean())
-        highest = float(np.quantile(bright[:, brightest], _HIGHEST)) - level + 0.5
-        near = highest - top_mean < _HEADROOM * math.sqrt(top_variance)
-        if top_mean <= noise or not (near or top_variance < _LEAST_NOISE * max(alike.of_blocks()[1], _ROUNDING)):
+        top_mean = float(smooth[brightest].mean())
+        top_variance = float(light.variances[brightest].mean())
+        highest = float(np.quantile(bright[:, brightest], 0.999)) - level + 0.5
+        near = highest - top_mean < 2.2 * math.sqrt(top_variance)
+        if top_mean <= noise or not (near or top_variance < 1.5 * max(alike.of_blocks()[1], _ROUNDING)):
             continue
         # Full wells cut off the noise below the largest number; of several pictures the other pixels tell the gain.
-        full = smooth > highest - _CLEAR * math.sqrt(light.line()[1].max())
-        saturated, bad = saturated | full, bad | ndimage.binary_dilation(full, iterations=2)
+        full = smooth > highest - 6.0 * math.sqrt(light.line()[1].max())
+        saturated = saturated | full
+        bad = bad | ndimage.binary_dilation(full, iterations=2)
         refuse_if(
-            len(bright) == 1 or (~bad & (smooth > noise)).mean() < _FEWEST_LEFT,
+            len(bright) == 1 or (~bad & (smooth > noise)).mean() < 0.05,
             f"white: its brightest pixels, of {top_mean + level:.4g}, vary by {math.sqrt(top_variance):.3g}, and the "
             f"highest number is {highest + level:.4g}: full wells cut off their noise, or there is too little light; "
             "it must be exposed otherwise",
         )
-        light, *others = spreads()
+        light, *later_orders = spreads()
         break
     (mean, variance), (_, least) = light.of_blocks(), alike.of_blocks()
     refuse_if(
@@ -220,11 +202,11 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
         f"{level:.4g} and {least:.4g}: it must be brighter",
     )
     generator = np.random.default_rng(0)
-    draws = [estimate(light, generator.integers(0, _BLOCKS**2, _BLOCKS**2)) for _ in range(_DRAWS)]
+    draws = [estimate(light, generator.integers(0, _BLOCKS**2, _BLOCKS**2)) for _ in range(200)]
     deviations = np.std(draws, axis=0)
     gain, read, dark_offset = estimate(light)
-    if others:
-        deviations[0] = math.hypot(deviations[0], estimate(others[0])[0] - gain)
+    if later_orders:
+        deviations[0] = math.hypot(deviations[0], estimate(later_orders[0])[0] - gain)
     if darkness.of_blocks()[1] < 0.25 + _ROUNDING:
         deviations[1] = max(deviations[1], math.sqrt(_ROUNDING) / gain)
     black_level = min(max(round(dark_offset), 0), top - 1)
@@ -273,7 +255,7 @@ class _Spread:
 
     means: NDArray[np.float64]
     variances: NDArray[np.float64]
-    used: NDArray[np.bool_]
+    good: NDArray[np.bool_]
 
     @classmethod
     def of(
@@ -285,27 +267,29 @@ class _Spread:
             scale = frames.mean((1, 2)) / frames.mean() if abs(frames.mean()) > frames.std() else np.ones(len(frames))
             even = frames / scale[:, None, None]
             return cls(even.mean(0), even.var(0, ddof=1), ~bad)
-        picture, steps = frames[0], np.array([math.comb(order, k) * (-1.0) ** k for k in range(order + 1)])
+        picture = frames[0]
+        steps = np.array([math.comb(order, k) * (-1.0) ** k for k in range(order + 1)])
         steps /= np.sqrt((steps**2).sum())
         # The squared differences have the variance of this mean of their pixels.
-        means, squares = _both(picture, steps**2), _both(picture, steps) ** 2
-        used = ~ndimage.binary_dilation(bad, np.ones((len(steps),) * 2, bool))
+        means = _both(picture, steps**2)
+        squares = _both(picture, steps) ** 2
+        good = ~ndimage.binary_dilation(bad, np.ones((len(steps),) * 2, bool))
         if flattest < 1:
             orders = ((0, 1), (1, 0), (0, 2), (1, 1), (1, 1), (2, 0))
-            change = sum(ndimage.gaussian_filter(picture, _SMOOTH, order=order) ** 2 for order in orders)
+            change = sum(ndimage.gaussian_filter(picture, 1.5, order=order) ** 2 for order in orders)
             # Over the noise that the mean promises.
             rough = ndimage.uniform_filter(change, len(steps)) / np.maximum(
                 means, max(float(means.mean()) * 1e-3, 1e-12)
             )
-            used &= rough <= np.quantile(rough[used], flattest)
-        return cls(means, squares, used)
+            good &= rough <= np.quantile(rough[good], flattest)
+        return cls(means, squares, good)
 
     @cached_property
     def _blocks(self) -> NDArray[np.float64]:
         """The number of used pixels, and the sums of their means and of their variances, in each block (3, blocks)."""
-        row, column = (np.arange(count) * _BLOCKS // count for count in self.used.shape)
-        block = (row[:, None] * _BLOCKS + column)[self.used]
-        sums = [np.bincount(block, values[self.used], _BLOCKS**2) for values in (self.means, self.variances)]
+        row, column = (np.arange(count) * _BLOCKS // count for count in self.good.shape)
+        block = (row[:, None] * _BLOCKS + column)[self.good]
+        sums = [np.bincount(block, values[self.good], _BLOCKS**2) for values in (self.means, self.variances)]
         return np.stack([np.bincount(block, minlength=_BLOCKS**2), *sums])
 
     def of_blocks(self, choice: NDArray[np.int64] | slice = slice(None)) -> tuple[float, float]:
@@ -315,9 +299,10 @@ class _Spread:
 
     def line(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return means and variances of equal numbers of used pixels, from dim to bright."""
-        means, variances = self.means[self.used], self.variances[self.used]
-        parts = np.array_split(np.argsort(means), _STEPS)
-        return np.array([means[part].mean() for part in parts]), np.array([variances[part].mean() for part in parts])
+        means = self.means[self.good]
+        variances = self.variances[self.good]
+        groups = np.array_split(np.argsort(means), 12)
+        return np.array([means[rows].mean() for rows in groups]), np.array([variances[rows].mean() for rows in groups])
 
 
 def _both(picture: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -30,13 +30,8 @@ _THINNED = 300
 # Magnifications that differ by less leave the distances in the camera open.
 _LEAST_SPREAD = 0.01
 
-# Pixels by which the start may miss the data.
-_WORST = 20.0
-
-# The part of a frame's rows that must agree with a board, and how far they may lie from it over how far they lie from
-# the centres of their micro-images, from which wrongly numbered corners lie as far.
+# The part of a frame's rows that must agree with a board.
 _AGREEING = 0.7
-_EXPLAINED = 0.35
 
 
 def start_values(
@@ -46,9 +41,11 @@ def start_values(
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
     """
-    seen, size = problem.corners, problem.pixel_size
+    observed = problem.corners
+    size = problem.pixel_size
     refuse_if(
-        seen.poses < _FEWEST_POSES, f"corners: {seen.poses} poses of the board: at least {_FEWEST_POSES} are needed"
+        observed.poses < _FEWEST_POSES,
+        f"corners: {observed.poses} poses of the board: at least {_FEWEST_POSES} are needed",
     )
     slopes, maps, good = board_images(problem, board, frames, grid, principal)
     magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
@@ -57,14 +54,14 @@ def start_values(
         "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
         "add poses nearer and farther",
     )
-    per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(seen.pose[good]))) * [-1, 1]
+    per_z, less = np.polyfit(magnification, 1 / slopes, 1, w=np.sqrt(np.bincount(observed.pose[good]))) * [-1, 1]
     refuse_if(
         not (per_z > 0 and less > -per_z),
         "corners: they move from lens to lens as in no plenoptic camera: check lens indices, the corners' order, "
         "and that frames differ where the board was moved",
     )
     # What the corners cover on the detector is the right order; the fit below finds the scale.
-    f = 2 * size * float(np.hypot(*np.ptp(seen.pixel, axis=0)))
+    f = 2 * size * float(np.hypot(*np.ptp(observed.pixel, axis=0)))
     b, z = f * (1 + less / per_z), f / per_z
     numbers = np.zeros(len(NAMES))
     numbers[:3] = f, b, z
@@ -73,27 +70,26 @@ def start_values(
     numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
     numbers[[AT["offset_x"], AT["offset_y"]]] = (grid[0] - principal) * size / (1 + z / b)
     numbers[[AT["principal_u"], AT["principal_v"]]] = principal
-    groups = [np.flatnonzero(good & (seen.pose == pose)) for pose in range(seen.poses)]
+    groups = [np.flatnonzero(good & (observed.pose == pose)) for pose in range(observed.poses)]
     chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
-    few = seen.keep(chosen)
+    few = observed.keep(chosen)
     thinned = Problem(few, size, problem.row_ratio)
     try:
-        found = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
-        found = adjust(
-            thinned, found.numbers, adjust_poses(thinned, found.numbers, found.poses, np.ones(len(few))), NAMES[:3]
-        )
-        error = np.sqrt(2 * found.cost / len(few))
-        failure = f"start values miss the corners by {error:.3g} pixels" if not error < _WORST else ""
+        fit = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
+        fit = adjust(thinned, fit.numbers, adjust_poses(thinned, fit.numbers, fit.poses, np.ones(len(few))), NAMES[:3])
+        error = np.sqrt(2 * fit.cost / len(few))
+        failure = f"start values miss the corners by {error:.3g} pixels" if not error < 20.0 else ""
     except InputError:
         failure = "no camera sees the whole board in all poses"
     if failure:
-        low, high = magnification.min(), magnification.max()
+        low = magnification.min()
+        high = magnification.max()
         raise InputError(
             f"corners: {failure}: the lens's images of the boards are {low:.3g} to {high:.3g} times as large as boards "
             "with squares of this size: check the distance of the board's corners, the pixel size and the order of "
             "corners"
         )
-    return found.numbers, found.poses, good
+    return fit.numbers, fit.poses, good
 
 
 def board_images(
@@ -103,28 +99,32 @@ def board_images(
 
     The result has the shape (poses,), (poses, 3, 2), (n,).
     """
-    seen, size = problem.corners, problem.pixel_size
-    slopes, maps = np.empty(seen.poses), np.empty((seen.poses, 3, 2))
-    centre, pixel = grid[0] + seen.lens @ grid[1:] - principal, seen.pixel - principal
-    good = _agreeing(seen, board, centre, pixel, frames, float(np.hypot(*grid[1])))
+    observed = problem.corners
+    size = problem.pixel_size
+    slopes = np.empty(observed.poses)
+    maps = np.empty((observed.poses, 3, 2))
+    centre = grid[0] + observed.lens @ grid[1:] - principal
+    pixel = observed.pixel - principal
+    good = _agreeing(observed, board, centre, pixel, frames, float(np.hypot(*grid[1])))
     for pose, frame in enumerate(frames):
-        mine = good & (seen.pose == pose)
-        corners, which = np.unique(seen.board[mine], axis=0, return_inverse=True)
-        which = which.ravel()
+        rows = good & (observed.pose == pose)
+        corners, corner_index = np.unique(observed.board[rows], axis=0, return_inverse=True)
+        corner_index = corner_index.ravel()
         refuse_if(
             len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2,
             f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
             "not all on one line",
         )
-        centres, pixels = centre[mine], pixel[mine]
-        around, moved = (values - _means(values, which)[which] for values in (centres, pixels))
+        centres = centre[rows]
+        pixels = pixel[rows]
+        around, displaced = (values - _means(values, corner_index)[corner_index] for values in (centres, pixels))
         refuse_if(
             not (around**2).sum() > 0, f"frame {frame}: each corner is seen through one lens only; several are needed"
         )
-        slope = (around * moved).sum() / (around**2).sum() - 1
+        slope = (around * displaced).sum() / (around**2).sum() - 1
         image = (centres * (1 + slope) - pixels) * (size / slope)
         slopes[pose] = slope
-        maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), seen.board[mine]]), image)[0]
+        maps[pose] = np.linalg.lstsq(np.column_stack([np.ones(len(image)), observed.board[rows]]), image)[0]
         refuse_if(
             np.linalg.det(maps[pose, 1:]) <= 0,
             f"frame {frame}: the board is seen mirrored: number its corners as they are seen from its front, to "
@@ -134,42 +134,47 @@ def board_images(
 
 
 def _agreeing(
-    seen: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
+    observed: Observations, board: Board, centre: np.ndarray, pixel: np.ndarray, frames: np.ndarray, pitch: float
 ) -> np.ndarray:
     """Return a mask of rows in their micro-image that agree with most of their frame; refuse disagreeing frames."""
     near = np.hypot(*(pixel - centre).T) < pitch
-    good, strange = near.copy(), []
+    good = near.copy()
+    strange = []
     for pose, frame in enumerate(frames):
-        mine = np.flatnonzero(near & (seen.pose == pose))
-        rows = int((seen.pose == pose).sum())
+        rows = np.flatnonzero(near & (observed.pose == pose))
+        count = int((observed.pose == pose).sum())
         refuse_if(
-            len(mine) < _AGREEING * rows,
-            f"frame {frame}: {rows - len(mine)} of its {rows} rows lie farther than a lens's width from the "
+            len(rows) < _AGREEING * count,
+            f"frame {frame}: {count - len(rows)} of its {count} rows lie farther than a lens's width from the "
             "micro-image of the lens that k and l name: correct or remove the frame",
         )
-        explained, agrees = _board_fit(seen.board[mine], centre[mine], pixel[mine])
-        good[mine] = agrees
+        explained, agrees = _board_fit(observed.board[rows], centre[rows], pixel[rows])
+        good[rows] = agrees
         if not explained:
             strange.append(pose)
     if strange:
         # The number of corners along a row that most rows of the largest such frame agree with.
-        mine = np.flatnonzero(near & (seen.pose == max(strange, key=lambda pose: int((seen.pose[near] == pose).sum()))))
-        mine = mine[:: max(1, len(mine) // _THINNED)]
-        column, row = np.round(seen.board[mine] / board.square).astype(int).T
-        number = row * board.columns + column
+        rows = np.flatnonzero(
+            near & (observed.pose == max(strange, key=lambda pose: int((observed.pose[near] == pose).sum())))
+        )
+        rows = rows[:: max(1, len(rows) // _THINNED)]
+        column, row = np.round(observed.board[rows] / board.square).astype(int).T
+        corner_number = row * board.columns + column
         fits = {
             columns: agrees.mean() if explained else 0.0
-            for columns in range(2, number.max() // 2 + 2)
-            for explained, agrees in [_board_fit(Board(columns, 1000, 1.0).places(number), centre[mine], pixel[mine])]
+            for columns in range(2, corner_number.max() // 2 + 2)
+            for explained, agrees in [
+                _board_fit(Board(columns, 1000, 1.0).places(corner_number), centre[rows], pixel[rows])
+            ]
         }
         along = max(fits, key=lambda columns: fits[columns], default=0)
         refuse_if(
-            not fits.get(along, 0.0) > 0 and 2 * len(strange) <= seen.poses,
+            not fits.get(along, 0.0) > 0 and 2 * len(strange) <= observed.poses,
             f"frame {frames[strange[0]]}: most of its corners do not lie as on a board, as those of other frames "
             "do: correct or remove the frame",
         )
         raise InputError(
-            f"corners: in {len(strange)} of {seen.poses} frames they do not lie as on a board of {board.columns}x"
+            f"corners: in {len(strange)} of {observed.poses} frames they do not lie as on a board of {board.columns}x"
             f"{board.rows} inner corners: "
             + (f"they do on one with {along} along each row" if fits.get(along) else "check how they are numbered")
         )
@@ -183,13 +188,14 @@ def _board_fit(board: np.ndarray, centre: np.ndarray, pixel: np.ndarray) -> tupl
     corner surround its position; a wrong corner far from there would bend z/a by its distance alone.
     """
     x, y = (board / max(np.abs(board).max(), 1e-9)).T
-    one = np.ones(len(x))
-    images = both_axes(np.column_stack([one, x, y, x * x, x * y, y * y]))
-    slopes = centre[:, :, None] * np.column_stack([one, x, y])[:, None]
+    ones = np.ones(len(x))
+    images = both_axes(np.column_stack([ones, x, y, x * x, x * y, y * y]))
+    slopes = centre[:, :, None] * np.column_stack([ones, x, y])[:, None]
     good = robust_lines(images, centre)[2]
     _, distance, agrees = robust_lines(np.concatenate([slopes, images], axis=2)[good], pixel[good])
     good[good] = agrees
-    explained = np.median(distance) < _EXPLAINED * np.median(np.hypot(*(pixel - centre).T))
+    # Wrongly numbered corners lie as far from the board as from the centres of their micro-images.
+    explained = np.median(distance) < 0.35 * np.median(np.hypot(*(pixel - centre).T))
     return bool(explained and good.mean() > _AGREEING), good
 
 
@@ -204,6 +210,6 @@ def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
     return poses
 
 
-def _means(values: np.ndarray, which: np.ndarray) -> np.ndarray:
+def _means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return the mean row of each group."""
-    return np.stack([np.bincount(which, column) for column in values.T], axis=-1) / np.bincount(which)[:, None]
+    return np.stack([np.bincount(group, column) for column in values.T], axis=-1) / np.bincount(group)[:, None]

@@ -25,17 +25,11 @@ from .adjustment import OUTLIER
 from .array_fit import lattice_index
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
 
-_REPEATS = 6
-_BLOCK = 2048
-
 # Micro-images fainter than this fraction of the median have no centre of their own.
 _FAINT = 0.1
 
 # Lenses on each side of one that it is compared with.
 _NEIGHBOURS = 4
-
-# Light that differs from the neighbours' by less is never doubtful: vignetting changes it from lens to lens.
-_LEAST_DARKER = 0.02
 
 
 @dataclass(frozen=True)
@@ -102,17 +96,22 @@ def find_centres(*whites: np.ndarray) -> Centres:
     row, column = np.indices(grid.shape)
     size = np.array(images[0].shape[::-1])
     inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
-    lens, start = np.stack([column[inside], row[inside]], axis=-1), first[inside]
+    lens = np.stack([column[inside], row[inside]], axis=-1)
+    start = first[inside]
     vectors = np.array([first[0, 1] - first[0, 0], first[1, 0] - first[0, 0]])
-    blocks, found = np.array_split(start, -(-len(start) // _BLOCK)), []
+    blocks = np.array_split(start, -(-len(start) // 2048))
+    measured = []
     for image in images:
         discs = Discs.of(image, vectors)
-        parts = [_centred(image, block, discs) for block in blocks]
-        found.append(tuple(np.concatenate(values) for values in zip(*parts, strict=True)))
-    centre, light = np.mean([each[0] for each in found], axis=0), np.mean([each[1] for each in found], axis=0)
-    used = np.all([each[1] > _FAINT * np.median(each[1]) for each in found], axis=0)
-    used &= np.hypot(*(centre - start).T) < radius / 2
-    lens, centre, light = lens[used], centre[used], light[used]
+        centred = [_centred(image, block, discs) for block in blocks]
+        measured.append(tuple(np.concatenate(values) for values in zip(*centred, strict=True)))
+    centre = np.mean([pair[0] for pair in measured], axis=0)
+    light = np.mean([pair[1] for pair in measured], axis=0)
+    kept_lenses = np.all([pair[1] > _FAINT * np.median(pair[1]) for pair in measured], axis=0)
+    kept_lenses &= np.hypot(*(centre - start).T) < radius / 2
+    lens = lens[kept_lenses]
+    centre = centre[kept_lenses]
+    light = light[kept_lenses]
     matrix = np.column_stack([np.ones(len(lens)), lattice_index(grid, lens)])
     residuals = centre - matrix @ np.linalg.lstsq(matrix, centre)[0]
     light = light / light.max()
@@ -121,8 +120,9 @@ def find_centres(*whites: np.ndarray) -> Centres:
 
 def _centred(image: np.ndarray, centre: np.ndarray, discs: Discs) -> tuple[np.ndarray, np.ndarray]:
     """Return centres that equal the centroids of their windows, and the light in each window above its minimum."""
-    patches, light = pixels_around(image, centre, discs.reach + 1), np.zeros(len(centre))
-    for _ in range(_REPEATS):
+    patches = pixels_around(image, centre, discs.reach + 1)
+    light = np.zeros(len(centre))
+    for _ in range(6):
         centre, light = discs.measured(
             patches,
             centre,
@@ -138,7 +138,7 @@ def _doubtful(lens: np.ndarray, residuals: np.ndarray, light: np.ndarray) -> np.
     sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)
     typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
     beyond = sizes > OUTLIER * typical
-    beyond[:, 1] &= np.abs(differs[:, 2]) > _LEAST_DARKER
+    beyond[:, 1] &= np.abs(differs[:, 2]) > 0.02
     return np.asarray(beyond.any(1))
 
 
@@ -147,9 +147,9 @@ def _local_medians(lens: np.ndarray, values: np.ndarray) -> np.ndarray:
     column, row = (lens - lens.min(0) + _NEIGHBOURS).T
     side = 2 * _NEIGHBOURS + 1
     medians = np.empty_like(values)
-    for index, each in enumerate(values.T):
+    for index, column_values in enumerate(values.T):
         array = np.full((row.max() + side, column.max() + side), np.nan)
-        array[row, column] = each
+        array[row, column] = column_values
         around = np.lib.stride_tricks.sliding_window_view(array, (side, side))[row - _NEIGHBOURS, column - _NEIGHBOURS]
         medians[:, index] = np.nanmedian(around.reshape(len(values), -1), axis=1)
     return medians

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.ndimage
@@ -19,26 +18,15 @@ from .micro_image import MicroImageModel, PupilNumbers
 from .white_centres import find_centres
 from .white_frames import WhiteFrame
 
-_WITHHELD = 1 / 3
-"""Part of the lenses that a fit does not see."""
+_FEWEST = 16
+"""Whole micro-images that a fit needs."""
 
-_COUNTING, _FAINT, _FEWEST = 0.5, 0.1, 16
-"""Part of a cell's pixels that must count, least light over the median of lenses, and whole micro-images needed."""
+_WIDEST_BLUR = 0.1
+"""Blur over the lenses' distance from which on a fit has failed."""
 
-_WIDEST_BLUR, _LEAST_STRAY = 0.1, -0.01
-"""Blur over the lenses' distance from which on, and stray light below which, a fit has failed."""
-
-_MOST_STRUCTURE, _MOST_OUTLIERS = 0.035, 0.05
+_MOST_STRUCTURE = 0.035
+_MOST_OUTLIERS = 0.05
 """Structure of the residual, and part of the pixels off the model, above which a picture is not evenly white."""
-
-_REPLACED: dict[str, Any] = {
-    **{"mla_warp": (), "mla_tilt": (0.0, 0.0), "mla_transmissions": None, "vignetting": None},
-    **{"detector_blur": 0.0, "pupil_apodisation": (0.0, 0.0)},
-}
-"""Parameters whose values a fit does not keep."""
-
-_BLUR, _STRAY = 0.7, 0.02
-"""Blur in pixels and stray light with which fits start."""
 
 
 @dataclass(frozen=True)
@@ -133,36 +121,48 @@ def fit_white(
         If the pictures cannot be of such a camera, or are not evenly white.
     """
     show = progress or (lambda done, total: None)
-    frame, generator = WhiteFrame.of(white, dark), np.random.default_rng(seed)
+    frame = WhiteFrame.of(white, dark)
+    generator = np.random.default_rng(seed)
     size = frame.light.shape[::-1]
-    camera = of_size(camera.replace(**_REPLACED), size)
+    plain = camera.replace(
+        mla_warp=(),
+        mla_tilt=(0.0, 0.0),
+        mla_transmissions=None,
+        vignetting=None,
+        detector_blur=0.0,
+        pupil_apodisation=(0.0, 0.0),
+    )
+    camera = of_size(plain, size)
     centres = find_centres(filled(frame))
     require_alike(centres.grid, camera)
     sure = ~centres.doubtful
     array = fit_array(centres.pixel[sure], lattice_index(centres.grid, centres.lens)[sure], camera)
     camera = camera.replace(**array.lattice_parameters())
     lens = lattice_index(centres.grid, np.indices(centres.grid.shape)[::-1].reshape(2, -1).T)
-    place = places(array, lens, camera)
+    position = places(array, lens, camera)
     recording = WhiteRecording(frame, camera, MicroImageModel(camera, wavelength))
-    used = whole_lenses(recording, place)
-    place, lens = place[used], lens[used]
-    refuse_if(len(place) < _FEWEST, f"white: {len(place)} whole micro-images are seen: at least {_FEWEST} are needed")
-    withheld = generator.random(len(place)) < _WITHHELD
+    complete = whole_lenses(recording, position)
+    position = position[complete]
+    lens = lens[complete]
+    refuse_if(
+        len(position) < _FEWEST, f"white: {len(position)} whole micro-images are seen: at least {_FEWEST} are needed"
+    )
+    withheld = generator.random(len(position)) < (1 / 3)
     # First one pupil for all lenses, from a few of them, and even: a rim that falls off early resembles a wider one.
-    start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=_BLUR, stray=_STRAY)
-    few = FieldZones(place, ~withheld, ZONE_LENSES // 4, generator)
+    start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=0.7, stray=0.02)
+    few = FieldZones(position, ~withheld, ZONE_LENSES // 4, generator)
     for zero in (("apodisation_2", "apodisation_4"), ()):
         field = FieldNumbers(size, 0, start, zero)
-        recording.fit(place, few, field, lambda done, total: show(done, 4 * total))
-        start = PupilNumbers(*field.values(place[:1])[0])
+        recording.fit(position, few, field, lambda done, total: show(done, 4 * total))
+        start = PupilNumbers(*field.values(position[:1])[0])
     field = FieldNumbers(size, int((~withheld).sum()), start)
-    zones = FieldZones(place, ~withheld, ZONE_LENSES, generator)
-    equations = recording.fit(place, zones, field, lambda done, total: show(done + total, 4 * total))
+    zones = FieldZones(position, ~withheld, ZONE_LENSES, generator)
+    equations = recording.fit(position, zones, field, lambda done, total: show(done + total, 4 * total))
     deviations = field.deviations(equations, generator)
-    everything = FieldZones(place, np.ones(len(place), bool))
-    found = recording.judged(place, everything, field, lambda done, total: show(done + 2 * total, 4 * total))
+    everything = FieldZones(position, np.ones(len(position), bool))
+    judged = recording.judged(position, everything, field, lambda done, total: show(done + 2 * total, 4 * total))
     # Places become those of the array alone, fitted to lenses that are not withheld.
-    array = fit_array(found.place[~withheld], lens[~withheld], camera)
+    array = fit_array(judged.place[~withheld], lens[~withheld], camera)
     for name in ("centre_x", "centre_y"):
         field.coefficients[name] = np.zeros_like(field.coefficients[name])
     at_array = places(array, lens, camera)
@@ -177,37 +177,38 @@ def fit_white(
     blur, stray = (float(field.coefficients[name][0]) for name in ("blur", "stray"))
     apart = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
     refuse_if(
-        abs(blur) >= _WIDEST_BLUR * apart or stray < _LEAST_STRAY,
+        abs(blur) >= _WIDEST_BLUR * apart or stray < -0.01,
         f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below {_WIDEST_BLUR:g} of a lens, "
         f"{_WIDEST_BLUR * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the "
         "dark picture are wrong",
     )
     return WhiteFit(
-        camera=fitted_camera(camera, array, field, at_array, lens, found.brightness),
+        camera=fitted_camera(camera, array, field, at_array, lens, judged.brightness),
         wavelength=wavelength,
         frame=frame,
         array=array,
         field=field,
         deviations=deviations,
-        place=found.place,
+        place=judged.place,
         lens=lens,
-        off_array=found.place - at_array,
-        brightness=found.brightness,
+        off_array=judged.place - at_array,
+        brightness=judged.brightness,
         withheld=withheld,
         judgement=judgement,
     )
 
 
-def whole_lenses(recording: WhiteRecording, place: np.ndarray) -> np.ndarray:
+def whole_lenses(recording: WhiteRecording, position: np.ndarray) -> np.ndarray:
     """Return which lenses at places (n, 2) have their cells within the picture, and light there."""
-    camera, scale = recording.camera, recording.camera.image_growth / recording.camera.pixel_size
-    corners = place[:, None] + camera.lattice.cell_corners() * scale + 0.5
-    whole = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
-    value, _, _, weight = recording.pixels(place[whole])
+    camera = recording.camera
+    scale = recording.camera.image_growth / recording.camera.pixel_size
+    corners = position[:, None] + camera.lattice.cell_corners() * scale + 0.5
+    complete = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
+    value, _, _, weight = recording.pixels(position[complete])
     pixels = weight.sum(1)
     light = (weight * value).sum(1) / np.maximum(pixels, 1)
-    whole[whole] = (pixels >= _COUNTING * camera.lattice.cell_area * scale**2) & (light > _FAINT * np.median(light))
-    return whole
+    complete[complete] = (pixels >= 0.5 * camera.lattice.cell_area * scale**2) & (light > 0.1 * np.median(light))
+    return complete
 
 
 def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:

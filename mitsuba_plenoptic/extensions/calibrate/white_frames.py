@@ -9,17 +9,8 @@ import numpy as np
 from ...errors import refuse_if
 from ...runtime.backend import as_pixels
 
-_SHARED = 1e-4
-"""Part of the pixels with the picture's largest value from which on this value is saturation."""
-
 _MOST_SATURATED = 0.1
 """Part of the pixels that may be saturated."""
-
-_UNLIT = 0.1
-"""Mean of an outer row or column, over the median of all, below which it lies beyond the lit part of the sensor."""
-
-_HOT = 10.0
-"""Deviations of a dark frame beyond which a pixel is defective."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +45,7 @@ class WhiteFrame:
         """
         light = single_channel("white", white)
         saturated = light >= light.max()
-        if saturated.mean() < _SHARED:
+        if saturated.mean() < 1e-4:
             saturated[:] = False
         refuse_if(
             saturated.mean() > _MOST_SATURATED,
@@ -69,13 +60,13 @@ class WhiteFrame:
                 f"dark of shape {dark.shape}: it must have the pixels of the white picture, {light.shape}",
             )
             away = dark - np.median(dark)
-            defective = np.abs(away) > _HOT * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
+            defective = np.abs(away) > 10.0 * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
             refuse_if(dark.mean() > 0.5 * light.mean(), "dark: it is not darker than half of the white picture")
             light = light - dark
         unlit = np.zeros(light.shape, bool)
         for axis in (0, 1):
             mean = light.mean(axis=1 - axis)
-            lit = np.flatnonzero(mean > _UNLIT * np.median(mean))
+            lit = np.flatnonzero(mean > 0.1 * np.median(mean))
             refuse_if(not len(lit), "white: it is dark")
             outer = np.ones(len(mean), bool)
             outer[lit[0] : lit[-1] + 1] = False

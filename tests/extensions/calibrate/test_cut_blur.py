@@ -55,7 +55,7 @@ def test_corners_are_met_in_spite_of_the_rim(kind, ratio):
     assert defocus == pytest.approx(1 - CAMERA.detector_distance / CAMERA.mla_focal_lengths[kind] + ratio)
     outwards = []
     for seen in (None, lambda rows, arms: cut.displaced(kinds[rows], defocus[rows], arms)):
-        found = find_saddles(image / np.maximum(white, 1e-9), *given, radius=RADIUS, even=RADIUS, seen=seen)
+        found = find_saddles(image / np.maximum(white, 1e-9), *given, radius=RADIUS, even=RADIUS, displacement=seen)
         good = np.isfinite(found.deviation)
         assert good.sum() > 0.7 * COUNT
         miss = (found.position - centre - place)[good]
