@@ -14,14 +14,8 @@ from ..errors import argument, refuse_if, require_number
 from ..runtime.files import atomic_output
 from .images import enlarge, enlargement, to_bytes
 
-_RATE = 12.5
-"""Frames a second: whole hundredths of a second each, as GIF stores them."""
-
 _SWEEP = 24
 """Distances of a focal sweep."""
-
-_LONGEST = 480
-"""Pixels of the longer side that small images are enlarged to."""
 
 
 def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[float]:
@@ -59,16 +53,19 @@ def write_animation(
         If the file has another ending.
     """
     path = Path(path)
-    scale = scale or enlargement(frames[0][0], _LONGEST)
+    scale = scale or enlargement(frames[0][0], 480)
     pictures = [Image.fromarray(to_bytes(enlarge(image, scale), white)) for image, _ in frames]
     for picture, (_, text) in zip(pictures, frames, strict=True):
         if text:
             size = max(9, picture.height // 20)
-            at = (size // 2, picture.height - size // 2)
+            corner = (size // 2, picture.height - size // 2)
             ink, edge = (255, 0) if picture.mode == "L" else ((255,) * 3, (0,) * 3)
             font = ImageFont.load_default(size)
-            drawn = ImageDraw.Draw(picture)
-            drawn.text(at, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge)
-    first, *rest = pictures
+            canvas = ImageDraw.Draw(picture)
+            canvas.text(
+                corner, text, fill=ink, font=font, anchor="ls", stroke_width=max(1, size // 12), stroke_fill=edge
+            )
+    first, *following = pictures
     with atomic_output(path, *ANIMATED) as temporary:
-        first.save(temporary, save_all=True, append_images=rest, duration=round(1000 / _RATE), loop=0)
+        # Milliseconds a frame: GIF stores whole hundredths of a second.
+        first.save(temporary, save_all=True, append_images=following, duration=80, loop=0)

@@ -55,7 +55,8 @@ def compare(
     """
     refuse_if(not settings.distances, "distance: give at least one to refocus to")
     experiment = run_experiment(settings, open_store(output, stages), against)
-    grey, others = experiment.grey(), []
+    grey = experiment.grey()
+    others = []
     measured = measure(grey)
     if experiment.ordinary is not None and grey.ordinary is not None:
         measured["ordinary"] = measure_ordinary(grey, grey.ordinary)
@@ -88,15 +89,13 @@ def _command(settings: Settings, against: str | None) -> str:
     return " ".join(words)
 
 
-# The chart's squares, by the beginning of their ids, which are slanted edges.
-_EDGE_PREFIX = "edge_"
-
 _COHERENT = ("coherent", "partial")
 
 
 def measure(experiment: Experiment) -> dict[str, Any]:
     """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
-    ray, wave = experiment.ray.image, experiment.wave.image
+    ray = experiment.ray.image
+    wave = experiment.wave.image
     middle = middle_of_micro_images(experiment.camera)
     pixels = {"all": None, "middle": middle, "rim": ~middle}
     return {
@@ -118,14 +117,15 @@ def measure(experiment: Experiment) -> dict[str, Any]:
 def _against_points(experiment: Experiment) -> dict[str, float] | None:
     if experiment.points is None:
         return None
-    wave, points = experiment.wave.image, experiment.points.image
+    wave = experiment.wave.image
+    points = experiment.points.image
     energy = float(wave.sum(dtype=np.float64) / points.sum(dtype=np.float64))
     return {"relative_error": round(relative_error(wave, points), 5), "energy": round(energy, 5)}
 
 
-def find(rows: list[dict[str, Any]], **wanted: Any) -> dict[str, Any]:
+def find(rows: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
     """Return the first row of a table that has the given values."""
-    return next(row for row in rows if all(row[name] == value for name, value in wanted.items()))
+    return next(row for row in rows if all(row[name] == value for name, value in values.items()))
 
 
 def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
@@ -172,7 +172,8 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
     camera = experiment.camera
     for name, (low, high) in experiment.boxes.items():
         distance = _depth(low)
-        if not name.startswith(_EDGE_PREFIX) or distance not in experiment.settings.distances:
+        # Ids of the chart's squares, which are slanted edges, begin so.
+        if not name.startswith("edge_") or distance not in experiment.settings.distances:
             continue
         scale = camera.mla_distance / (low[2] * camera.mla_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
@@ -251,7 +252,9 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
 @styled
 def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -> None:
     """Draw micro-images by rays, by waves, and their difference."""
-    ray, wave, camera = experiment.ray.image, experiment.wave.image, experiment.camera
+    ray = experiment.ray.image
+    wave = experiment.wave.image
+    camera = experiment.camera
     peak = Brightness().peak([ray[zoom.rows, zoom.columns] for zoom in zooms])
     plot = Plot(10.25)
     panels = plot.panels(len(zooms), 3)
@@ -259,12 +262,12 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
         cuts = [image[zoom.rows, zoom.columns] for image in (ray, wave)]
         show(row[0], cuts[0], "", peak=peak)
         show(row[1], cuts[1], "", peak=peak)
-        drawn = show_difference(row[2], luminance(cuts[1] - cuts[0]), 0.6 * peak)
+        mesh = show_difference(row[2], luminance(cuts[1] - cuts[0]), 0.6 * peak)
         for axes, name in zip(row, ("By rays", "By waves", "Waves minus rays"), strict=True):
             first = zoom is zooms[0]
             annotate(axes, title=name if first else "", side=zoom.title if axes is row[0] else "")
             scale_bar(axes, cuts[0].shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
-    plot.colour_bar(drawn, panels, "radiance")
+    plot.colour_bar(mesh, panels, "radiance")
     plot.save_both(path)
 
 
@@ -272,7 +275,8 @@ def figure_captures(path: Path, experiment: Experiment, zooms: Sequence[Zoom]) -
 def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw the difference of coherent methods from the limit in which no two lenses interfere."""
     window = lit_window(list(experiment.truths.values()))
-    distances, names = experiment.settings.distances, ("coherent", "partial")
+    distances = experiment.settings.distances
+    names = ("coherent", "partial")
     plot = Plot(3.5 * len(distances) + 1.35)
     panels = plot.panels(len(names), len(distances), window.aspect)
     bound = 0.15 * max(float(np.nanmax(experiment.images["limit", distance])) for distance in distances)
@@ -280,7 +284,7 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
         for across, distance in enumerate(distances):
             axes = panels[down, across]
             difference = experiment.images[name, distance] - experiment.images["limit", distance]
-            drawn = show_difference(axes, window.of(difference), bound)
+            mesh = show_difference(axes, window.of(difference), bound)
             object_bar(axes, experiment.camera, distance, window)
             annotate(
                 axes,
@@ -288,5 +292,5 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
                 side=TITLES[name] if across == 0 else "",
                 foot=notes.get((name, distance), ""),
             )
-    plot.colour_bar(drawn, panels, "radiance beyond the limit")
+    plot.colour_bar(mesh, panels, "radiance beyond the limit")
     plot.save_both(path)

@@ -29,8 +29,6 @@ _EXPLANATIONS = {
     "partial": "four subsets of lenses, each coherent in itself",
 }
 
-_FOOT = "Scalar waves and thin elements; objects do not diffract. Lengths in millimetres. Pictures are sRGB."
-
 
 def write_report(
     folder: Path,
@@ -49,7 +47,8 @@ def write_report(
     The folder holds the figures, of which `plates` has the captions; buttons lead to the `zooms`; `others` are sections
     that only some comparisons have.
     """
-    camera, wavelength = experiment.camera, experiment.settings.wavelength
+    camera = experiment.camera
+    wavelength = experiment.settings.wavelength
     results = {
         "command": command,
         "settings": asdict(experiment.settings),
@@ -62,7 +61,8 @@ def write_report(
     }
     write_json(folder / "results.json", results)
     window = lit_window([*experiment.truths.values(), experiment.pinhole], fraction=0.02, margin=0.03)
-    geometry, distances = capture_geometry(experiment, zooms, window), shown_distances(experiment)
+    geometry = capture_geometry(experiment, zooms, window)
+    distances = shown_distances(experiment)
     widgets: Any = template("comparison.html").module
     viewer = widgets.viewer(captures(experiment, window), geometry, [zoom.title for zoom in zooms])
     height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
@@ -93,7 +93,8 @@ def write_report(
         ),
     ]
     data = {"capture": geometry, "refocus": reconstructions(experiment, measured, window)}
-    Page(title, lead, sections, _FOOT, "comparison.js", data).write(folder / "report.html")
+    foot = "Scalar waves and thin elements; objects do not diffract. Lengths in millimetres. Pictures are sRGB."
+    Page(title, lead, sections, foot, "comparison.js", data).write(folder / "report.html")
     return results
 
 
@@ -108,21 +109,23 @@ def write_growing(folder: Path, plates: Mapping[str, str]) -> None:
 
 def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
     """Return what tells the captures apart."""
-    camera, captures = experiment.camera, measured["captures"]
+    camera = experiment.camera
+    captures = measured["captures"]
     spot = design.spot_radius(camera, experiment.settings.wavelength) / camera.pixel_size
     text = (
         "Every disc is the aperture of the main lens as one microlens images it. Rays give it sharp edges, waves blur "
         f"it by diffraction at the microlens: {spot:.2g} pixels from the middle of a spot to its first zero. The two "
         f"captures differ by {captures['relative_error']:.0%} (root mean square, relative), {captures['psnr']:.1f} dB."
     )
-    every, middle, rim = (captures["difference"][name] for name in ("all", "middle", "rim"))
-    if every["noise"] is None:
+    all_pixels, middle, rim = (captures["difference"][name] for name in ("all", "middle", "rim"))
+    if all_pixels["noise"] is None:
         return text
-    if every["noise_alone"]:
+    if all_pixels["noise_alone"]:
         return f"{text} The noise of their samples is enough to explain all of that."
     return (
-        f"{text} Of that {every['noise']:.1%} is the noise of their samples; diffraction makes {every['true']:.1%}, "
-        f"of it {middle['true']:.1%} in the middle of micro-images and {rim['true']:.1%} at their rim."
+        f"{text} Of that {all_pixels['noise']:.1%} is the noise of their samples; diffraction makes "
+        f"{all_pixels['true']:.1%}, of it {middle['true']:.1%} in the middle of micro-images and {rim['true']:.1%} at "
+        "their rim."
     )
 
 
@@ -178,7 +181,9 @@ def time_summary(seconds: dict[str, float]) -> str:
 
 def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the settings and versions of an experiment as pairs of texts."""
-    settings, against, points = experiment.settings, [], measured["captures"]["points"]
+    settings = experiment.settings
+    against = []
+    points = measured["captures"]["points"]
     if points is not None:
         apart = f"{points['relative_error']:.2%} (relative L2, with the noise of both), energy {points['energy']:.4f}"
         against = [(f"Wave capture against {settings.points} points per lens, each propagated by itself", apart)]
@@ -199,11 +204,6 @@ def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[st
     ]
 
 
-# Bytes for one capture, so that the file stays below 12 MB; each WebP quality is tried until one fits.
-_CAPTURE_BYTES = 3_500_000
-_QUALITIES = (85, 70, 50, 30)
-
-
 def captures(experiment: Experiment, window: Window) -> dict[str, str]:
     """Return the captures as pictures of bounded size, drawn on one scale."""
     ray, wave = (window.of(capture.image) for capture in (experiment.ray, experiment.wave))
@@ -215,7 +215,8 @@ def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Wind
     """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
     rows, columns = experiment.wave.image.shape[:2]
     height, width = window.of(experiment.wave.image).shape[:2]
-    top, left = round(window.top * rows), round(window.left * columns)
+    top = round(window.top * rows)
+    left = round(window.left * columns)
     return {
         "width": width,
         "height": height,
@@ -252,8 +253,8 @@ def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window:
         facts.setdefault(row["method"], {})[f"{row['distance']:g}"] = metrics
 
     def png(name: str, distance: float) -> str:
-        shown = Image.fromarray(to_bytes(window.of(experiment.image(name, distance)), peak))
-        return data_url("png", encoded(shown, format="PNG", optimize=True))
+        picture = Image.fromarray(to_bytes(window.of(experiment.image(name, distance)), peak))
+        return data_url("png", encoded(picture, format="PNG", optimize=True))
 
     return {
         "distances": [float(f"{distance:g}") for distance in distances],
@@ -268,8 +269,9 @@ def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window:
 def _webp(image: np.ndarray, peak: float) -> str:
     picture = Image.fromarray(to_bytes(image, peak))
     content = b""
-    for quality in _QUALITIES:
+    for quality in (85, 70, 50, 30):
         content = encoded(picture, format="WEBP", quality=quality, method=4)
-        if len(content) <= _CAPTURE_BYTES:
+        # The page stays below 12 MB.
+        if len(content) <= 3_500_000:
             break
     return data_url("webp", content)

@@ -104,7 +104,7 @@ def _main_lens(camera: PlenopticCamera) -> list[_Line]:
 def _aberrations(camera: PlenopticCamera) -> list[_Line]:
     rows = []
     if any(camera.wavefront):
-        strength = math.sqrt(sum(part**2 for part in camera.wavefront[3:]))
+        strength = math.sqrt(sum(coefficient**2 for coefficient in camera.wavefront[3:]))
         rows.append(("aberrations", _four(strength), "waves", "root mean square at 633 nm, without tilt"))
     if (screen := camera.phase_screen) is not None:
         rows.append(("phase screen", _four(float(screen.waves.std())), "waves", "root mean square of its samples"))
@@ -115,10 +115,10 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     """Return lines with a real main lens's paraxial quantities, and its spots and light over the field."""
     cardinal = paraxial(lens)
     scale = camera.focal_length / cardinal.focal_length
-    wanted = f"at {lens.wavelength:g} nm"
+    note = f"at {lens.wavelength:g} nm"
     rows = [
         ("prescription", lens.name or "without a name", "", f"{len(lens.surfaces)} surfaces, scaled by {scale:.6g}"),
-        ("focal length", f"{camera.focal_length:.6g}", "mm", wanted),
+        ("focal length", f"{camera.focal_length:.6g}", "mm", note),
         ("back focal length", f"{scale * cardinal.back_focal:.6g}", "mm", "from the last vertex"),
         ("front principal plane", f"{scale * cardinal.front_principal:.6g}", "mm", "behind the first vertex"),
         ("rear principal plane", f"{scale * cardinal.rear_principal:.6g}", "mm", "behind the last vertex"),
@@ -129,7 +129,7 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
     in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
-    for figures in field_figures(camera, tuple(part * corner for part in _FIELDS)):
+    for figures in field_figures(camera, tuple(fraction * corner for fraction in _FIELDS)):
         at = f"{_four(figures.height)} mm from the axis"
         rows += [
             ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image, {at}"),
@@ -145,7 +145,8 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
 
 
 def _microlenses(camera: PlenopticCamera) -> list[_Line]:
-    main, micro = design.image_f_number(camera), design.mla_f_number(camera)
+    main = design.image_f_number(camera)
+    micro = design.mla_f_number(camera)
     # Neighbouring micro-images touch where the two match, up to the factor (b + z)/b of their pitch.
     if math.isclose(micro, main, rel_tol=0.05):
         match = "matches: micro-images touch"
@@ -199,7 +200,8 @@ def _detector(camera: PlenopticCamera) -> list[_Line]:
     if camera.has_array:
         sheet.append(("pixels per lens", _four(camera.pixels_per_lens), "", "across its pitch"))
     if camera.is_cropped:
-        window, offset = camera.crop_size, camera.crop_offset
+        window = camera.crop_size
+        offset = camera.crop_offset
         note = f"from column {offset[0]}, row {offset[1]}"
         sheet.append(("recorded pixels", f"{window[0]} x {window[1]}", "", note))
     return sheet
@@ -207,7 +209,8 @@ def _detector(camera: PlenopticCamera) -> list[_Line]:
 
 def _micro_images(camera: PlenopticCamera) -> list[_Line]:
     pixel = camera.pixel_size
-    diameter, pitch = camera.micro_image_diameter, camera.micro_image_pitch
+    diameter = camera.micro_image_diameter
+    pitch = camera.micro_image_pitch
     return [
         ("diameter", _four(diameter / pixel), "pixels", f"{_four(1e3 * diameter)} um, D1 z/b"),
         ("pitch", _four(pitch / pixel), "pixels", f"{_four(1e3 * pitch)} um, D2 (b + z)/b"),
@@ -223,8 +226,8 @@ def _resolution(camera: PlenopticCamera, wavelength: float | None) -> list[_Line
     limits_of_all = design.depth_ranges(camera, wavelength)
     lenses = zip(camera.mla_focal_lengths, design.best_distances(camera), limits_of_all, strict=True)
     for f2, best, limits in lenses:
-        which = f"f2 = {_four(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
-        rows.append(("sharpest distance", *_distance(best), which))
+        lens_note = f"f2 = {_four(f2)} mm" if len(camera.mla_focal_lengths) > 1 else ""
+        rows.append(("sharpest distance", *_distance(best), lens_note))
         if _is_imaged(camera, best):
             rows += _effective(camera, best, wavelength)
         note = "refocused" if design.focus_type(camera) == "unfocused" else "blur below a pixel or the spot, no gaps"
@@ -382,7 +385,8 @@ def _objective(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _image(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
-    micro, main = camera.reduced_distance / camera.lattice.aperture_width, 1 / (2 * lens.image_aperture)
+    micro = camera.reduced_distance / camera.lattice.aperture_width
+    main = 1 / (2 * lens.image_aperture)
     pixel = camera.pixel_size
     return [
         ("kind of camera", "light-field microscope", "", "array in the native image plane"),
@@ -415,7 +419,8 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> list[_Line]:
 
 
 def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength: float) -> list[_Line]:
-    width, spot = camera.lattice.aperture_width, design.spot_radius(camera, wavelength)
+    width = camera.lattice.aperture_width
+    spot = design.spot_radius(camera, wavelength)
     rows = [
         ("objective's limit", _four(design.objective_limit(camera, wavelength)), "lp/mm", "2 NA over the wavelength"),
         ("spot of a microlens", _four(1e3 * spot), "um", f"{_four(spot / camera.pixel_size)} pixels"),
@@ -425,9 +430,11 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
         rows.append(("limit of a lens", _four(2e6 * aperture / wavelength), "lp/mm", ""))
         rows.append(("depth of field", _four(depth), "um", "of a lens, n times the wavelength over its NA squared"))
-        shallow, sample = 1e-3 * depth, "pixel"
+        shallow = 1e-3 * depth
+        sample = "pixel"
     else:
-        shallow, sample = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6), "lens"
+        shallow = lens.immersion * width**2 / (2 * lens.magnification**2 * wavelength * 1e-6)
+        sample = "lens"
     for depth in (shallow, 2 * shallow, 4 * shallow):
         limit = design.resolution_limit(camera, 1.001 * depth, wavelength)
         note = f"at depths of {_four(1e3 * depth)} um; {limit.frequency / limit.lenses:.2g} times one sample a {sample}"

@@ -17,22 +17,17 @@ from scipy.ndimage import gaussian_filter
 from ..errors import refuse_if, refusing
 from ..runtime.backend import as_array
 
-_LEAST_TILT, _MOST_TILT = 1.0, 20.0
+_LEAST_TILT = 1.0
+_MOST_TILT = 20.0
 """Angles in degrees between edge and pixels, between which the pixels sample an edge finely and evenly."""
 
 _REACH = 16
 """Pixels on each side of an edge, at most, that are looked at."""
 
-_LEAST_REACH, _LEAST_KNOWN_REACH = 5, 2
+_LEAST_REACH = 5
 
 _KNOTS = 4
 """Knots of the profile of a narrow edge in a pixel; of a wide one as many in its half width as at `_LEAST_REACH`."""
-
-_FOOT, _VALLEY = 0.1, 0.15
-"""Slope over its largest at which an edge ends, and by how much it may rise again on the way."""
-
-_WINDOWS = (1.0, 0.7, 0.5, 0.35, 0.25)
-"""Widths of the windows in which a known edge's line is fitted, one after the other, over that of the image."""
 
 _TWO_EDGES = "image: it has two edges or more; cut out the one to measure"
 
@@ -118,21 +113,21 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     >>> round(edge.angle, 1), edge.upright
     (5.7, True)
     """
-    whole = as_array("image", image, np.float64)
-    if whole.ndim == 3:
-        whole = whole.mean(axis=2)
-    refuse_if(whole.ndim != 2, f"image of shape {whole.shape}: it must have rows and columns")
-    known = np.isfinite(whole)
-    rows, columns = (np.flatnonzero(known.mean(axis=1 - axis) > 0.5) for axis in (0, 1))
+    pixels = as_array("image", image, np.float64)
+    if pixels.ndim == 3:
+        pixels = pixels.mean(axis=2)
+    refuse_if(pixels.ndim != 2, f"image of shape {pixels.shape}: it must have rows and columns")
+    finite = np.isfinite(pixels)
+    rows, columns = (np.flatnonzero(finite.mean(axis=1 - axis) > 0.5) for axis in (0, 1))
     refuse_if(min(rows.size, columns.size) < 2 * _LEAST_REACH, "image: it has no edge: it is too small")
     inside = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    refuse_if(not known[inside].all(), "image: it has unknown values (NaN) within; cut out the edge")
-    cut = whole[inside]
+    refuse_if(not finite[inside].all(), "image: it has unknown values (NaN) within; cut out the edge")
+    cut = pixels[inside]
     down, across = _slopes(cut)
     upright = bool((across**4).sum() >= (down**4).sum())
-    found = _measure(cut if upright else cut.T)
-    row, column = (found.row, found.column) if upright else (found.column, found.row)
-    return replace(found, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
+    sharpness = _measure(cut if upright else cut.T)
+    row, column = (sharpness.row, sharpness.column) if upright else (sharpness.column, sharpness.row)
+    return replace(sharpness, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
 
 
 def _slopes(image: NDArray[np.float64], smooth: float = 1.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -150,7 +145,8 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
         slope = np.hypot(down, across)
         tilt, start = _line(image, slope, down, across, extent)
         rows = _rows_with_edge(image, slope, tilt, start)
-        first, last = int(rows[0]), int(rows[-1])
+        first = int(rows[0])
+        last = int(rows[-1])
         index = np.arange(first, last + 1)
         line = np.asarray(start + tilt * index, np.float64)
         extent = max(extent, _half_width(across[index], line))
@@ -181,10 +177,11 @@ def window_sharpness(image: NDArray[np.float64]) -> EdgeSharpness:
     image = as_array("image", image, np.float64)
     rows, columns = image.shape
     _, across = _slopes(image)
-    tilt, start = _closed_in(np.abs(across), 0.0, (columns - 1) / 2, np.array(_WINDOWS) * columns / 2)
+    windows = np.array((1.0, 0.7, 0.5, 0.35, 0.25)) * columns / 2
+    tilt, start = _closed_in(np.abs(across), 0.0, (columns - 1) / 2, windows)
     line = np.asarray(start + tilt * np.arange(rows), np.float64)
     reach = min(line.min(), columns - 1 - line.max()) * math.cos(math.atan(tilt))
-    refuse_if(reach < _LEAST_KNOWN_REACH, "image: it has no edge that runs from top to bottom")
+    refuse_if(reach < 2, "image: it has no edge that runs from top to bottom")
     # Few rows hardly sample an edge finer than by pixels.
     return _across(image, line, tilt, 0, reach, _KNOTS * min(1.0, max(rows * abs(tilt), 1 / _KNOTS)))
 
@@ -199,7 +196,8 @@ def square_sharpness(image: NDArray[np.float64], row: float, column: float, side
     edges = []
     for turned, down, across in ((image, row, column), (image.T, column, row)):
         for sign in (-1, 1):
-            top, left = round(down) - reach, round(across + sign * side / 2) - reach
+            top = round(down) - reach
+            left = round(across + sign * side / 2) - reach
             refuse_if(
                 min(top, left) < 0 or top + 2 * reach > turned.shape[0] or left + 2 * reach > turned.shape[1],
                 "image: the edge of the square is not in view",
@@ -241,12 +239,16 @@ def _line(
     refuse_if(
         not steep.sum() > 0 or np.ptp(image) <= 0.1 * np.abs(image).max(), "image: it has no edge: all of it is alike"
     )
-    best, tilt, start = -1.0, 0.0, 0.0
+    best = -1.0
+    tilt = 0.0
+    start = 0.0
     for trial in np.linspace(-0.6, 0.6, 121):
-        place = columns - trial * rows
-        sums = np.bincount(np.round(place - place.min()).astype(int).ravel(), weights=steep.ravel())
+        offset = columns - trial * rows
+        sums = np.bincount(np.round(offset - offset.min()).astype(int).ravel(), weights=steep.ravel())
         if sums.max() > best:
-            best, tilt, start = float(sums.max()), float(trial), float(sums.argmax() + place.min())
+            best = float(sums.max())
+            tilt = float(trial)
+            start = float(sums.argmax() + offset.min())
     return _closed_in(slope, tilt, start, np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH)
 
 
@@ -262,7 +264,7 @@ def _closed_in(
         there = total > 0.3 * np.quantile(total, 0.95)
         refuse_if(there.sum() < _LEAST_REACH, "image: it has no edge that is straight")
         centres = (weight * columns).sum(axis=1)[there] / total[there]
-        tilt, start = (float(one) for one in np.polyfit(np.flatnonzero(there), centres, 1))
+        tilt, start = (float(coefficient) for coefficient in np.polyfit(np.flatnonzero(there), centres, 1))
     return tilt, start
 
 
@@ -286,17 +288,18 @@ def _rows_with_edge(
 
 def _half_width(across: NDArray[np.float64], line: NDArray[np.float64]) -> float:
     """Return how far an edge reaches from its line, which has a column in each row; refuse two edges side by side."""
-    place = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int)
-    count = np.bincount((place - place.min()).ravel())
-    profile = np.abs(np.bincount((place - place.min()).ravel(), across.ravel()) / count)[count >= 0.5 * len(line)]
-    middle = int(np.argmin(np.abs(np.flatnonzero(count >= 0.5 * len(line)) + place.min())))
+    offset = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int)
+    count = np.bincount((offset - offset.min()).ravel())
+    profile = np.abs(np.bincount((offset - offset.min()).ravel(), across.ravel()) / count)[count >= 0.5 * len(line)]
+    middle = int(np.argmin(np.abs(np.flatnonzero(count >= 0.5 * len(line)) + offset.min())))
     near = slice(max(middle - _LEAST_REACH, 0), middle + _LEAST_REACH + 1)
     peak = near.start + int(np.argmax(profile[near]))
     widest = 0
     for side in (profile[peak:], profile[peak::-1]):
-        foot = int(np.argmax(side < _FOOT * side[0])) or len(side)
+        # The edge ends where its slope falls to a tenth of the largest.
+        foot = int(np.argmax(side < 0.1 * side[0])) or len(side)
         rise = (side - np.minimum.accumulate(side))[:foot].max()
-        refuse_if(rise > _VALLEY * side[0], _TWO_EDGES)
+        refuse_if(rise > 0.15 * side[0], _TWO_EDGES)
         widest = max(widest, foot)
     return float(widest)
 
@@ -307,12 +310,12 @@ def _refuse_others(
     """Refuse an image with other edges beside the rows of the found edge."""
     columns = np.arange(slope.shape[1])
     offset = np.abs(columns - (start + tilt * index)[:, None]) / math.hypot(1, tilt)
-    own = slope[index]
-    height = np.median(np.max(own * (offset < 3), axis=1))
+    near_slope = slope[index]
+    height = np.median(np.max(near_slope * (offset < 3), axis=1))
     # What crosses the edge is in few rows.
     away = offset >= extent + 1
-    beside = np.quantile(np.max(own * away * (offset <= _REACH), axis=1), 0.95)
-    wide = np.median(np.max(own * away, axis=1))
+    beside = np.quantile(np.max(near_slope * away * (offset <= _REACH), axis=1), 0.95)
+    wide = np.median(np.max(near_slope * away, axis=1))
     refuse_if(height <= 0, "image: it has no edge: all of it is alike")
     refuse_if(max(beside, wide) > 0.3 * height, _TWO_EDGES)
 
@@ -325,8 +328,9 @@ def _transfer(
     The profile is a spline with a density of knots in a pixel.
     """
     order = np.argsort(distance)
-    distance, values = distance[order], values[order]
-    low, high = (float(values[part].mean()) for part in (distance < -0.7 * reach, distance > 0.7 * reach))
+    distance = distance[order]
+    values = values[order]
+    low, high = (float(values[side].mean()) for side in (distance < -0.7 * reach, distance > 0.7 * reach))
     refuse_if(
         not abs(high - low) > 0.1 * np.abs(values).max(), "image: it has no edge: both sides of its line are alike"
     )
@@ -345,8 +349,8 @@ def _transfer(
     fade = np.clip((reach - np.abs(fine)) / (0.4 * reach), 0, 1)
     spread = profile.derivative()(fine) * np.sin(0.5 * math.pi * fade) ** 2
     waves = np.exp(-2j * math.pi * _FREQUENCIES[:, None] * fine)
-    found = np.abs(waves @ spread)
-    return float(width), found / found[0]
+    spectrum = np.abs(waves @ spread)
+    return float(width), spectrum / spectrum[0]
 
 
 def _refuse_saturated(step: NDArray[np.float64], values: NDArray[np.float64]) -> None:
@@ -356,5 +360,5 @@ def _refuse_saturated(step: NDArray[np.float64], values: NDArray[np.float64]) ->
         if plateau.size < 0.2 * values.size:
             continue
         height = np.abs(step - plateau[0])
-        approaching, leaving = (np.count_nonzero((part > 0.02) & (part < 0.1)) for part in (height, 1 - height))
+        approaching, leaving = (np.count_nonzero((away > 0.02) & (away < 0.1)) for away in (height, 1 - height))
         refuse_if(approaching < 0.5 * leaving, "image: its edge is saturated: one side is cut off")

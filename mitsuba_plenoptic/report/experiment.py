@@ -74,10 +74,6 @@ def pinhole_image(
     return photograph(scene, sensor, spp)
 
 
-_FARTHEST = 1e12
-"""Distance up to which the truth is seen, in units of the scene."""
-
-
 def photographic_sensor(
     scene: Any, camera: PlenopticCamera, size: tuple[int, int], pixel_format: str = "luminance", **lens: Any
 ) -> Any:
@@ -87,7 +83,7 @@ def photographic_sensor(
         {
             "to_world": mi.ScalarTransform4f(scene.sensors()[0].world_transform().matrix.numpy()[..., 0]),
             # Mitsuba's own cameras see up to 10,000 units by default.
-            "far_clip": _FARTHEST,
+            "far_clip": 1e12,
             **lens,
             "fov": math.degrees(2 * math.atan(width / (2 * camera.mla_distance))),
             "film": {
@@ -111,13 +107,12 @@ def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
     total = np.zeros((rows, columns, sensor.film().base_channels_count()))
     counts = pass_counts(sensor, spp, max(1, _RAYS_PER_PASS // (columns * rows)))
     for index, count in enumerate(counts):
-        part = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
-        total += count / sum(counts) * np.array(part, dtype=np.float64)
+        image = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
+        total += count / sum(counts) * np.array(image, dtype=np.float64)
     return total[..., 0] if total.shape[2] == 1 else total
 
 
 OBJECT_COLUMNS = 1024
-_FEWEST_COLUMNS = 256
 
 
 class RefocusMethod(NamedTuple):
@@ -148,9 +143,6 @@ ORDINARY = "ordinary"
 
 EDGE_TILT = math.radians(5)
 """Angle of slanted edges, on which sharpness is measured, against the pixels."""
-
-_EDGE_BINS, _EDGE_PIXELS = (32, 32), (512, 128)
-"""Bins, or pixels of an ordinary camera, that see an edge; its diffraction reaches many pixels to the sides."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +219,7 @@ class Experiment:
     @property
     def light(self) -> str:
         """The wavelengths of the wave capture in nanometres, as text."""
-        return ", ".join(f"{each:g}" for each in np.atleast_1d(np.array(self.wave.wavelength)).tolist())
+        return ", ".join(f"{length:g}" for length in np.atleast_1d(np.array(self.wave.wavelength)).tolist())
 
     def grey(self) -> Experiment:
         """Return the experiment with the luminance of all images, in which colours are measured."""
@@ -304,10 +296,10 @@ def run_experiment(
     def refocus(*names: str) -> None:
         for method in (method for method in METHODS if method.name in names):
             # Lens by lens, a plane near focus takes much less by itself than with others.
-            wanted = [distances] if method.name in SLIDER_METHODS else [[distance] for distance in settings.distances]
-            for together in wanted:
-                made = refocused(store, method.name, *sources[method.source], together, method.options)
-                images.update({(method.name, distance): image for distance, image in made.items()})
+            groups = [distances] if method.name in SLIDER_METHODS else [[distance] for distance in settings.distances]
+            for together in groups:
+                results = refocused(store, method.name, *sources[method.source], together, method.options)
+                images.update({(method.name, distance): image for distance, image in results.items()})
 
     refocus("ray_of_ray")
     first(camera, images)
@@ -324,11 +316,11 @@ def run_experiment(
     if twin is not None:
         ordinary = against_ordinary(store, by_waves, scene, camera, twin, settings.distances[0])
     # Details much finer than the lenses are in no capture, and paths through a room of walls take long.
-    columns = min(OBJECT_COLUMNS, max(_FEWEST_COLUMNS, 8 * camera.bin_count[0]))
-    seen = replace(by_rays, spp=None).fingerprint()
+    columns = min(OBJECT_COLUMNS, max(256, 8 * camera.bin_count[0]))
+    scene_key = replace(by_rays, spp=None).fingerprint()
     pinhole, _ = store.image(
         "object",
-        {"scene": seen, "columns": columns},
+        {"scene": scene_key, "columns": columns},
         lambda _: (pinhole_image(scene, camera, columns, 64, colours), {"kind": "photograph"}),
     )
     truths = {}
@@ -342,7 +334,7 @@ def run_experiment(
             image = thin_lens_image(scene, camera, distance, spp, pixel_format=colours)
             return image, {"kind": "photograph", "distance": distance}
 
-        inputs = {"scene": seen, "distance": distance, "spp": spp}
+        inputs = {"scene": scene_key, "distance": distance, "spp": spp}
         truths[distance], _ = store.image(f"thin_lens_{distance:g}", inputs, thin_lens)
     return Experiment(
         settings=settings,
@@ -361,7 +353,7 @@ def run_experiment(
 
 
 def captured(
-    store: Cache, name: str, spec: CaptureSpec, scene: mi.Scene, seen: Any = None, **options: Any
+    store: Cache, name: str, spec: CaptureSpec, scene: mi.Scene, identity: Any = None, **options: Any
 ) -> tuple[Capture, str]:
     """Return a capture of a loaded scene as a stage, and the stage's key.
 
@@ -372,7 +364,7 @@ def captured(
         resumed = {"checkpoint": checkpoint} if spec.model == "wave" else {}
         return _grey(spec.render(scene, progress=progress, **resumed, **options))
 
-    return store.capture(name, {"capture": spec.fingerprint(), "seen": seen, **options}, make)
+    return store.capture(name, {"capture": spec.fingerprint(), "seen": identity, **options}, make)
 
 
 def ordinary_twin(camera: PlenopticCamera, distance: float) -> PlenopticCamera:
@@ -393,12 +385,13 @@ def against_ordinary(
 ) -> Ordinary:
     """Return what an ordinary camera is compared by: wave captures like the plenoptic one, as stages."""
     capture, _ = captured(store, "capture_ordinary", spec, with_camera(scene, twin), twin.to_dict())
-    lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in _EDGE_BINS)
+    lenses = tuple(round(count * camera.micro_image_pitch / camera.pixel_size) for count in (32, 32))
     recorded = {}
-    for name, whole, count in ((ORDINARY, twin, _EDGE_PIXELS), ("plenoptic", camera, lenses)):
-        middle = whole.replace(resolution=count, detector_width=count[0] * whole.pixel_size)
-        seen = {"camera": middle.to_dict(), "edge": distance}
-        recorded[name] = captured(store, f"edge_{name}", spec, edge_scene(middle, distance), seen)
+    # The edge's diffraction reaches many pixels of an ordinary camera to the sides.
+    for name, full_camera, count in ((ORDINARY, twin, (512, 128)), ("plenoptic", camera, lenses)):
+        middle = full_camera.replace(resolution=count, detector_width=count[0] * full_camera.pixel_size)
+        edge_key = {"camera": middle.to_dict(), "edge": distance}
+        recorded[name] = captured(store, f"edge_{name}", spec, edge_scene(middle, distance), edge_key)
     edges = {ORDINARY: recorded[ORDINARY][0].image}
     for method in METHODS:
         if method.name in SLIDER_METHODS:
@@ -445,14 +438,14 @@ def refocused(
 
     The first that is missing makes all, which share the propagation to the main lens.
     """
-    made: dict[float, Reconstruction] = {}
+    results: dict[float, Reconstruction] = {}
 
     def make(distance: float, progress: Progress) -> tuple[np.ndarray, dict[str, Any]]:
-        if not made:
+        if not results:
             together = reconstruct(capture, list(distances), progress=progress, **options)
-            made.update({result.distance: result for result in together})
-        facts = {"distance": distance, "bin_size": made[distance].bin_size, **options}
-        return made[distance].image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
+            results.update({result.distance: result for result in together})
+        facts = {"distance": distance, "bin_size": results[distance].bin_size, **options}
+        return results[distance].image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
 
     images = {}
     for distance in distances:

@@ -53,12 +53,12 @@ def encode(image: np.ndarray, bits: int, full: float) -> dict[str, Any]:
     The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits, the upper eight are stored
     above the lower eight in one picture. NaN is transparent. Values out of range are clipped.
     """
-    known = np.isfinite(image if image.ndim == 2 else image.sum(axis=2))
-    values = np.where(known if image.ndim == 2 else known[..., None], image, 0)
+    finite = np.isfinite(image if image.ndim == 2 else image.sum(axis=2))
+    values = np.where(finite if image.ndim == 2 else finite[..., None], image, 0)
     codes = np.rint((2**bits - 1) * srgb(np.clip(values / full, 0, 1))).astype(np.uint16)
     pixels = (codes if bits == 8 else np.concatenate([codes >> 8, codes & 255])).astype(np.uint8)
-    if not known.all():
-        opaque = np.tile(known, (bits // 8, 1)).astype(np.uint8) * 255
+    if not finite.all():
+        opaque = np.tile(finite, (bits // 8, 1)).astype(np.uint8) * 255
         pixels = np.dstack([pixels, opaque])
     source = data_url("png", encoded(Image.fromarray(pixels), format="PNG"))
     return {"source": source, "bits": bits, "full": full, "channels": 1 if image.ndim == 2 else 3}
@@ -93,9 +93,10 @@ def shrink(image: np.ndarray, longest: int) -> np.ndarray:
     if factor == 1:
         return image
     # A long and narrow image keeps at least one block on its short side.
-    down, across = min(factor, rows), min(factor, columns)
-    whole = image[: rows // down * down, : columns // across * across]
-    blocks = whole.reshape(rows // down, down, columns // across, across, *image.shape[2:])
+    down = min(factor, rows)
+    across = min(factor, columns)
+    divisible = image[: rows // down * down, : columns // across * across]
+    blocks = divisible.reshape(rows // down, down, columns // across, across, *image.shape[2:])
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
 
 
@@ -105,14 +106,6 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 
 _MOST_STOPS = 100.0
-
-_DEFAULT_PERCENTILE = 99.5
-
-# A lamp in sight covers more than the rest of the percentile once it is out of focus. Of a picture that is lit all
-# over, white is at most the last number times the 90th percentile. It is so where that percentile is at most the first
-# number times the median, and what does not surpass it holds at least the second part of the light: not so of stars
-# and letters on black, whose faint surroundings are even, too.
-_BULK, _ALIKE, _SHARE, _HIGHLIGHT = 90.0, 10.0, 0.1, 5.0
 
 
 @dataclass(frozen=True)
@@ -147,12 +140,15 @@ class Brightness:
         values = np.concatenate([image[np.isfinite(image)] for image in images])
         if not values.size:
             return 1.0
-        percentile = _DEFAULT_PERCENTILE if self.percentile is None else self.percentile
-        half, most, value = np.percentile(values, (50, _BULK, percentile))
-        if self.percentile is None and most <= _ALIKE * half:
-            shared = values[values <= most].sum(dtype=np.float64) >= _SHARE * values.sum(dtype=np.float64)
-            value = min(value, _HIGHLIGHT * most) if shared else value
-        return next((float(one) for one in (value, values.max()) if one > 0), 1.0)
+        percentile = 99.5 if self.percentile is None else self.percentile
+        # A lamp in sight covers more than the rest of the percentile once it is out of focus. White of a picture that
+        # is lit all over is at most five times the 90th percentile. Stars and letters on black, whose surroundings are
+        # even, too, have less than a tenth of their light there.
+        half, most, value = np.percentile(values, (50, 90.0, percentile))
+        if self.percentile is None and most <= 10.0 * half:
+            shared = values[values <= most].sum(dtype=np.float64) >= 0.1 * values.sum(dtype=np.float64)
+            value = min(value, 5.0 * most) if shared else value
+        return next((float(candidate) for candidate in (value, values.max()) if candidate > 0), 1.0)
 
 
 @dataclass(frozen=True)

@@ -24,18 +24,13 @@ from ..runtime import llvm
 from ..runtime.backend import DEFAULT_VARIANT
 from ..runtime.fft import worker_count
 
-_PACKAGES = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
-_CUPY = ("cupy-cuda12x", "cupy-cuda13x", "cupy")
 _MISSING = "not installed"
 
-DRIVER = 535
-"""Oldest NVIDIA driver whose OptiX Mitsuba 3.9 can use, as its documentation states it."""
-
 OPTIX = (
-    f"OptiX, by which Mitsuba traces rays on CUDA, is a part of NVIDIA's driver, {DRIVER} or newer; a container needs "
+    "OptiX, by which Mitsuba traces rays on CUDA, is a part of NVIDIA's driver, 535 or newer; a container needs "
     "NVIDIA_DRIVER_CAPABILITIES=all, and WSL 2 Mitsuba's instructions for it"
 )
-"""What to look at where a CUDA variant fails."""
+"""What to look at where a CUDA variant fails; the documentation of Mitsuba 3.9 states the driver."""
 
 TRIAL_SECONDS = 60.0
 """Time that a variant is given to render a triangle, its kernels not compiled yet."""
@@ -96,8 +91,9 @@ def inspect_installation() -> Installation:
     tried = [name for name in names if (cuda if name.startswith("cuda") else not problem)]
     with ThreadPoolExecutor(worker_count()) as pool:
         faults = dict(zip(tried, pool.map(trial, tried), strict=True))
+    packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
     sections = {
-        "Versions": [("python", python), *((name, _version(name)) for name in _PACKAGES)],
+        "Versions": [("python", python), *((name, _version(name)) for name in packages)],
         "LLVM": _llvm(),
         "GPU": _gpu(cuda, faults),
         "Variants": [(name, _state(name, faults)) for name in names],
@@ -117,10 +113,10 @@ def trial(variant: str) -> str:
         return f"no answer within {TRIAL_SECONDS:g} s"
     if answer.returncode == 0:
         return ""
-    said = answer.stderr.strip().splitlines()
+    errors = answer.stderr.strip().splitlines()
     if answer.returncode < 0:
-        return f"ended by {signal.Signals(-answer.returncode).name}" + (f" after: {said[-1]}" if said else "")
-    return said[-1] if said else f"exit status {answer.returncode}"
+        return f"ended by {signal.Signals(-answer.returncode).name}" + (f" after: {errors[-1]}" if errors else "")
+    return errors[-1] if errors else f"exit status {answer.returncode}"
 
 
 def _state(variant: str, faults: Mapping[str, str]) -> str:
@@ -135,7 +131,7 @@ def _state(variant: str, faults: Mapping[str, str]) -> str:
 
 
 def _llvm() -> list[tuple[str, str]]:
-    found = [
+    installed = [
         f"{item.path}: {item.version_text}, "
         + ("usable" if item.usable else f"too old, {llvm.MINIMUM} or newer is needed")
         for item in llvm.candidates()
@@ -143,7 +139,7 @@ def _llvm() -> list[tuple[str, str]]:
     named = os.environ.get(llvm.VARIABLE)
     loaded = tuple(drjit.detail.llvm_version())
     return [
-        *(("found", text) for text in found),
+        *(("found", text) for text in installed),
         ("chosen", f"{llvm.VARIABLE}={named}" if named else "none, left to Dr.Jit"),
         ("loaded", llvm.format_version(loaded) if loaded > (0,) else "none"),
         ("threads", str(drjit.thread_count())),
@@ -151,7 +147,8 @@ def _llvm() -> list[tuple[str, str]]:
 
 
 def _gpu(cuda: bool, faults: Mapping[str, str]) -> list[tuple[str, str]]:
-    cupy = next((found for name in _CUPY if (found := _version(name)) != _MISSING), None)
+    releases = (_version(name) for name in ("cupy-cuda12x", "cupy-cuda13x", "cupy"))
+    cupy = next((release for release in releases if release != _MISSING), None)
     device = "no NVIDIA driver"
     if shutil.which("nvidia-smi"):
         command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]

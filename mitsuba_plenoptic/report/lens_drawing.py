@@ -177,7 +177,8 @@ def field_figures(camera: PlenopticCamera, heights: tuple[float, ...]) -> list[F
     list of FieldFigures
         The figures of each height.
     """
-    bundles, b = _DrawnRays(camera, None), camera.mla_distance
+    bundles = _DrawnRays(camera, None)
+    b = camera.mla_distance
     figures: list[FieldFigures] = []
     area = 1
     for field in (0.0, *heights):
@@ -195,14 +196,6 @@ _FIELDS = (0.0, 0.7, 1.0)
 
 _RAYS = ("#1b6ca8", "#2a8f52", "#b8442e")
 """Colours of the rays to each of them."""
-
-_LINES = {"F": (LINE_F, "#2463d6"), "d": (LINE_D, "#d9a400"), "C": (LINE_C, "#d03b2f")}
-"""Wavelengths of the spots, by the names of their lines, and their colours."""
-
-_HEIGHTS = 13
-"""Field heights for which curves are computed."""
-
-_GLASS = "#dfeaf3"
 
 
 @styled
@@ -229,8 +222,8 @@ def draw_main_lens(path: Path, camera: PlenopticCamera) -> None:
     rows = plot.add_gridspec(2, 1, height_ratios=(3.6, 2.8))
     _surfaces(bare(plot.add_subplot(rows[0])), camera, corner, camera.prescription.name or "main lens")
     *spots, light, distortion = rows[1].subgridspec(1, 5, width_ratios=(2, 2, 2, 1.6, 1.6)).subplots(squeeze=False)[0]
-    for axes, part in zip(spots, _FIELDS, strict=True):
-        _spot(axes, camera, part * corner)
+    for axes, fraction in zip(spots, _FIELDS, strict=True):
+        _spot(axes, camera, fraction * corner)
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     _curves(light, distortion, camera, corner)
     plot.save(path)
@@ -243,22 +236,23 @@ def _surfaces(axes: Axes, camera: PlenopticCamera, corner: float, name: str) -> 
     # From the scene to the array z falls.
     vertices = lens.front - lens.scale * np.cumsum([surface.gap for surface in surfaces])
     profiles = []
-    for surface, vertex, given in zip(surfaces, vertices, lens.prescription.surfaces, strict=True):
-        radius = np.linspace(-1, 1, 65) * given.semi_aperture
+    for surface, vertex, described in zip(surfaces, vertices, lens.prescription.surfaces, strict=True):
+        radius = np.linspace(-1, 1, 65) * described.semi_aperture
         profiles.append((vertex - lens.scale * height(surface, radius**2), lens.scale * radius))
-    for index, given in enumerate(lens.prescription.surfaces):
+    for index, described in enumerate(lens.prescription.surfaces):
         (z, y), stop = profiles[index], index == lens.prescription.stop
-        if given.glass is not None:
+        if described.glass is not None:
             behind, below = profiles[index + 1]
             outline = np.concatenate([z, behind[::-1]]), np.concatenate([y, below[::-1]])
-            axes.fill(*outline, facecolor=_GLASS, edgecolor=INK, linewidth=0.8)
+            axes.fill(*outline, facecolor="#dfeaf3", edgecolor=INK, linewidth=0.8)
         if stop:
-            edge, open_to = float(np.max(np.abs(y))), float(lens.scale * lens.stop_radius)
+            edge = float(np.max(np.abs(y)))
+            open_to = float(lens.scale * lens.stop_radius)
             for side in (-1, 1):
                 axes.plot([z[32]] * 2, [side * open_to, side * 1.15 * edge], color=INK, linewidth=2.5)
     reach = 0.25 * camera.mla_distance
-    for part, colour in zip(_FIELDS, _RAYS, strict=True):
-        z, y = ray_paths(camera, part * corner)
+    for fraction, colour in zip(_FIELDS, _RAYS, strict=True):
+        z, y = ray_paths(camera, fraction * corner)
         slope = (np.zeros(z.shape[1]), (y[1] - y[0]) / (z[1] - z[0]))
         (_, last, front), (_, turned), _ = lens.trace((slope[0], y[0]), slope)
         end = lens.front + reach
@@ -279,7 +273,7 @@ def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
     """Draw the points at which rays of an object point meet the MLA, in three colours."""
     cell, name = (camera.mla_pitch, "microlens") if camera.has_array else (camera.pixel_size, "pixel")
     largest = 0.5 * cell
-    for line, (wavelength, colour) in _LINES.items():
+    for line, wavelength, colour in (("F", LINE_F, "#2463d6"), ("d", LINE_D, "#d9a400"), ("C", LINE_C, "#d03b2f")):
         x, y = spot(camera, height, wavelength)
         some = slice(None, None, max(1, len(x) // 600))
         axes.plot(x[some], y[some], ".", color=colour, markersize=1.2, label=line)
@@ -294,11 +288,11 @@ def _spot(axes: Axes, camera: PlenopticCamera, height: float) -> None:
 
 def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: float) -> None:
     """Draw light and distortion over the field."""
-    figures = field_figures(camera, tuple((corner * np.linspace(0, 1, _HEIGHTS)).tolist()))
-    heights = [each.height for each in figures]
+    figures = field_figures(camera, tuple((corner * np.linspace(0, 1, 13)).tolist()))
+    heights = [field_height.height for field_height in figures]
     for axes, values, title in (
-        (light, [100 * each.light for each in figures], "light, %"),
-        (distortion, [100 * each.distortion for each in figures], "distortion, %"),
+        (light, [100 * field_height.light for field_height in figures], "light, %"),
+        (distortion, [100 * field_height.distortion for field_height in figures], "distortion, %"),
     ):
         axes.plot(values, heights, color=_RAYS[0])
         axes.set_title(title, size=9, color=INK, loc="left")
@@ -306,4 +300,4 @@ def _curves(light: Axes, distortion: Axes, camera: PlenopticCamera, corner: floa
         axes.xaxis.set_major_locator(MaxNLocator(2))
         axes.yaxis.set_major_locator(MaxNLocator(4))
         axes.tick_params(labelsize=7, color=INK, labelcolor=INK)
-    light.set_xlim(0, max(105, *(105 * each.light for each in figures)))
+    light.set_xlim(0, max(105, *(105 * field_height.light for field_height in figures)))

@@ -40,9 +40,9 @@ class ImageMetrics:
     energy: float
 
 
-def rounded(found: ImageMetrics | Difference) -> dict[str, Any]:
+def rounded(metrics: ImageMetrics | Difference) -> dict[str, Any]:
     """Return figures by name, rounded to their significant digits."""
-    return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(found).items()}
+    return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(metrics).items()}
 
 
 def ssim_text(ssim: float | None) -> str:
@@ -63,24 +63,24 @@ def image_metrics(image: np.ndarray, reference: np.ndarray) -> ImageMetrics:
     Samples that are NaN in either are not compared: the error, the peak and the sums are those of all others, the
     structural similarity that of the windows without such samples, by channel.
     """
-    image, reference = (as_array(*each, np.float32) for each in (("image", image), ("reference", reference)))
-    known = ~(np.isnan(image) | np.isnan(reference))
-    if not known.any():
+    image, reference = (as_array(*pixels, np.float32) for pixels in (("image", image), ("reference", reference)))
+    finite = ~(np.isnan(image) | np.isnan(reference))
+    if not finite.any():
         return ImageMetrics(psnr=math.nan, ssim=None, energy=math.nan)
-    peak = float(reference[known].max())
-    mean_square = float(np.mean((image - reference)[known] ** 2, dtype=np.float64))
-    energy, total = (float(each[known].sum(dtype=np.float64)) for each in (image, reference))
+    peak = float(reference[finite].max())
+    mean_square = float(np.mean((image - reference)[finite] ** 2, dtype=np.float64))
+    energy, total = (float(pixels[finite].sum(dtype=np.float64)) for pixels in (image, reference))
     window = (_WINDOW, _WINDOW, 1)[: image.ndim]
     # Windows that lie within the image and know all of their samples.
-    whole = scipy.ndimage.minimum_filter(known, window, mode="constant", cval=0)
+    complete = scipy.ndimage.minimum_filter(finite, window, mode="constant", cval=0)
     ssim = None
-    if whole.any() and peak > 0:
-        filled = (np.where(known, each, 0) for each in (image, reference))
+    if complete.any() and peak > 0:
+        filled = (np.where(finite, pixels, 0) for pixels in (image, reference))
         channels = -1 if image.ndim == 3 else None
         _, likeness = skimage.metrics.structural_similarity(
             *filled, win_size=_WINDOW, data_range=peak, channel_axis=channels, full=True
         )
-        ssim = float(likeness[whole].mean(dtype=np.float64))
+        ssim = float(likeness[complete].mean(dtype=np.float64))
     psnr = math.inf if mean_square == 0 else -math.inf
     if mean_square > 0 and peak > 0:
         psnr = -10 * math.log10(mean_square / peak**2)
@@ -138,16 +138,6 @@ def shape_window(camera: PlenopticCamera, low: np.ndarray, high: np.ndarray) -> 
     return spans[0], spans[1]
 
 
-_MIDDLE = 0.8
-"""Radius of a micro-image's middle, seen through which nothing of the pupil's edge is near, over the whole radius."""
-
-_DEVIATIONS = 3.0
-"""Standard deviations beyond which a difference is more than noise."""
-
-_ESTIMATE = 0.03
-"""Part of the variances by which they may be wrong themselves: their estimates rest on sixteen numbers a pixel."""
-
-
 @dataclass(frozen=True)
 class Difference:
     """Difference of two captures over some pixels, relative to the root mean square of the second capture.
@@ -191,13 +181,14 @@ def capture_difference(a: Capture, b: Capture, pixels: np.ndarray | None = None)
     # A squared normal deviate has twice the square of its variance for a variance.
     uncertain = math.sqrt(2 * float(np.sum(variances**2)))
     excess = squares - expected
-    alone = excess <= max(_DEVIATIONS * uncertain, _ESTIMATE * expected)
+    # Variances may be wrong by 3 % themselves: their estimates rest on sixteen numbers a pixel.
+    alone = excess <= max(3.0 * uncertain, 0.03 * expected)
     return Difference(measured, _root(expected, reference), _root(excess, reference), alone)
 
 
 def middle_of_micro_images(camera: PlenopticCamera) -> np.ndarray:
     """Return a mask (rows, columns) of pixels that see the main lens within four fifths of its radius."""
-    return np.asarray(white_image(camera.replace(aperture_radius=_MIDDLE * camera.aperture_radius)) > 0.5)
+    return np.asarray(white_image(camera.replace(aperture_radius=0.8 * camera.aperture_radius)) > 0.5)
 
 
 def _root(squares: float, reference: float) -> float:

@@ -19,11 +19,6 @@ from .plots import INK, Plot, styled
 _SAMPLES = 256
 """Samples across a lens."""
 
-_RAYS = 15
-"""Rays in the section."""
-
-_RAY = "#c1443c"
-
 
 @styled
 def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None = None) -> None:
@@ -55,9 +50,9 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     lens, section, light = plot.subplots(1, 3, width_ratios=(1.2, 1.2, 1))
     ends = 1e3 * along[0], 1e3 * along[-1]
     phase = np.where(inside, waves - waves[inside].max(), np.nan)
-    drawn = lens.imshow(phase, origin="lower", extent=(*ends, *ends), cmap="viridis")
+    mesh = lens.imshow(phase, origin="lower", extent=(*ends, *ends), cmap="viridis")
     _frame(lens, "phase of the lens", "um from its centre")
-    plot.colour_bar(drawn, lens, "waves")
+    plot.colour_bar(mesh, lens, "waves")
     _section(section, camera, wavelength)
     _spot(light, camera, np.where(inside, np.exp(2j * np.pi * waves), 0), along, wavelength)
     plot.save(path)
@@ -80,13 +75,13 @@ def _slopes(camera: PlenopticCamera, u: NDArray, wavelength: float) -> NDArray[n
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     """Draw a section of the lens, with rays parallel to the axis to half the detector distance beyond the detector."""
     half = float(camera.lattice.aperture_width) / 2
-    start = np.linspace(-1, 1, _RAYS) * half * 0.98
+    start = np.linspace(-1, 1, 15) * half * 0.98
     sine = _slopes(camera, start, wavelength) / camera.mla_medium
     slope = sine / np.sqrt(1 - np.minimum(sine * sine, 0.999))
     z = camera.detector_distance
     ends = np.array([-0.3 * z, 0.0, 1.5 * z])
     heights = np.stack([start, start, start + slope * ends[2]])
-    axes.plot(1e3 * ends, 1e3 * heights, color=_RAY, linewidth=0.7)
+    axes.plot(1e3 * ends, 1e3 * heights, color="#c1443c", linewidth=0.7)
     axes.plot([0, 0], [-1e3 * half, 1e3 * half], color=INK, linewidth=2)
     axes.axvline(1e3 * z, color=INK, linewidth=0.8, linestyle="--")
     axes.set_ylim(-1.1e3 * half, 1.1e3 * half)
@@ -99,9 +94,9 @@ def _spot(axes: Axes, camera: PlenopticCamera, field: NDArray, along: NDArray[np
     """Draw the square root of the detector intensity for parallel light, from Fresnel's integral."""
     scale = in_millimetres(wavelength) * camera.reduced_distance
     reach = max(4 * scale / float(camera.lattice.aperture_width), 1.5 * camera.pixel_size)
-    place = np.linspace(-reach, reach, 161)
+    positions = np.linspace(-reach, reach, 161)
     chirp = np.exp(1j * np.pi * along**2 / scale)
-    wave = np.exp(-2j * np.pi * np.outer(place, along) / scale) * chirp
+    wave = np.exp(-2j * np.pi * np.outer(positions, along) / scale) * chirp
     spot = np.abs(wave @ field @ wave.T)
     axes.imshow(spot, origin="lower", extent=(-1e3 * reach, 1e3 * reach) * 2, cmap="magma")
     _frame(axes, f"amplitude on the detector, {wavelength:.4g} nm", "um")

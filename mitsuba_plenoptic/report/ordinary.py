@@ -22,15 +22,6 @@ from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 
 _TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
 
-_FREQUENCIES = 128
-"""Frequencies at which transfer functions are stated."""
-
-_LEAST = 1 / 32
-"""The least one of the frequencies in cycles per bin."""
-
-_CLOSE = 8
-"""Bins across a close-up."""
-
 
 def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, Any]:
     """Return the sharpness of an ordinary camera and of refocused images, in the plane in focus.
@@ -38,10 +29,12 @@ def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, An
     Frequencies are in cycles per millimetre of that plane. Transfer functions include the pixels and end at one cycle
     per pixel; beyond half a cycle they rest on the slant of the edge, as a picture cannot hold such detail.
     """
-    camera, distance = ordinary.capture.camera, ordinary.distance
+    camera = ordinary.capture.camera
+    distance = ordinary.distance
     on_detector = 2 * camera.pupil_radius / (in_millimetres(experiment.settings.wavelength) * camera.pupil_distance)
     cutoff = on_detector * camera.mla_distance / distance
-    frequency = np.geomspace(_LEAST / experiment.camera.bin_size(distance), cutoff, _FREQUENCIES)
+    # From a 32nd of a cycle per bin.
+    frequency = np.geomspace((1 / 32) / experiment.camera.bin_size(distance), cutoff, 128)
     share = np.minimum(frequency / cutoff, 1)
     pictures = []
     for name, image in _pictures(experiment, ordinary).items():
@@ -79,7 +72,8 @@ def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, np.ndarra
 
 def _pixel(experiment: Experiment, ordinary: Ordinary, name: str) -> float:
     """Return the width in the plane in focus of a picture's pixels or bins, in millimetres."""
-    camera, distance = ordinary.capture.camera, ordinary.distance
+    camera = ordinary.capture.camera
+    distance = ordinary.distance
     if name == ORDINARY:
         return camera.pixel_in_object(distance)
     return experiment.camera.bin_size(distance)
@@ -129,22 +123,23 @@ def figure_pictures(path: Path, experiment: Experiment, ordinary: Ordinary) -> N
     pixels = {name: _pixel(experiment, ordinary, name) for name in pictures}
     sides = np.array([np.array(image.shape[:2]) * pixels[name] for name, image in pictures.items()])
     high, wide = sides.min(axis=0) / 2
-    close = min(_CLOSE / 2 * experiment.camera.bin_size(ordinary.distance), high, wide)
+    # Half of the close-up's eight bins.
+    close = min(4 * experiment.camera.bin_size(ordinary.distance), high, wide)
     # Details that bins blur, without the noise of single pixels.
     smooth = uniform_filter(luminance(pictures[ORDINARY]), max(1, round(pixels["ray"] / (2 * pixels[ORDINARY]))))
     down, right = _most_contrast(smooth, pixels[ORDINARY], (high, wide), close)
     peak = Brightness().peak([pictures[ORDINARY]])
     plot = Plot(2.4 * len(pictures) + 0.1)
     panels = plot.panels(2, len(pictures), (high / wide, 1))
-    for (name, image), whole, crop in zip(pictures.items(), *panels, strict=True):
-        for axes, middle, half in ((whole, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
+    for (name, image), overview, crop in zip(pictures.items(), *panels, strict=True):
+        for axes, middle, half in ((overview, (0.0, 0.0), (high, wide)), (crop, (down, right), (close, close))):
             show(axes, image, "", peak=peak)
             _frame(axes, image.shape, pixels[name], middle, half)
             if name == ORDINARY:
                 scale_bar(axes, 2 * half[1], f"at {ordinary.distance:g} mm")
         corner = right - close, down - close
-        whole.add_patch(Rectangle(corner, 2 * close, 2 * close, fill=False, edgecolor=ACCENT, linewidth=1))
-        annotate(whole, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
+        overview.add_patch(Rectangle(corner, 2 * close, 2 * close, fill=False, edgecolor=ACCENT, linewidth=1))
+        annotate(overview, title=_TITLES[name], foot=f"{image.shape[1]} x {image.shape[0]} pixels")
     plot.save_both(path)
 
 
@@ -152,7 +147,8 @@ def _frame(
     axes: Axes, shape: tuple[int, ...], pixel: float, middle: tuple[float, float], half: tuple[float, float]
 ) -> None:
     """Show a part of an image, whose middle and half sides, downwards and to the right, are in millimetres."""
-    down, right = shape[0] * pixel / 2, shape[1] * pixel / 2
+    down = shape[0] * pixel / 2
+    right = shape[1] * pixel / 2
     axes.images[0].set_extent((-right, right, down, -down))
     axes.set_xlim(middle[1] - half[1], middle[1] + half[1])
     axes.set_ylim(middle[0] + half[0], middle[0] - half[0])
@@ -161,11 +157,13 @@ def _frame(
 def _most_contrast(image: np.ndarray, pixel: float, half: tuple[float, float], close: float) -> tuple[float, float]:
     """Return the middle in mm, within half sides, of the square of half a side `close` that has the most contrast."""
     slope = uniform_filter(np.hypot(*np.gradient(image)), max(1, round(2 * close / pixel)))
-    places = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
-    inside = [np.flatnonzero(np.abs(place) <= side - close + pixel) for place, side in zip(places, half, strict=True)]
-    row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [part.size for part in inside])
+    centres = [(np.arange(count) + 0.5 - count / 2) * pixel for count in image.shape]
+    inside = [
+        np.flatnonzero(np.abs(centre) <= side - close + pixel) for centre, side in zip(centres, half, strict=True)
+    ]
+    row, column = np.unravel_index(np.argmax(slope[np.ix_(*inside)]), [indices.size for indices in inside])
     reach = np.array(half) - close
-    down, right = np.clip([places[0][inside[0][row]], places[1][inside[1][column]]], -reach, reach)
+    down, right = np.clip([centres[0][inside[0][row]], centres[1][inside[1][column]]], -reach, reach)
     return float(down), float(right)
 
 
@@ -178,8 +176,8 @@ def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
     for picture in measured["pictures"]:
         transfer = np.array(picture["transfer"])
         cycles = frequency[: transfer.size]
-        held = cycles <= picture["nyquist_per_mm"]
-        (line,) = axes.plot(cycles[held], transfer[held], linewidth=1.6, label=picture["title"])
+        resolved = cycles <= picture["nyquist_per_mm"]
+        (line,) = axes.plot(cycles[resolved], transfer[resolved], linewidth=1.6, label=picture["title"])
         axes.plot(cycles, transfer, linewidth=0.6, color=line.get_color())
     axes.plot(frequency, measured["diffraction"], "--", color=FAINT, linewidth=1.2, label="Diffraction at the pupil")
     axes.set(xscale="log", xlim=(frequency[0], frequency[-1]), ylim=(0, 1.05), yticks=np.linspace(0, 1, 6))

@@ -155,7 +155,8 @@ def write_depth(path: str | Path, found: xr.Dataset, drawing: Drawing = _AUTOMAT
         drawing = replace(drawing, figure=True)
     parts = {str(name): np.asarray(values) for name, values in found.items()}
     # Even steps of disparity are what the eye would see.
-    low, high = float(parts["disparity"].min()), float(parts["disparity"].max())
+    low = float(parts["disparity"].min())
+    high = float(parts["disparity"].max())
     closeness = (high - parts["disparity"]) / ((high - low) or 1)
     white = drawing.brightness.peak([parts["image"]])
     maps = [parts["image"] / white, closeness, parts["confidence"]]
@@ -202,6 +203,6 @@ def as_parts(**images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
 def _tiled(images: list[np.ndarray]) -> np.ndarray:
     """Return images of one size in rows of one picture, nearly square; empty positions stay black."""
     columns = int(np.ceil(np.sqrt(len(images))))
-    every = images + [np.zeros_like(images[0])] * (-len(images) % columns)
-    rows = [np.concatenate(every[i : i + columns], axis=1) for i in range(0, len(every), columns)]
+    tiles = images + [np.zeros_like(images[0])] * (-len(images) % columns)
+    rows = [np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)]
     return np.concatenate(rows, axis=0)

@@ -39,7 +39,8 @@ FAINT = "#667080"
 ACCENT = "#ffb000"
 """Colours of text, of remarks and of what is marked."""
 
-DPI, PRINT_DPI = 160, 300
+DPI = 160
+PRINT_DPI = 300
 """Dots per inch of figures of reports and of papers."""
 
 _GAP = 0.05
@@ -83,7 +84,7 @@ class Plot(Figure):
 
     def colour_bar(
         self,
-        drawn: Any,
+        artist: Any,
         beside: Any,
         label: str,
         *,
@@ -93,7 +94,7 @@ class Plot(Figure):
     ) -> Any:
         """Add a colour bar for an image beside its axes, or beside all that share its colours, and return it."""
         rows = {axes.get_subplotspec().rowspan.start for axes in np.ravel(beside)}
-        bar = self.colorbar(drawn, ax=beside, location=location, extend=extend, aspect=24 * len(rows), pad=0.02)
+        bar = self.colorbar(artist, ax=beside, location=location, extend=extend, aspect=24 * len(rows), pad=0.02)
         return explained(bar, label, text)
 
     @styled
@@ -144,7 +145,8 @@ def explained(bar: Any, label: str, size: float) -> Any:
     return bar
 
 
-ON_DETECTOR, IN_FOCUS = "on the detector", "in the plane in focus"
+ON_DETECTOR = "on the detector"
+IN_FOCUS = "in the plane in focus"
 """Planes of scale bars, besides distances."""
 
 
@@ -168,8 +170,10 @@ def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "", siz
 
 def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
     """Draw the frame of a close-up on the picture of the whole detector."""
-    x, y = (zoom.columns.start - corner[1]) / factor, (zoom.rows.start - corner[0]) / factor
-    width, height = (zoom.columns.stop - zoom.columns.start) / factor, (zoom.rows.stop - zoom.rows.start) / factor
+    x = (zoom.columns.start - corner[1]) / factor
+    y = (zoom.rows.start - corner[0]) / factor
+    width = (zoom.columns.stop - zoom.columns.start) / factor
+    height = (zoom.rows.stop - zoom.rows.start) / factor
     axes.add_patch(Rectangle((x, y), width, height, fill=False, edgecolor=ACCENT, linewidth=1.2))
     axes.annotate(
         name,
@@ -191,7 +195,8 @@ def scale_bar(axes: Axes, width: float, plane: str = "", *, below: bool = False,
     """
     digit = 10.0 ** math.floor(math.log10(0.3 * width))
     length = next(step * digit for step in (5.0, 2.0, 1.0) if step * digit <= 0.3 * width)
-    fraction, label = length / width, f"{length:g} mm {plane}".strip()
+    fraction = length / width
+    label = f"{length:g} mm {plane}".strip()
     thick = 0.045
     left, low, colour = (0.0, -3 * thick, INK) if below else (0.04, 2.5 * thick, "white")
     # Along the picture in fractions of its width, upwards in inches from its lower edge.
@@ -215,16 +220,14 @@ def object_bar(axes: Axes, camera: PlenopticCamera, distance: float, window: Win
         scale_bar(axes, width, f"at {distance:g} mm")
 
 
-_COLUMN, _PAGE = 3.4, 7.0
+_COLUMN = 3.4
+_PAGE = 7.0
 """Widths in inches of a column and of a page of two columns."""
 
 _TEXT = 7.0
-_LINE, _SIDE, _SCALE = 0.2, 0.24, 0.6
+_LINE = 0.2
 """Inches of a sheet for a line of text, for labels on the left, and for a colour bar."""
-
-_BACK, _HATCH = "#eef0f3", "#9aa3ad"
 _AT_DISTANCE = "bars: lengths at the distance of each image"
-_MOST_LABELS = 9
 
 
 @dataclass(frozen=True)
@@ -266,18 +269,20 @@ def contact_sheet(results: Sequence[Reconstruction], white: float | None = None)
     """
     refuse_if(not results, "results: give at least one")
     refuse_if(
-        not all(are_alike(one.camera, results[0].camera) for one in results), "results: they must be by one camera"
+        not all(are_alike(result.camera, results[0].camera) for result in results),
+        "results: they must be by one camera",
     )
-    found = {(one.method, one.distance): one for one in results}
-    methods = list(dict.fromkeys(one.method for one in results))
-    distances = sorted({one.distance for one in results})
+    by_key = {(result.method, result.distance): result for result in results}
+    methods = list(dict.fromkeys(result.method for result in results))
+    distances = sorted({result.distance for result in results})
 
     def panel(method: str, distance: float) -> Panel:
-        one, title = found.get((method, distance)), _distance(distance)
-        if one is None:
+        result = by_key.get((method, distance))
+        title = _distance(distance)
+        if result is None:
             return Panel(np.zeros((0, 0)), title)
-        width = one.image.shape[1] * one.bin_size if np.isfinite(distance) else None
-        return Panel(one.image, title, width)
+        width = result.image.shape[1] * result.bin_size if np.isfinite(distance) else None
+        return Panel(result.image, title, width)
 
     rows = [[panel(method, distance) for distance in distances] for method in methods]
     return _sheet(rows, methods if len(methods) > 1 else [], white, _AT_DISTANCE)
@@ -365,7 +370,7 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
     plot = Plot(_COLUMN, dpi=PRINT_DPI)
     ((axes,),) = plot.panels(1, 1, 0.55)
     edges = [edge for name in (across, down) for edge in _edges(image[name].values)]
-    drawn = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
+    artist = _draw(axes, values, _grey([values], white), extent=(edges[0], edges[1], edges[3], edges[2]))
     axes.set_frame_on(True)
     for axis, name in ((axes.xaxis, across), (axes.yaxis, down)):
         axis.set_major_locator(MaxNLocator(5))
@@ -373,7 +378,7 @@ def epipolar_figure(image: xr.DataArray, white: float | None = None) -> Plot:
     axes.tick_params(labelsize=_TEXT, labelcolor=INK, color=INK, width=0.5, length=2)
     axes.spines[:].set(linewidth=0.5, color=INK)
     if values.ndim == 2:
-        plot.colour_bar(drawn, axes, "radiance", text=_TEXT, extend=_end(values, drawn.norm))
+        plot.colour_bar(artist, axes, "radiance", text=_TEXT, extend=_end(values, artist.norm))
     return plot
 
 
@@ -395,10 +400,11 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     """
     sought, unit = ("Depth", "mm from the main lens") if "depth" in found else ("Disparity", "lenses per view")
     found = found if "depth" in found else found.assign(depth=found.disparity.where(found.confidence > 0.5))
-    image, depth = np.asarray(found["image"].values), np.asarray(found["depth"].values)
-    known = depth[np.isfinite(depth)]
-    near, far = (float(known.min()), float(known.max())) if known.size else (found.attrs["near"], found.attrs["far"])
-    unknown = "" if known.size == depth.size else "; hatched: unknown"
+    image = np.asarray(found["image"].values)
+    depth = np.asarray(found["depth"].values)
+    finite = depth[np.isfinite(depth)]
+    near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
+    unknown = "" if finite.size == depth.size else "; hatched: unknown"
     maps: list[tuple[str, np.ndarray, Any, str, str]] = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
@@ -407,14 +413,14 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     plot = Plot(_PAGE, dpi=PRINT_DPI)
     (panels,) = plot.panels(1, len(maps), depth.shape[0] / depth.shape[1])
     for axes, (title, values, norm, colours, label) in zip(panels, maps, strict=True):
-        drawn = _draw(axes, values, norm, colours)
+        artist = _draw(axes, values, norm, colours)
         annotate(axes, title=title, size=_TEXT)
         if (across := _in_focus(found)) is not None:
             scale_bar(axes, across, IN_FOCUS, size=_TEXT)
         if values.ndim == 3:
             annotate(axes, title=title, foot=f"white: radiance {norm.vmax:.3g}", size=_TEXT)
         else:
-            bar = plot.colour_bar(drawn, axes, label, location="bottom", text=_TEXT, extend=_end(values, norm))
+            bar = plot.colour_bar(artist, axes, label, location="bottom", text=_TEXT, extend=_end(values, norm))
             bar.locator = MaxNLocator(4)
             bar.update_ticks()
     return plot
@@ -427,12 +433,13 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
     grey = images[0].ndim == 2
     columns = max(len(row) for row in rows)
     norm = _grey(images, white)
-    drawn: Any = None
+    scaled: Any = None
     stated = [] if grey else [f"white: radiance {norm.vmax:.3g}"]
     stated += [bars] if any(panel.width is not None for row in rows for panel in row) else []
     # Constrained layout takes minutes for the hundreds of views of a light field. All texts are of one size.
     across = _COLUMN if columns < 3 else _PAGE
-    left, right = _SIDE if labels else 0.0, across - (_SCALE if grey else 0.0)
+    left = 0.24 if labels else 0.0
+    right = across - (0.6 if grey else 0.0)
     wide = (right - left - (columns - 1) * _GAP) / columns
     tall = wide * images[0].shape[0] / images[0].shape[1]
     between = _LINE if any(panel.title for row in rows[1:] for panel in row) else _GAP
@@ -448,8 +455,8 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
             first = axes is panels[down, 0]
             annotate(bare(axes), title=panel.title, side=labels[down] if labels and first else "", size=_TEXT)
             if panel.image.size:
-                shown = _draw(axes, panel.image, norm)
-                drawn = drawn or shown
+                artist = _draw(axes, panel.image, norm)
+                scaled = scaled or artist
                 if panel.width is not None:
                     scale_bar(axes, panel.width, size=_TEXT)
         for axes in panels[down, len(row) :]:
@@ -461,7 +468,7 @@ def _sheet(rows: Sequence[Sequence[Panel]], labels: Sequence[str], white: float 
         where = plot.add_axes(
             (edges["right"] + _GAP / across, edges["bottom"], 0.1 / across, edges["top"] - edges["bottom"])
         )
-        explained(plot.colorbar(drawn, cax=where, extend=_end(values, norm)), "radiance", _TEXT)
+        explained(plot.colorbar(scaled, cax=where, extend=_end(values, norm)), "radiance", _TEXT)
     return plot
 
 
@@ -477,16 +484,16 @@ def _grey(images: Sequence[np.ndarray], white: float | None) -> FuncNorm:
 
 def _draw(axes: Axes, values: np.ndarray, norm: Normalize, colours: str = "gray", **options: Any) -> Any:
     """Draw an image or a map with hatched NaN; return the artist."""
-    known = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
-    if not known.all():
+    finite = np.isfinite(values if values.ndim == 2 else values.sum(axis=2))
+    if not finite.all():
         with matplotlib.rc_context({"hatch.linewidth": 0.4}):
             back = Rectangle((0, 0), 1, 1, transform=axes.transAxes, zorder=-1, linewidth=0, hatch="/////////")
-            back.set(facecolor=_BACK, edgecolor=_HATCH)
+            back.set(facecolor="#eef0f3", edgecolor="#9aa3ad")
             axes.add_patch(back)
     options |= {"interpolation": "none", "aspect": "auto"}
     if values.ndim == 2:
-        return axes.imshow(np.ma.masked_where(~known, values), cmap=colours, norm=norm, **options)
-    opaque = 255 * known.astype(np.uint8)
+        return axes.imshow(np.ma.masked_where(~finite, values), cmap=colours, norm=norm, **options)
+    opaque = 255 * finite.astype(np.uint8)
     return axes.imshow(np.dstack([to_bytes(values, norm.vmax), opaque]), **options)
 
 
@@ -515,8 +522,8 @@ def _edges(positions: np.ndarray) -> tuple[float, float]:
 
 def _labels(positions: np.ndarray, name: str, unit: str) -> list[str]:
     """Return labels of positions, few enough not to overlap; the first names the quantity."""
-    every = -(-len(positions) // _MOST_LABELS)
-    texts = [f"{value:.2f}" if index % every == 0 else "" for index, value in enumerate(positions + 0.0)]
+    stride = -(-len(positions) // 9)
+    texts = [f"{value:.2f}" if index % stride == 0 else "" for index, value in enumerate(positions + 0.0)]
     return [f"{name} = {texts[0]}{unit}", *texts[1:]]
 
 

@@ -50,7 +50,7 @@ def lit_window(images: Sequence[np.ndarray], *, fraction: float = 0.03, margin: 
     for axis in (1, 0):
         ends = []
         for image in images:
-            most = image.max(axis=tuple(other for other in range(image.ndim) if other != 1 - axis))
+            most = image.max(axis=tuple(axes_left for axes_left in range(image.ndim) if axes_left != 1 - axis))
             lit = np.flatnonzero(most > fraction * image.max())
             middle = image.shape[1 - axis] / 2
             if lit.size:
@@ -66,7 +66,7 @@ def brightest_zoom(experiment: Experiment) -> Zoom:
     columns, rows = camera.bin_count
     of_lenses = experiment.ray.image
     for axis, count in enumerate((rows, columns)):
-        of_lenses = np.stack([part.mean(axis) for part in np.array_split(of_lenses, count, axis)], axis)
+        of_lenses = np.stack([block.mean(axis) for block in np.array_split(of_lenses, count, axis)], axis)
     gradient = np.hypot(*np.gradient(of_lenses))
     half = _LENSES // 2
     inner = gradient[half : rows - half, half : columns - half]
