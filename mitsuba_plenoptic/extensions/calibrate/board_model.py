@@ -54,15 +54,23 @@ AT = {name: index for index, name in enumerate(NAMES)}
 
 @dataclass(frozen=True)
 class Observations:
-    """Observed corners or centres, as arrays with one row per observation."""
+    """Observed corners or centres, as arrays with one row per observation.
 
-    # Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them, (n, 2).
+    Attributes
+    ----------
+    lens : (n, 2) array
+        Position of the lens in the unit frame of its lattice, in pitches along the rows and rows across them.
+    pixel : (n, 2) array
+        Column and row; the centre of the first pixel is 0.
+    board : (n, 2) array
+        Position of the corner on its board in mm.
+    pose : (n,) array
+        Index of the board's pose, from 0.
+    """
+
     lens: np.ndarray
-    # Column and row; the centre of the first pixel is 0, (n, 2).
     pixel: np.ndarray
-    # Position of the corner on its board in mm, (n, 2).
     board: np.ndarray
-    # Index of the board's pose, from 0.
     pose: np.ndarray
 
     def __len__(self) -> int:
