@@ -12,32 +12,18 @@ from .refocusing import moved
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
 _WINDOW = 0.85
 
-# What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out less.
-_HALF = 2.0
-
 # Views that have the noise of one: decoding interpolates them between the same pixels.
 _SHARED = 2.0
 
 # Steps between the nearest views without a common pixel. They differ by noise, and by little else near the right plane.
 _APART = 2
 
-# Fraction of the views that must see a bin: few agree by chance.
-_SEEN = 0.25
-
 # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
 # coordinate says, which would pull depths towards the plane in focus.
 _OPEN = 0.9
 
-# Bins that are background of the texture of a bin, and those that show it: standard deviations of Gaussian windows.
-_BACKGROUND, _PATCH = 4.0, 3.0
-
-# Correlation of a texture with its Laplacian: at most the first where it has many frequencies, above the second where
-# it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
-_BROAD, _SINGLE = 0.88, 0.96
-
-# Mean frequency of a texture, in cycles per lens, in the mean of views that were moved: interpolation leaves what is
-# broad below the first, found up to 0.28, stripes as fine as a lens stay above the second.
-_COARSE, _FINE = 0.33, 0.37
+# Bins that show the texture of a bin: standard deviation of a Gaussian window.
+_PATCH = 3.0
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -53,22 +39,24 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     sees past it.
     """
     variance, mean, count, noise = _moved_views(lf, slope)
-    seen, parts, means, squares = (
-        scipy.ndimage.gaussian_filter(part, (0, _WINDOW, _WINDOW), mode="nearest")
-        for part in (count, count * variance, count * mean, count * np.square(mean))
+    count_near, parts, means, squares = (
+        scipy.ndimage.gaussian_filter(moment, (0, _WINDOW, _WINDOW), mode="nearest")
+        for moment in (count, count * variance, count * mean, count * np.square(mean))
     )
-    parts, means, squares = (part / np.maximum(seen, 1e-6) for part in (parts, means, squares))
-    parts[count < _SEEN * count.max((1, 2), keepdims=True)] = np.nan
-    independent = np.maximum(seen / _SHARED, 1)
+    parts, means, squares = (moment / np.maximum(count_near, 1e-6) for moment in (parts, means, squares))
+    # Fraction of the views that must see a bin: few agree by chance.
+    parts[count < 0.25 * count.max((1, 2), keepdims=True)] = np.nan
+    independent = np.maximum(count_near / _SHARED, 1)
     # Noise, too, leaves a variance in means.
-    whole = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
-    ratio = np.divide(parts, whole, out=np.ones_like(parts), where=~(whole <= 0))
-    ratio[1:] *= _HALF
+    total_variance = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
+    ratio = np.divide(parts, total_variance, out=np.ones_like(parts), where=~(total_variance <= 0))
+    # What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out less.
+    ratio[1:] *= 2.0
     samples = np.square(independent) * (2 * np.pi * _WINDOW**2)
     best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
-    ratio, samples = (np.take_along_axis(part, best, 0)[0] for part in (ratio, samples))
+    ratio, samples = (np.take_along_axis(moment, best, 0)[0] for moment in (ratio, samples))
     squares, pairs = scipy.ndimage.gaussian_filter(noise, (0, _WINDOW, _WINDOW), mode="nearest")
-    return ratio, whole[0], samples, np.minimum(squares / np.maximum(pairs, 1e-6), parts[0])
+    return ratio, total_variance[0], samples, np.minimum(squares / np.maximum(pairs, 1e-6), parts[0])
 
 
 def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
@@ -86,23 +74,28 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     if min(image.shape) < 3:
         return np.zeros(image.shape)
     image = image.astype(np.float64)
-    detail = image - scipy.ndimage.gaussian_filter(image, _BACKGROUND)
+    detail = image - scipy.ndimage.gaussian_filter(image, 4.0)
     bent = -scipy.ndimage.laplace(detail)
     # At the border the Laplacian is not known.
     inner = np.pad(np.ones((image.shape[0] - 2, image.shape[1] - 2)), 1)
     power, bend, steepness, mean = (
-        scipy.ndimage.gaussian_filter(part * inner, _PATCH, mode="constant")
-        for part in (np.square(detail), detail * bent, np.square(bent), image)
+        scipy.ndimage.gaussian_filter(moment * inner, _PATCH, mode="constant")
+        for moment in (np.square(detail), detail * bent, np.square(bent), image)
     )
-    seen = scipy.ndimage.gaussian_filter(inner, _PATCH, mode="constant")
+    counted = scipy.ndimage.gaussian_filter(inner, _PATCH, mode="constant")
     tiny = np.finfo(np.float64).tiny
     # Only of a single frequency is the Laplacian proportional to the image.
     single = bend / np.sqrt(power * steepness + tiny)
     frequency = np.arccos((1 - bend / (2 * power + tiny)).clip(-1, 1)) / (2 * np.pi)
-    contrast = np.sqrt(2 * power * seen) / np.maximum(mean, tiny)
-    coarser, finer = np.sinc(frequency), np.sinc(1 - frequency)
-    fine = np.where(moved, (frequency - _COARSE) / (_FINE - _COARSE), 0)
-    aliased = np.maximum((single - _BROAD) / (_SINGLE - _BROAD), fine).clip(0, 1)
+    contrast = np.sqrt(2 * power * counted) / np.maximum(mean, tiny)
+    coarser = np.sinc(frequency)
+    finer = np.sinc(1 - frequency)
+    # Mean frequency of a texture, in cycles per lens, in the mean of views that were moved: interpolation leaves what
+    # is broad below the first, found up to 0.28, stripes as fine as a lens stay above the second.
+    fine = np.where(moved, (frequency - 0.33) / (0.37 - 0.33), 0)
+    # Correlation of a texture with its Laplacian: at most the first where it has many frequencies, above the second
+    # where it has but one. Smooth random textures were found between 0.55 and 0.9, stripes above 0.92.
+    aliased = np.maximum((single - 0.88) / (0.96 - 0.88), fine).clip(0, 1)
     # What is dark or has no frequency is far above 1.3, and must not overflow.
     ratio = np.minimum(contrast, 1e3) / np.maximum(finer, 1e-6)
     possible = aliased * ((1.3 - ratio) / 0.3).clip(0, 1)
@@ -116,26 +109,28 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
     """
     weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
-    v, u = view_steps(lf, "v"), view_steps(lf, "u")
+    v = view_steps(lf, "v")
+    u = view_steps(lf, "u")
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
         # Counts, sums of values and of their squares over each quadrant of the pupil.
         sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
         for row, row_weight, down in zip(plane, weight, v, strict=True):
-            by_row, row_open = (moved(part, down * slope, axis=1) for part in (row * row_weight, row_weight))
+            by_row, row_open = (moved(view_open, down * slope, axis=1) for view_open in (row * row_weight, row_weight))
             passed: list[tuple[np.ndarray, np.ndarray]] = []
             for view, view_weight, across in zip(by_row, row_open, u, strict=True):
                 if not view_weight.any():
                     continue
                 # Between a bin and none, the bin's value counts, for as much as its weight.
-                total, part = (moved(one, across * slope, axis=1) for one in (view, view_weight))
-                values = total / np.maximum(part, 1e-6)
-                moments = np.stack([part, total, total * values])
-                passed.append((values, part))
+                total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
+                values = total / np.maximum(view_open, 1e-6)
+                moments = np.stack([view_open, total, total * values])
+                passed.append((values, view_open))
                 if len(passed) > _APART:
-                    other, both = passed[-1 - _APART][0], part * passed[-1 - _APART][1]
-                    noise += np.stack([both * np.square(values - other) / 2, both])
+                    earlier = passed[-1 - _APART][0]
+                    both = view_open * passed[-1 - _APART][1]
+                    noise += np.stack([both * np.square(values - earlier) / 2, both])
                 # A view on a dividing line belongs to both of its sides by half.
                 for j, vertical in enumerate(_sides(down)):
                     for i, horizontal in enumerate(_sides(across)):
@@ -143,9 +138,9 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
                             sums[j, i] += np.float32(vertical * horizontal) * moments
         halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
         for index, (count, total, square) in enumerate(halves):
-            seen = np.maximum(count, 1e-6)
-            variance[index] += np.maximum(square / seen - (total / seen) ** 2, 0)
-            mean[index] += total / seen
+            count_safe = np.maximum(count, 1e-6)
+            variance[index] += np.maximum(square / count_safe - (total / count_safe) ** 2, 0)
+            mean[index] += total / count_safe
             views[index] += count
     channels = lf.sizes.get("c", 1)
     return variance / channels, mean / channels, views / channels, noise

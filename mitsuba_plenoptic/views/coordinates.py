@@ -31,7 +31,6 @@ from ..runtime.backend import MILLIMETRES, require_pixels, require_units
 from .lens_grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
-CHANNELS = ("R", "G", "B")
 
 
 def light_field(
@@ -71,13 +70,14 @@ def light_field(
     """
     require_pixels("light field", values)
     if weight is None:
-        seen = values.any(axis=tuple(range(2, values.ndim)), keepdims=True)
-        weight = np.broadcast_to(seen.reshape(*seen.shape[:4]), values.shape[:4]).astype(np.float32)
+        lit = values.any(axis=tuple(range(2, values.ndim)), keepdims=True)
+        weight = np.broadcast_to(lit.reshape(*lit.shape[:4]), values.shape[:4]).astype(np.float32)
     # Written so that NaN is refused.
     refuse_if(weight.size and not (weight.min() >= 0 and weight.max() <= 1), "light field: a weight is not from 0 to 1")
     coordinates: dict[str, Any] = {"weight": (DIMS, weight)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
-        views, size = values.shape[DIMS.index(angular)], values.shape[DIMS.index(spatial)]
+        views = values.shape[DIMS.index(angular)]
+        size = values.shape[DIMS.index(spatial)]
         steps = np.arange(views) - (views - 1) / 2
         if camera is None or bins is None:
             coordinates[angular] = (angular, steps, {"units": "views"})
@@ -88,12 +88,15 @@ def light_field(
             pupil_places(camera, views),
             {"units": "mm", "long_name": f"{'xy'[axis]} on the pupil"},
         )
-        places, distance = -lens_places(camera, bins, axis), camera.focus_distance
+        places = -lens_places(camera, bins, axis)
+        distance = camera.focus_distance
         if 0 < distance < math.inf:
-            places, units = places * distance / camera.mla_distance, "mm"
+            places = places * distance / camera.mla_distance
+            units = "mm"
             name = f"{'xy'[axis]} in the object plane at {distance:.6g} mm"
         else:
-            places, units = places / camera.mla_distance, "1"
+            places = places / camera.mla_distance
+            units = "1"
             name = f"slope in {'xy'[axis]}; no real plane is in focus"
         coordinates[spatial] = (spatial, places, {"units": units, "long_name": name})
     attributes = {}
@@ -106,7 +109,7 @@ def light_field(
 
 def labelled(values: np.ndarray, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
     """Return radiance (v, u, t, s[, 3]) as an array with coordinates and attributes."""
-    colours = {"c": ("c", list(CHANNELS))} if values.ndim == 5 else {}
+    colours = {"c": ("c", ["R", "G", "B"])} if values.ndim == 5 else {}
     dims = (*DIMS, *colours)
     return xr.DataArray(values, dims=dims, coords=coordinates | colours, name="radiance", attrs=attributes)
 

@@ -80,16 +80,18 @@ def decode(
     """
     image, reference, camera = checked_images(capture, camera, white, grid)
     if camera is not None and camera.lens_data.images_stop:
-        for name, given in (("grid", grid), ("truth", truth)):
+        for name, argument in (("grid", grid), ("truth", truth)):
             refuse_if(
-                given is not None,
+                argument is not None,
                 f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
             )
         return decode_views(image, camera, objective_of(camera), reference)
     if camera is not None:
-        lenses, bins = grid or lens_grid(camera), bin_grid(camera)
+        lenses = grid or lens_grid(camera)
+        bins = bin_grid(camera)
     elif grid is not None:
-        lenses, bins = grid, _upright(grid)
+        lenses = grid
+        bins = _upright(grid)
     half, alone = view_window(camera, lenses)
     views, (height, width, channels) = 2 * half + 1, image.shape
     # Light and white, each as sampled and in the order of the light field; and the images.
@@ -116,9 +118,9 @@ def decode(
         or any(plane.shape != lf.shape[:4] for plane in planes.values()),
         "truth: it is of another camera than the light field",
     )
-    whole = {"shape_index": np.int32}
+    integer_types = {"shape_index": np.int32}
     return lf.assign_coords(
-        {name: (DIMS, plane.astype(whole.get(name, plane.dtype))) for name, plane in planes.items()}
+        {name: (DIMS, plane.astype(integer_types.get(name, plane.dtype))) for name, plane in planes.items()}
     )
 
 
@@ -148,24 +150,26 @@ def checked_images(
         not cameras and grid is None,
         "camera = None: a plain array needs its camera, or the grid of its micro-images and a white image",
     )
-    known = regular_array(require_camera(cameras[0])) if cameras else None
-    if known is not None and image.shape[:2] != known.shape:
-        raise InputError(f"capture of shape {image.shape[:2]}: the camera records {known.shape}")
-    if known is not None:
-        known.require_array("decode")
+    upright = regular_array(require_camera(cameras[0])) if cameras else None
+    if upright is not None and image.shape[:2] != upright.shape:
+        raise InputError(f"capture of shape {image.shape[:2]}: the camera records {upright.shape}")
+    if upright is not None:
+        upright.require_array("decode")
     refuse_if(
-        known is None and white is None, "white = None: without a camera the pupil is known from a white image only"
+        upright is None and white is None, "white = None: without a camera the pupil is known from a white image only"
     )
     reference = None
     if white is not None:
         reference = recorded_white(white, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
-    if known is not None and not known.lens_data.images_stop:
-        known.require_thin("captures are decoded")
-        computed = white_image(known, grid)
+    if upright is not None and not upright.lens_data.images_stop:
+        upright.require_thin("captures are decoded")
+        computed = white_image(upright, grid)
         reference = (
-            computed[..., None] if reference is None else recorded_white(reference, reference.shape, [known], computed)
+            computed[..., None]
+            if reference is None
+            else recorded_white(reference, reference.shape, [upright], computed)
         )
-    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, known
+    return image.reshape(*image.shape[:2], -1).astype(np.float32, copy=False), reference, upright
 
 
 _ROUNDING = 1e-6
@@ -210,8 +214,10 @@ def _between_lenses(lenses: LensGrid, bins: LensGrid) -> scipy.sparse.csr_array:
     """
     rows, columns = lenses.shape
     dx, dy = (lenses.regular(bins.centres().reshape(-1, 2)) - lenses.offset).T
-    cosine, sine = math.cos(lenses.rotation), math.sin(lenses.rotation)
-    x, y = (cosine * dx + sine * dy) / lenses.spacing[0], (cosine * dy - sine * dx) / lenses.spacing[1]
+    cosine = math.cos(lenses.rotation)
+    sine = math.sin(lenses.rotation)
+    x = (cosine * dx + sine * dy) / lenses.spacing[0]
+    y = (cosine * dy - sine * dx) / lenses.spacing[1]
     entries = []
     for row in (np.floor(y), np.floor(y) + 1):
         along = x if lenses.shifted_rows is None else x - 0.5 * (row % 2 == lenses.shifted_rows)
@@ -244,7 +250,8 @@ def sample_lenses(image: np.ndarray, lenses: LensGrid, half: int) -> np.ndarray:
 
     The result has the shape (rows, columns, 2 half + 1, 2 half + 1, channels).
     """
-    views, channels = 2 * half + 1, image.shape[2]
+    views = 2 * half + 1
+    channels = image.shape[2]
     height, width = image.shape[:2]
     samples = np.empty((*lenses.shape, views, views, channels), dtype=np.float32)
     for out, row in zip(samples, lenses.centres() - 0.5, strict=True):

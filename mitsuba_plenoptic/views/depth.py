@@ -28,16 +28,15 @@ RIGHT = 0.01
 """Relative error of a depth that counts as right."""
 
 # Without a camera: disparities from this one fall like inverse distances, and the error of one that counts as right.
-_ORIGIN, _RIGHT_SHIFT = 1e3, 0.05
+_ORIGIN = 1e3
+_RIGHT_SHIFT = 0.05
 
 # Lenses per view up to which depth is sought by default: views, that then show blur as wide, still show coarse texture.
 _WIDEST = 2.0
 
 # Planes for each lens per view, and for each pixel that micro-images of neighbouring lenses are moved.
-_PER_LENS, _PER_PIXEL = 32, 4
-
-# Bins around one that tell how bright it is: standard deviation of the Gaussian window.
-_AROUND = 2.0
+_PER_LENS = 32
+_PER_PIXEL = 4
 
 
 @suggest_keywords
@@ -108,32 +107,34 @@ def depth_map(
     """
     lf = require_light_field(lf)
     nearest, farthest = _default_search(lf)
-    known = bool(lf.attrs.get("camera"))
+    has_camera = bool(lf.attrs.get("camera"))
     # Views that are moved farther have nothing in common with the central one.
-    most = None if known else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
-    what = "" if known else ", a disparity without a camera,"
-    near = require_number(f"near{what}", nearest if near is None else near, minimum=most and -most)
-    far = require_number(f"far{what}", farthest if far is None else far, finite=not known, maximum=most)
+    most = None if has_camera else 2 * max(lf.shape[2:4]) / max(1, max(lf.shape[:2]) - 1)
+    unit_note = "" if has_camera else ", a disparity without a camera,"
+    near = require_number(f"near{unit_note}", nearest if near is None else near, minimum=most and -most)
+    far = require_number(f"far{unit_note}", farthest if far is None else far, finite=not has_camera, maximum=most)
     if not near < far:
         raise InputError(f"near = {near:g}, far = {far:g}: near must be less than far")
     if planes is not None:
         planes = require_count("planes", planes, minimum=3, maximum=1024)
-    first, last = (disparity(lf, near), disparity(lf, far)) if known else (near, far)
+    first, last = (disparity(lf, near), disparity(lf, far)) if has_camera else (near, far)
     slopes = _slopes(lf, first, last, planes)
     planes = len(slopes)
-    bins, channels = lf.sizes["t"] * lf.sizes["s"], lf.sizes.get("c", 1)
+    bins = lf.sizes["t"] * lf.sizes["s"]
+    channels = lf.sizes.get("c", 1)
     # Views are moved in copies, probabilities are taken in several of the cost that each plane leaves.
     samples = lf.size if micro_images is None else micro_images.values.size
-    copies, plane = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels, 100.0 * bins
+    copies = (40.0 if is_focused(lf) else 6.0) * samples + 4.0 * bins * channels
+    plane = 100.0 * bins
     require_memory(
         copies + plane * planes,
         f"depth map of {planes} planes",
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     choice = choose(
-        *disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT if known else _RIGHT_SHIFT / _ORIGIN
+        *disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT if has_camera else _RIGHT_SHIFT / _ORIGIN
     )
-    found = np.interp(choice.plane, np.arange(planes), slopes)
+    disparities = np.interp(choice.plane, np.arange(planes), slopes)
     nearest_plane = np.rint(choice.plane).astype(np.int64)
     sharp = np.empty(lf.shape[2:], dtype=np.float32)
     for index in np.unique(nearest_plane):
@@ -143,15 +144,16 @@ def depth_map(
     if is_focused(lf):
         ambiguous = wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
     else:
-        moved = np.abs(found) * view_steps(lf, "u").max() > 1
+        moved = np.abs(disparities) * view_steps(lf, "u").max() > 1
         ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
     probability = choice.probability * (1 - ambiguous)
-    dims, maps = ("t", "s"), dict[str, Any]()
-    if known:
-        depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, found))
+    dims = ("t", "s")
+    maps = dict[str, Any]()
+    if has_camera:
+        depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, disparities))
         maps["depth"] = (dims, depth, {"units": "mm"})
     maps |= {
-        "disparity": (dims, found, {"units": "lenses per view"}),
+        "disparity": (dims, disparities, {"units": "lenses per view"}),
         "confidence": (dims, probability),
         "image": (("t", "s", "c")[: sharp.ndim], sharp),
     }
@@ -169,13 +171,19 @@ def beyond_search(found: xr.Dataset) -> tuple[float, float]:
 
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
-    unknown, reach = found.confidence.values == 0, 1 + 2 * RIGHT
-    near, far, place = found.attrs["near"], found.attrs["far"], found.disparity.values
+    unknown = found.confidence.values == 0
+    reach = 1 + 2 * RIGHT
+    near = found.attrs["near"]
+    far = found.attrs["far"]
+    position = found.disparity.values
     if "depth" in found:
-        near, far, place = near * reach, far / reach, distance_of(found.disparity.assign_attrs(found.attrs), place)
+        near = near * reach
+        far = far / reach
+        position = distance_of(found.disparity.assign_attrs(found.attrs), position)
     else:
-        near, far = near + 2 * _RIGHT_SHIFT, far - 2 * _RIGHT_SHIFT
-    return float((unknown & (place < near)).mean()), float((unknown & (place > far)).mean())
+        near = near + 2 * _RIGHT_SHIFT
+        far = far - 2 * _RIGHT_SHIFT
+    return float((unknown & (position < near)).mean()), float((unknown & (position > far)).mean())
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
@@ -232,9 +240,9 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
     found = [np.zeros(1)] if hole else []
     left = total
     for index, ((sign, low, high), count) in enumerate(zip(sides, counts, strict=True)):
-        number = left if index == len(sides) - 1 else min(max(1, round(total * count / sum(counts))), total - 1)
-        left -= number
-        found.append(sign * np.interp(np.linspace(steps(low), steps(high), number), steps(fine), fine))
+        of_side = left if index == len(sides) - 1 else min(max(1, round(total * count / sum(counts))), total - 1)
+        left -= of_side
+        found.append(sign * np.interp(np.linspace(steps(low), steps(high), of_side), steps(fine), fine))
     return np.sort(np.concatenate(found))
 
 
@@ -258,20 +266,22 @@ def disagreement_of_planes(
         images = micro_images_of(lf) if micro_images is None else micro_images
         if not are_alike(images.camera, camera_of(lf)) or images.bins.shape != lf.shape[2:4]:
             raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
-        measure, samples = LensComparison(images).disagreement, LENSES
+        measure = LensComparison(images).disagreement
+        samples = LENSES
     else:
-        measure, samples = partial(view_disagreement, lf), VIEWS
-    brightness = scipy.ndimage.gaussian_filter(central, _AROUND)
-    ratio, whole, counted_for, noise = np.empty((4, len(slopes), *lf.shape[2:4]), dtype=np.float32)
+        measure = partial(view_disagreement, lf)
+        samples = VIEWS
+    brightness = scipy.ndimage.gaussian_filter(central, 2.0)
+    ratio, variance, counted_for, noise = np.empty((4, len(slopes), *lf.shape[2:4]), dtype=np.float32)
     for index, slope in enumerate(counted(slopes, progress)):
-        ratio[index], whole[index], counted_for[index], noise[index] = measure(float(slope))
+        ratio[index], variance[index], counted_for[index], noise[index] = measure(float(slope))
     distances = distance_of(lf, slopes) if lf.attrs.get("camera") else 1 / (_ORIGIN - slopes)
     if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    return disagreement(ratio, whole, counted_for, brightness, 1 / distances, noise), samples
+    return disagreement(ratio, variance, counted_for, brightness, 1 / distances, noise), samples
 
 
 @dataclass(frozen=True)
@@ -309,8 +319,8 @@ def depth_error(found: xr.Dataset, confidence: float = 0.5) -> DepthError:
     if "truth" not in found:
         raise InputError("depth map: its light field had no ground truth: give it to decode()")
     truth = found.truth.values
-    known = np.isfinite(truth)
-    sure = known & (found.confidence.values > confidence) & np.isfinite(found.depth.values)
+    has_truth = np.isfinite(truth)
+    sure = has_truth & (found.confidence.values > confidence) & np.isfinite(found.depth.values)
     error = np.abs(found.depth.values[sure] / truth[sure] - 1)
     median, high = np.percentile(error, (50, 90)) if error.size else (np.nan, np.nan)
-    return DepthError(float(median), float(high), float(sure.sum() / max(1, known.sum())))
+    return DepthError(float(median), float(high), float(sure.sum() / max(1, has_truth.sum())))

@@ -47,7 +47,8 @@ class LensViews:
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
         """Return the lenses that lie in the image of the stop."""
-        lattice, p = camera.lattice, camera.pixel_size
+        lattice = camera.lattice
+        p = camera.pixel_size
         refuse_if(
             abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
             f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
@@ -62,13 +63,13 @@ class LensViews:
         lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
         x, y = (np.asarray(values, np.float64) for values in lattice.centre(*lenses.T.astype(np.float64)))
         fraction = _in_stop(camera, lens, x, y)
-        seen = fraction >= MINIMUM_WEIGHT
-        refuse_if(not seen.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
+        lit = fraction >= MINIMUM_WEIGHT
+        refuse_if(not lit.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
         tolerance = _SAME * min(camera.mla_pitches)
-        across, column = _lines(x[seen], tolerance)
-        down, row = _lines(y[seen], tolerance)
+        across, column = _lines(x[lit], tolerance)
+        down, row = _lines(y[lit], tolerance)
         table = np.zeros((len(down), len(across)), np.float32)
-        table[row, column] = fraction[seen]
+        table[row, column] = fraction[lit]
         return cls(across, down, table, (half[0], half[1]))
 
 
@@ -80,7 +81,8 @@ def decode_views(
     Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
     """
     views = LensViews.of(camera, lens)
-    rows, columns = 2 * views.half[1] + 1, 2 * views.half[0] + 1
+    rows = 2 * views.half[1] + 1
+    columns = 2 * views.half[0] + 1
     shape = (*views.fraction.shape, rows, columns)
     require_memory(
         4.0 * math.prod(shape) * (2 * image.shape[2] + 4), f"light field of {shape[1]} x {shape[0]} views of its lenses"
@@ -89,9 +91,9 @@ def decode_views(
     there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
     weight = there * views.fraction[:, :, None, None]
     if white is not None:
-        number = np.arange(views.fraction.size).reshape(views.fraction.shape)
+        lens_number = np.arange(views.fraction.size).reshape(views.fraction.shape)
         away = np.hypot(views.across, views.down[:, None])
-        lenses = (np.broadcast_to(number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
+        lenses = (np.broadcast_to(lens_number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
         recorded = _sampled(white, camera, views)
         weight = recorded_white(recorded, recorded.shape, [camera], weight, lenses)[..., 0]
     weight = divide_by_weight(values, weight)
@@ -110,21 +112,23 @@ def _in_stop(
     camera: PlenopticCamera, lens: Objective, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
     """Return the light that lens apertures receive, relative to a uniformly lit stop."""
-    lattice, stop = camera.lattice, main_lens(camera)
+    lattice = camera.lattice
+    stop = main_lens(camera)
     reach = lattice.cell_reach
     offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
     dx, dy = (values.ravel() for values in np.meshgrid(offset, offset))
     inside = np.asarray(lattice.in_aperture(dx, dy), bool)
-    dx, dy = dx[inside], dy[inside]
+    dx = dx[inside]
+    dy = dy[inside]
     growth = -lens.tube_focal_length / lens.last_focal_length
     # The mean power over the stop is 1.
     mean = stop.passed_power / (math.pi * stop.pupil_radius**2)
-    found = np.empty(len(x), np.float32)
+    light = np.empty(len(x), np.float32)
     for index, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
         pupil = (cx + dx) * growth, (cy + dy) * growth
         power = np.where(stop.inside(pupil) >= 0, stop.amplitude(pupil, (0.0, 0.0, 0.0)) ** 2, 0)
-        found[index] = power.mean() / mean
-    return found
+        light[index] = power.mean() / mean
+    return light
 
 
 def _lines(positions: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -148,11 +152,11 @@ def _sampled(image: NDArray[np.float32], camera: PlenopticCamera, views: LensVie
         for axis, centre in ((0, views.down[row]), (1, views.across[column])):
             position = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
             low = math.floor(position)
-            part = np.float32(position - low)
+            fraction = np.float32(position - low)
             index = low + np.arange(-half[1 - axis], half[1 - axis] + 2) + 1
             lines = np.take(picked, index.clip(0, padded.shape[axis] - 1), axis)
             first, second = (np.take(lines, np.arange(len(index) - 1) + step, axis) for step in (0, 1))
-            picked = np.asarray((1 - part) * first + part * second, np.float32)
+            picked = np.asarray((1 - fraction) * first + fraction * second, np.float32)
         # Pixels rise with x and y, the coordinates of a light field fall.
         result[row, column] = picked[::-1, ::-1]
     return result

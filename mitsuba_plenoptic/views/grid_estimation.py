@@ -14,42 +14,13 @@ from ..errors import refuse_if
 from ..runtime.backend import as_pixels
 from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
 
-# Side of the middle part of the image whose spectrum gives the first guess.
-_CROP = 1024
-
-# Peaks of the spectrum count that are this many medians of the spectrum high, and the highest of them.
-_PEAK = 6
-_PEAKS = 8
-
-# Lattices that are tried, and parts of a step by which a wave may miss a wave of a lattice.
-_TRIED = 12
+# Part of a step by which a wave may miss a wave of a lattice.
 _HELD = 0.1
 
-# Side of the middle part of the image that is laid over a lattice's cell, and of the cell in bins.
-_FOLDED = 384
+# Bins along the cell of a lattice that the image's middle is laid over.
 _CELL = 24
 
-# Diameters of discs over the pitch that are tried, and half the width of their rim.
-_DIAMETERS = np.arange(0.1, 1.42, 0.05)
-_RIM = 0.1
-
-# Area of the smallest cell, in pixels.
-_LEAST_AREA = 6
-
-# A lattice's highest peak stands out from the median of the spectrum by far more than that of noise, about 5.
-_CONTRAST = 20
-
-# The fit grows from this many lenses about the middle, doubling, and is then repeated until it stands still.
-_FIRST_REACH = 4
-_REPEATS = 12
-
-# Directions of rows through the lattice count as the same if they part by no more of a lens at the image's corners.
-_SAME = 0.02
-
 NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
-
-# Micro-images measured at once.
-_BLOCK = 2048
 
 
 def estimate_lens_grid(white: np.ndarray) -> LensGrid:
@@ -77,12 +48,12 @@ def estimate_lens_grid(white: np.ndarray) -> LensGrid:
     InputError
         If the array is not an image, or shows no lattice of at least 4 x 4 micro-images.
     """
-    given = as_pixels("white", white)
+    pixels = as_pixels("white", white)
     refuse_if(
-        given.ndim not in (2, 3) or min(given.shape[:2]) < 16 or not given.size,
-        f"white of shape {given.shape}: it must be an image, 16 x 16 or larger",
+        pixels.ndim not in (2, 3) or min(pixels.shape[:2]) < 16 or not pixels.size,
+        f"white of shape {pixels.shape}: it must be an image, 16 x 16 or larger",
     )
-    image = given.astype(np.float32, copy=False)
+    image = pixels.astype(np.float32, copy=False)
     if image.ndim == 3:
         image = image.mean(axis=2)
     vectors, origin = _guess(image)
@@ -95,43 +66,50 @@ def _guess(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Where micro-images overlap, waves of the lattice vanish from the spectrum, the fundamental one at 1.22 pitches of a
     square array. So lattices are spanned by sums and differences of the highest peaks, too, and are tried.
     """
-    part, _ = _middle(image, _CROP)
-    height, width = part.shape
+    central, _ = _middle(image, 1024)
+    height, width = central.shape
     window = np.hanning(height + 2)[1:-1, None] * np.hanning(width + 2)[1:-1]
-    spectrum = np.abs(np.fft.fftshift(np.fft.fft2((part - (part * window).sum() / window.sum()) * window)))
+    spectrum = np.abs(np.fft.fftshift(np.fft.fft2((central - (central * window).sum() / window.sum()) * window)))
     middle = np.array([height // 2, width // 2])
     down, across = (np.arange(n) - m for n, m in zip(spectrum.shape, middle, strict=True))
     # Slow changes of brightness over the image are not the lattice.
     spectrum[(np.abs(down)[:, None] <= 3) & (np.abs(across) <= 3)] = 0
     noise = np.median(spectrum)
-    refuse_if(not spectrum.max() > _CONTRAST * noise, NO_LATTICE)
-    peak = (spectrum == scipy.ndimage.maximum_filter(spectrum, 7)) & (spectrum > _PEAK * noise)
+    # A lattice's highest peak stands out from the median of the spectrum by far more than that of noise, about 5.
+    refuse_if(not spectrum.max() > 20 * noise, NO_LATTICE)
+    peak = (spectrum == scipy.ndimage.maximum_filter(spectrum, 7)) & (spectrum > 6 * noise)
     # One of each pair of opposite peaks, away from the border, where a parabola has no room.
     peak &= (down[:, None] > 0) | ((down[:, None] == 0) & (across > 0))
     peak[[0, -1]] = peak[:, [0, -1]] = False
-    highest = sorted(np.argwhere(peak), key=lambda place: -spectrum[tuple(place)])[:_PEAKS]
-    waves = np.array([(_refined(spectrum, place) - middle)[::-1] / [width, height] for place in highest])
+    highest = sorted(np.argwhere(peak), key=lambda index: -spectrum[tuple(index)])[:8]
+    waves = np.array([(_refined(spectrum, index) - middle)[::-1] / [width, height] for index in highest])
     refuse_if(len(waves) < 2, NO_LATTICE)
     first, second = np.array(list(itertools.combinations(waves, 2))).swapaxes(0, 1)
     pairs = np.array(list(itertools.combinations(np.concatenate([waves, first + second, first - second]), 2)))
     # Cells that are neither too flat nor too small, and at least four along the image; the smallest come first.
     density = np.abs(np.linalg.det(pairs))
     oblique = density > 0.3 * np.hypot(*pairs[:, 0].T) * np.hypot(*pairs[:, 1].T)
-    pairs = pairs[oblique & (density < 1 / _LEAST_AREA) & (density > 16 / (height * width))]
+    pairs = pairs[oblique & (density < 1 / 6) & (density > 16 / (height * width))]
     pairs = pairs[np.argsort(-np.abs(np.linalg.det(pairs)))]
     # They hold most of what is seen of the lattice.
-    steps, power = waves @ np.linalg.inv(pairs), [spectrum[tuple(place)] ** 2 for place in highest]
-    held = (np.abs(steps - steps.round()).max(2) < _HELD) @ power > 0.5 * np.sum(power)
+    steps = waves @ np.linalg.inv(pairs)
+    power = [spectrum[tuple(index)] ** 2 for index in highest]
+    explains = (np.abs(steps - steps.round()).max(2) < _HELD) @ power > 0.5 * np.sum(power)
     tried: list[np.ndarray] = []
-    for vectors in np.linalg.inv(pairs[held]).swapaxes(1, 2):
+    for vectors in np.linalg.inv(pairs[explains]).swapaxes(1, 2):
         # The same lattice has other vectors, which are whole sums of these.
-        sums = [vectors @ np.linalg.inv(known) for known in tried]
-        if not any(np.abs(each - each.round()).max() < _HELD and abs(np.linalg.det(each)) < 1.5 for each in sums):
+        sums = [vectors @ np.linalg.inv(earlier) for earlier in tried]
+        if not any(
+            np.abs(candidate - candidate.round()).max() < _HELD and abs(np.linalg.det(candidate)) < 1.5
+            for candidate in sums
+        ):
             tried.append(reduced(vectors))
-        if len(tried) == _TRIED:
+        if len(tried) == 12:
             break
     refuse_if(not tried, NO_LATTICE)
-    best, vectors = max(((Discs.of(image, each), each) for each in tried), key=lambda pair: pair[0].explained)
+    best, vectors = max(
+        ((Discs.of(image, candidate), candidate) for candidate in tried), key=lambda pair: pair[0].explained
+    )
     return vectors, best.centre
 
 
@@ -165,33 +143,38 @@ class Discs:
     @classmethod
     def of(cls, image: np.ndarray, vectors: np.ndarray) -> Discs:
         """Return the discs that explain the mean of an image's cells best."""
-        part, start = _middle(image, _FOLDED)
-        rows, columns = part.shape
+        central, start = _middle(image, 384)
+        rows, columns = central.shape
         inverse = np.linalg.inv(vectors)
-        y, x = (np.arange(rows) + start[1] + 0.5)[:, None], np.arange(columns) + start[0] + 0.5
+        y = (np.arange(rows) + start[1] + 0.5)[:, None]
+        x = np.arange(columns) + start[0] + 0.5
         u, v = (np.floor((x * inverse[0, k] + y * inverse[1, k]) % 1 * _CELL).astype(int) % _CELL for k in (0, 1))
-        cell, size = (u * _CELL + v).ravel(), (_CELL, _CELL)
+        cell = (u * _CELL + v).ravel()
+        size = (_CELL, _CELL)
         count = np.bincount(cell, minlength=_CELL**2).reshape(size)
-        light = np.bincount(cell, (part - part.mean()).ravel(), _CELL**2).reshape(size)
+        light = np.bincount(cell, (central - central.mean()).ravel(), _CELL**2).reshape(size)
         steps = np.arange(_CELL) / _CELL
-        place = steps[:, None, None] * vectors[0] + steps[:, None] * vectors[1]
+        cell_point = steps[:, None, None] * vectors[0] + steps[:, None] * vectors[1]
         around = np.mgrid[-1:3, -1:3].reshape(2, -1).T @ vectors
-        distance = np.hypot(*np.moveaxis(place - around[:, None, None], -1, 0))
+        distance = np.hypot(*np.moveaxis(cell_point - around[:, None, None], -1, 0))
         pitch = min(math.hypot(*step) for step in (*vectors, vectors.sum(0), vectors[0] - vectors[1]))
-        radii = _DIAMETERS * pitch / 2
-        drawn = (radii[:, None, None, None] + 0.5 - distance).clip(0, 1).sum(1)
+        radii = np.arange(0.1, 1.42, 0.05) * pitch / 2
+        discs = (radii[:, None, None, None] + 0.5 - distance).clip(0, 1).sum(1)
         # Sums over all displacements of the discs at once.
-        counts, lights = np.fft.rfft2(count), np.fft.rfft2(light)
-        even, square = (np.fft.rfft2(values).conj() for values in (drawn, drawn**2))
-        common, sums, squares = (np.fft.irfft2(each, size) for each in (lights * even, counts * even, counts * square))
-        power = np.maximum(squares - sums**2 / part.size, 1e-6 * part.size)
-        explained = common.clip(0) ** 2 / power / part.size
+        counts = np.fft.rfft2(count)
+        lights = np.fft.rfft2(light)
+        even, square = (np.fft.rfft2(values).conj() for values in (discs, discs**2))
+        common, sums, squares = (
+            np.fft.irfft2(spectrum, size) for spectrum in (lights * even, counts * even, counts * square)
+        )
+        power = np.maximum(squares - sums**2 / central.size, 1e-6 * central.size)
+        explained = common.clip(0) ** 2 / power / central.size
         best = np.unravel_index(explained.argmax(), explained.shape)
         first = (np.array(best[1:]) + 0.5) / _CELL
-        whole = np.array(image.shape[::-1])
-        centre = (first + np.round(whole / 2 @ inverse - first)) @ vectors
+        image_size = np.array(image.shape[::-1])
+        centre = (first + np.round(image_size / 2 @ inverse - first)) @ vectors
         height = float((common / power)[best])
-        return cls(float(explained[best]), centre, float(radii[best[0]]), pitch, height, whole)
+        return cls(float(explained[best]), centre, float(radii[best[0]]), pitch, height, image_size)
 
     @property
     def reach(self) -> int:
@@ -201,7 +184,7 @@ class Discs:
 
     @property
     def _rim(self) -> float:
-        return max(_RIM * self.pitch, 2.0)
+        return max(0.1 * self.pitch, 2.0)
 
     def measured(
         self,
@@ -217,7 +200,8 @@ class Discs:
         if self.radius <= self.pitch / 2:
             return centroids(patches, centres, weight_at)
         x, y, patch = patches
-        dx, dy = (x + 0.5 - centres[:, 0, None])[:, None, :], (y + 0.5 - centres[:, 1, None])[:, :, None]
+        dx = (x + 0.5 - centres[:, 0, None])[:, None, :]
+        dy = (y + 0.5 - centres[:, 1, None])[:, :, None]
         distance = np.hypot(dx, dy)
         light = (weight_at(distance) * patch).sum((1, 2))
         rim = np.cos(0.5 * np.pi * ((distance - self.radius) / self._rim).clip(-1, 1)) ** 2
@@ -250,17 +234,20 @@ def _refined(spectrum: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return the lattice fitted to the micro-images' centroids, first about the middle and then everywhere."""
-    size, discs = np.array(image.shape[::-1]), Discs.of(image, vectors)
+    size = np.array(image.shape[::-1])
+    discs = Discs.of(image, vectors)
     radius = discs.pitch / 2
-    reach = _FIRST_REACH
-    whole = math.ceil(math.hypot(*size) / (2 * radius))
+    # The fit grows from this many lenses about the middle, doubling, and is then repeated until it stands still.
+    reach = 4
+    farthest = math.ceil(math.hypot(*size) / (2 * radius))
     repeats = 0
-    while repeats < _REPEATS:
+    while repeats < 12:
         index = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
         centres = origin + index @ vectors
         inside = ((centres > radius + 1) & (centres < size - radius - 1)).all(1)
         refuse_if(inside.sum() < 16, f"white of shape {image.shape}: at least 4 x 4 whole micro-images are needed")
-        index, centres = index[inside], centres[inside]
+        index = index[inside]
+        centres = centres[inside]
         # Of the light within a disc about each centre.
         of_blocks = (
             discs.measured(
@@ -268,25 +255,26 @@ def _fit(image: np.ndarray, origin: np.ndarray, vectors: np.ndarray) -> tuple[np
                 block,
                 lambda distance: (radius + 0.5 - distance).clip(0, 1),
             )
-            for block in np.array_split(centres, -(-len(centres) // _BLOCK))
+            for block in np.array_split(centres, -(-len(centres) // 2048))
         )
         measured, light = (np.concatenate(parts) for parts in zip(*of_blocks, strict=True))
-        used = light > 0.1 * np.median(light)
+        clear = light > 0.1 * np.median(light)
         moved = np.hypot(*(measured - centres).T)
-        used &= moved < 3 * np.median(moved[used]) + 0.5
-        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(used.sum()), index[used]]), measured[used])[0]
+        clear &= moved < 3 * np.median(moved[clear]) + 0.5
+        origin, *new = np.linalg.lstsq(np.column_stack([np.ones(clear.sum()), index[clear]]), measured[clear])[0]
         change = np.abs(new - vectors).max() * reach
         vectors = np.array(new)
-        if reach < whole:
-            reach = min(2 * reach, whole)
+        if reach < farthest:
+            reach = min(2 * reach, farthest)
         else:
             repeats += 1
             if change < 1e-4:
                 break
-    refuse_if(np.median(moved[used]) > 0.2 * radius, NO_LATTICE)
-    rows, shifted = lattice_rows(vectors, _SAME / whole)
-    steps = np.round(np.linalg.solve(rows.T, (index[used] @ vectors).T).T * 2) / 2
-    return *_rows_at_right_angles(steps, measured[used]), shifted
+    refuse_if(np.median(moved[clear]) > 0.2 * radius, NO_LATTICE)
+    # Directions of rows through the lattice count as the same if they part by no more of a lens at the image's corners.
+    rows, shifted = lattice_rows(vectors, 0.02 / farthest)
+    steps = np.round(np.linalg.solve(rows.T, (index[clear] @ vectors).T).T * 2) / 2
+    return *_rows_at_right_angles(steps, measured[clear]), shifted
 
 
 def pixels_around(image: np.ndarray, centres: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -306,7 +294,8 @@ def centroids(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return centroids of patches above their darkest pixels, weighted by distance, and their brightness."""
     x, y, patch = patches
-    dx, dy = x + 0.5 - centres[:, 0, None], y + 0.5 - centres[:, 1, None]
+    dx = x + 0.5 - centres[:, 0, None]
+    dy = y + 0.5 - centres[:, 1, None]
     weight = weight_at(np.hypot(dx[:, None, :], dy[:, :, None]))
     lit = (patch - np.where(weight > 0, patch, np.inf).min(axis=(1, 2), keepdims=True)) * weight
     light = lit.sum(axis=(1, 2))

@@ -25,9 +25,6 @@ from .lens_grid import bin_grid, lens_grid
 _LANES = 2**21
 """Rays that are traced at once."""
 
-_REFLECTIONS = 8
-"""Plane mirrors that a ray is followed over, one after the other, at most."""
-
 
 class FirstHits:
     """Finder of the surfaces that rays meet first in a scene, as in Mitsuba's integrator ``aov``."""
@@ -43,9 +40,11 @@ class FirstHits:
             mi.is_spectral and "albedo" in names,
             f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant",
         )
-        self._scene, self._names = scene, names
+        self._scene = scene
+        self._names = names
         world = sensor.world_transform()
-        self._origin, self._axis = world @ mi.Point3f(0, 0, 0), world @ mi.Vector3f(0, 0, 1)
+        self._origin = world @ mi.Point3f(0, 0, 0)
+        self._axis = world @ mi.Vector3f(0, 0, 1)
         self._albedo = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
         self._sampler = mi.load_dict({"type": "independent"})
         registered = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
@@ -54,7 +53,7 @@ class FirstHits:
 
     def along(self, rays: Callable[[Any], tuple[Any, Any]], count: int) -> dict[str, np.ndarray]:
         """Return float32 arrays (count[, 3]) by name for the first hits of rays."""
-        found = {
+        hits = {
             name: np.empty((count, len(letters))[: 1 + (len(letters) > 1)], np.float32)
             for name, letters in QUANTITIES.items()
             if name in self._names
@@ -62,39 +61,40 @@ class FirstHits:
         for start in range(0, count, _LANES):
             lanes = dr.opaque(mi.UInt32, start) + dr.arange(mi.UInt32, min(_LANES, count - start))
             for name, values in self._trace(*rays(lanes)).items():
-                found[name][start : start + _LANES] = values
-        return found
+                hits[name][start : start + _LANES] = values
+        return hits
 
     def _trace(self, ray: Any, open_: Any) -> dict[str, np.ndarray]:
         hit = self._scene.ray_intersect(ray, _flags(), True, open_)
         met = hit.is_valid() & open_
-        found: dict[str, Any] = {}
+        quantities: dict[str, Any] = {}
         if "depth" in self._names:
             depth = dr.dot(ray.o - self._origin, self._axis) + hit.t * dr.dot(ray.d, self._axis)
-            found["depth"] = dr.select(met, depth, dr.select(open_, dr.inf, dr.nan))
+            quantities["depth"] = dr.select(met, depth, dr.select(open_, dr.inf, dr.nan))
         if "virtual_depth" in self._names:
             depth = dr.dot(ray.o - self._origin, self._axis) + self._unfolded(ray, hit, met) * dr.dot(ray.d, self._axis)
-            found["virtual_depth"] = dr.select(open_, depth, dr.nan)
+            quantities["virtual_depth"] = dr.select(open_, depth, dr.nan)
         if "position" in self._names:
-            found["position"] = dr.select(met, hit.p, dr.nan)
+            quantities["position"] = dr.select(met, hit.p, dr.nan)
         if "normal" in self._names:
-            found["normal"] = dr.select(met, hit.sh_frame.n, dr.nan)
+            quantities["normal"] = dr.select(met, hit.sh_frame.n, dr.nan)
         if "albedo" in self._names:
             self._sampler.seed(0, dr.width(met))
             aovs = mi.SamplingIntegrator.sample(self._albedo, self._scene, self._sampler, ray, None, met)[2]
-            found["albedo"] = dr.select(met, mi.Color3f(*aovs), dr.nan)
+            quantities["albedo"] = dr.select(met, mi.Color3f(*aovs), dr.nan)
         if "shape_index" in self._names:
             # What is placed by an instance is that instance.
             placed = dr.reinterpret_array(mi.UInt32, hit.instance)
             shape = dr.select(placed != 0, placed, dr.reinterpret_array(mi.UInt32, hit.shape))
-            found["shape_index"] = dr.gather(mi.Float, drjit_array(mi.Float, self._index), shape, met)
-        dr.eval(found)
-        return {name: values.numpy().T for name, values in found.items()}
+            quantities["shape_index"] = dr.gather(mi.Float, drjit_array(mi.Float, self._index), shape, met)
+        dr.eval(quantities)
+        return {name: values.numpy().T for name, values in quantities.items()}
 
     def _unfolded(self, ray: Any, hit: Any, met: Any) -> Any:
         """Return lengths of rays unfolded at plane mirrors, up to the mirror image."""
         length = dr.select(met, hit.t, dr.inf)
-        for _ in range(_REFLECTIONS):
+        # Plane mirrors that a ray is followed over, one after the other, at most.
+        for _ in range(8):
             # Plane surfaces that only reflect, without scattering.
             flags = hit.bsdf(ray).flags()
             reflects = (flags & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.DeltaReflection)
@@ -198,12 +198,12 @@ def _rays_of_views(
     across, down = (drjit_array(mi.Float, lens_places(regular, bins, axis)) for axis in (0, 1))
 
     def rays(index: Any) -> tuple[Any, Any]:
-        found = []
+        coordinates_of = []
         for size, coordinates in ((columns, across), (rows, down), (views, pupil), (views, pupil)):
-            rest = index // size
-            found.append(dr.gather(mi.Float, coordinates, index - rest * size))
-            index = rest
-        s, t, u, v = found
+            following = index // size
+            coordinates_of.append(dr.gather(mi.Float, coordinates, index - following * size))
+            index = following
+        s, t, u, v = coordinates_of
         return sensor.pupil_ray((u, v), (s, t))
 
     return (views, views, rows, columns), rays

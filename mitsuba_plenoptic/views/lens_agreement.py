@@ -28,19 +28,6 @@ from .lens_images import MicroImages
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.
 _WINDOW = 1.0
 
-# Samples that see at least half of the pupil take part. What less sees is noise for the most part, more of it on some
-# planes than on others: with a third, depths of weak texture in noise were 1.4 % off.
-_OPEN = 0.5
-
-# Lenses are compared with those up to so many nearest distances away, and samples, weighted as the window weighs them,
-# that must be seen by both.
-_REACH = 2.0
-_FEWEST = 5.0
-
-# Independent samples in a window for each comparison in a bin: found on even fields of noise, of which the ratio of
-# variances then varies as much as the number of samples says.
-_PER_COMPARISON = 8.0
-
 # Micro-images are smoothed by these weights along both axes: without it, interpolation smooths what moves by half a
 # pixel more than what moves by a whole one, and planes of such moves would agree better.
 _SMOOTH = (0.25, 0.5, 0.25)
@@ -48,10 +35,6 @@ _SMOOTH = (0.25, 0.5, 0.25)
 # Where, in pixels along an axis, the light of a smoothed sample was recorded: by these weights, and by those of linear
 # interpolation about the centre of its micro-image and of the pixel, which have a variance of 1/4 together.
 _SPREAD = np.convolve(_SMOOTH, (0.125, 0.75, 0.125))
-
-# Repetitions to find where a straightened sample was recorded. With lenses out of focus by half of their width each
-# change is at most 0.7 of the last one.
-_REPEATED = 12
 
 # Points across the square that is mapped to a lens's aperture, for its open part's mean point.
 _POINTS = 32
@@ -64,11 +47,12 @@ class LensComparison:
         require_round(images.camera, "depth is found by micro-images of focused cameras")
         self._images = images
         # Smoothed within micro-images, weighted by the part of the pupil that samples see.
-        total, seen = images.values * images.weight[..., None], images.weight
+        total = images.values * images.weight[..., None]
+        weight = images.weight
         for axis in (2, 3):
             total = scipy.ndimage.convolve1d(total, _SMOOTH, axis=axis, mode="constant")
-            seen = scipy.ndimage.convolve1d(seen, _SMOOTH, axis=axis, mode="constant")
-        self._values = np.divide(total, seen[..., None], out=np.zeros_like(total), where=seen[..., None] > 0)
+            weight = scipy.ndimage.convolve1d(weight, _SMOOTH, axis=axis, mode="constant")
+        self._values = np.divide(total, weight[..., None], out=np.zeros_like(total), where=weight[..., None] > 0)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
     def disagreement(self, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -84,15 +68,16 @@ class LensComparison:
         values, opened = self._straightened(slope)
         squares, counts, sums, sums_of_squares = np.zeros((4, *opened.shape), dtype=np.float32)
         views = opened.shape[2:]
-        for own, other, vector in self._pairs:
+        for block, neighbours, vector in self._pairs:
             move = vector / slope
             if np.any(np.abs(move) > np.array(views[::-1]) - 2):
                 continue
             (v, next_v, fv), (u, next_u, fu) = (_overlap(views[1 - axis], move[axis]) for axis in (1, 0))
 
-            target = (*own, v, u)
-            both = (_moved(opened[(*other, next_v, next_u)], fv, fu) > 1 - 1e-3) * opened[target]
-            first, second = values[target], _moved(values[(*other, next_v, next_u)], fv, fu)
+            target = (*block, v, u)
+            both = (_moved(opened[(*neighbours, next_v, next_u)], fv, fu) > 1 - 1e-3) * opened[target]
+            first = values[target]
+            second = _moved(values[(*neighbours, next_v, next_u)], fv, fu)
             # The difference of two has twice the variance of each.
             squares[target] += np.square(second - first).mean(axis=4) * both / 2
             mean = (first + second).mean(axis=4) / 2
@@ -100,18 +85,22 @@ class LensComparison:
             sums_of_squares[target] += np.square(mean) * both
             counts[target] += both
         bins = self._bins_of(slope)
-        found = [
-            np.bincount(bins.ravel(), part.ravel(), minlength=math.prod(shape) + 1)[:-1].reshape(shape)
-            for part in (squares, counts, sums, sums_of_squares)
+        sums_of_bins = [
+            np.bincount(bins.ravel(), samples.ravel(), minlength=math.prod(shape) + 1)[:-1].reshape(shape)
+            for samples in (squares, counts, sums, sums_of_squares)
         ]
-        total, seen, first, second = scipy.ndimage.gaussian_filter(found, (0, _WINDOW, _WINDOW), mode="nearest")
-        many = np.maximum(seen, 1)
+        total, count_near, first, second = scipy.ndimage.gaussian_filter(
+            sums_of_bins, (0, _WINDOW, _WINDOW), mode="nearest"
+        )
+        many = np.maximum(count_near, 1)
         variance = total / many
         # The mean of two has half of the variance by which both differ, and all of that which they share.
-        whole = np.maximum(second / many - np.square(first / many), 0) + variance / 2
-        ratio = np.divide(variance, whole, out=np.ones_like(whole), where=whole > 0)
-        ratio, whole = np.where(seen >= _FEWEST, (ratio, whole), np.nan).astype(np.float32)
-        return ratio, whole, _PER_COMPARISON * seen, np.zeros(shape)
+        total_variance = np.maximum(second / many - np.square(first / many), 0) + variance / 2
+        ratio = np.divide(variance, total_variance, out=np.ones_like(total_variance), where=total_variance > 0)
+        ratio, total_variance = np.where(count_near >= 5.0, (ratio, total_variance), np.nan).astype(np.float32)
+        # Independent samples in a window for each comparison in a bin: found on even fields of noise, of which the
+        # ratio of variances then varies as much as the number of samples says.
+        return ratio, total_variance, 8.0 * count_near, np.zeros(shape)
 
     @cached_property
     def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], np.ndarray]]:
@@ -119,11 +108,12 @@ class LensComparison:
 
         The offset is in pitches of the bins, along columns and rows.
         """
-        grid, bins = self._images.grid, self._images.bins
+        grid = self._images.grid
+        bins = self._images.bins
         rows, columns = grid.shape
-        turn = np.array([[math.cos(grid.rotation), -math.sin(grid.rotation)],
+        rotation = np.array([[math.cos(grid.rotation), -math.sin(grid.rotation)],
                          [math.sin(grid.rotation), math.cos(grid.rotation)]])  # fmt: skip
-        reach = _REACH * grid.nearest_distance * (1 + 1e-6)
+        reach = 2.0 * grid.nearest_distance * (1 + 1e-6)
         down_most, across_most = (math.ceil(reach / spacing) for spacing in grid.spacing[::-1])
         pairs = []
         for down in range(down_most + 1):
@@ -138,16 +128,18 @@ class LensComparison:
                     if down >= rows or abs(across) >= columns:
                         continue
                     step = 2 if staggered else 1
-                    left, right = max(0, -across), min(columns, columns - across)
-                    own = (slice(first, rows - down, step), slice(left, right))
-                    other = (slice(first + down, rows, step), slice(left + across, right + across))
-                    pairs.append((own, other, turn @ way / bins.spacing))
+                    left = max(0, -across)
+                    right = min(columns, columns - across)
+                    block = (slice(first, rows - down, step), slice(left, right))
+                    neighbours = (slice(first + down, rows, step), slice(left + across, right + across))
+                    pairs.append((block, neighbours, rotation @ way / bins.spacing))
         return pairs
 
     def _straightened(self, slope: float) -> tuple[np.ndarray, np.ndarray]:
         """Return samples at the positions where a pencil through the lens's centre would show them, and a mask."""
         images = self._images
-        values, weight = np.empty_like(self._values), np.empty_like(images.weight)
+        values = np.empty_like(self._values)
+        weight = np.empty_like(images.weight)
         types = images.types
         position = np.indices(images.weight.shape[2:], dtype=np.float64)
         last = position[:, -1:, -1:]
@@ -159,20 +151,24 @@ class LensComparison:
             # What each sample shows belongs so far from it, the other way; `at` shows what belongs at a place.
             away = mean * views - inwards
             at = position
-            for _ in range(_REPEATED):
-                at = position + [scipy.ndimage.map_coordinates(part, at, order=1, mode="nearest") for part in away]
+            # Repetitions to find where a straightened sample was recorded. With lenses out of focus by half of their
+            # width each change is at most 0.7 of the last one.
+            for _ in range(12):
+                at = position + [scipy.ndimage.map_coordinates(offset, at, order=1, mode="nearest") for offset in away]
             inside = np.all((at >= 0) & (at <= last), axis=0)[..., None]
-            whole = at.clip(0, last - 1).astype(np.int64)
-            part = (at - whole).clip(0, 1).astype(np.float32)
+            cell = at.clip(0, last - 1).astype(np.int64)
+            offset = (at - cell).clip(0, 1).astype(np.float32)
             for source, target in ((self._values, values), (images.weight[..., None], weight[..., None])):
-                own = source[here]
-                fv, fu = (fraction[..., None] for fraction in part)
+                of_type = source[here]
+                fv, fu = (fraction[..., None] for fraction in offset)
                 upper, lower = (
-                    own[:, whole[0] + down, whole[1]] * (1 - fu) + own[:, whole[0] + down, whole[1] + 1] * fu
+                    of_type[:, cell[0] + down, cell[1]] * (1 - fu) + of_type[:, cell[0] + down, cell[1] + 1] * fu
                     for down in (0, 1)
                 )
                 target[here] = (upper * (1 - fv) + lower * fv) * inside
-        return values, (weight >= _OPEN).astype(np.float32)
+        # Samples that see less than half of the pupil are noise for the most part, more of it on some planes than on
+        # others: with a third, depths of weak texture in noise were 1.4 % off.
+        return values, (weight >= 0.5).astype(np.float32)
 
     @cached_property
     def _rims(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -186,7 +182,7 @@ class LensComparison:
         position = (np.arange(_POINTS) + 0.5) / _POINTS
         # Evenly on a lens's aperture, in mm from its centre.
         point = np.stack(camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position))))
-        found = []
+        rims = []
         reach = len(_SPREAD) // 2
         offset = np.arange(-reach, reach + 1)
         v, u = ((np.arange(-reach, len(step) + reach) + step[0]) * camera.pupil_step for step in self._steps)
@@ -195,11 +191,14 @@ class LensComparison:
             open_ = np.hypot(x - u[None, :, None], y - v[:, None, None]) < camera.aperture_radius
             count = open_.sum(axis=2)
             sums = [(open_ * point[axis]).sum(axis=2) for axis in (1, 0)]
-            seen = np.maximum(_weighted(count, _SPREAD, _SPREAD), 1e-6)
-            mean = np.stack([_weighted(part, _SPREAD, _SPREAD) for part in sums]) / seen
-            off = [_weighted(count, _SPREAD * offset, _SPREAD), _weighted(count, _SPREAD, _SPREAD * offset)] / seen
-            found.append((mean, off))
-        return found
+            open_weight = np.maximum(_weighted(count, _SPREAD, _SPREAD), 1e-6)
+            mean = np.stack([_weighted(moment, _SPREAD, _SPREAD) for moment in sums]) / open_weight
+            off = [
+                _weighted(count, _SPREAD * offset, _SPREAD),
+                _weighted(count, _SPREAD, _SPREAD * offset),
+            ] / open_weight
+            rims.append((mean, off))
+        return rims
 
     def _bins_of(self, slope: float) -> np.ndarray:
         """Return the index of the central view's bin that each sample shows; the number of bins if there is none."""
@@ -212,20 +211,21 @@ class LensComparison:
         return np.where(inside, rows * shape[1] + columns, math.prod(shape))
 
 
-def _weighted(part: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+def _weighted(samples: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Return weighted sums of samples along both axes, where samples exist for all weights."""
-    part = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(part * 1.0, down, axis=0), across, axis=1)
-    return np.asarray(part[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
+    samples = scipy.ndimage.correlate1d(scipy.ndimage.correlate1d(samples * 1.0, down, axis=0), across, axis=1)
+    return np.asarray(samples[len(down) // 2 : -(len(down) // 2), len(across) // 2 : -(len(across) // 2)])
 
 
-def _moved(part: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
+def _moved(samples: np.ndarray, fv: np.float32, fu: np.float32) -> np.ndarray:
     """Return samples (rows, columns, v, u, ...) interpolated by fractions of a view; each axis has one view fewer."""
-    part = part[:, :, :-1] + fv * (part[:, :, 1:] - part[:, :, :-1])
-    return np.asarray(part[:, :, :, :-1] + fu * (part[:, :, :, 1:] - part[:, :, :, :-1]))
+    samples = samples[:, :, :-1] + fv * (samples[:, :, 1:] - samples[:, :, :-1])
+    return np.asarray(samples[:, :, :, :-1] + fu * (samples[:, :, :, 1:] - samples[:, :, :, :-1]))
 
 
 def _overlap(views: int, move: float) -> tuple[slice, slice, np.float32]:
     """Return views with a partner `move` views on, the partners' integer views, and the fraction between them."""
-    whole = math.floor(move)
-    first, last = max(0, -whole), min(views, views - 1 - whole)
-    return slice(first, last), slice(first + whole, last + whole + 1), np.float32(move - whole)
+    steps = math.floor(move)
+    first = max(0, -steps)
+    last = min(views, views - 1 - steps)
+    return slice(first, last), slice(first + steps, last + steps + 1), np.float32(move - steps)

@@ -71,14 +71,14 @@ class LensGrid:
         put(
             self,
             spacing=tuple(
-                require_number("spacing", each, positive=True, minimum=1e-3, maximum=1e6) for each in spacing
+                require_number("spacing", value, positive=True, minimum=1e-3, maximum=1e6) for value in spacing
             ),
-            offset=tuple(require_number("offset", each, minimum=-1e9, maximum=1e9) for each in offset),
-            shape=tuple(require_count("shape", each, maximum=MOST_PIXELS) for each in shape),
+            offset=tuple(require_number("offset", value, minimum=-1e9, maximum=1e9) for value in offset),
+            shape=tuple(require_count("shape", value, maximum=MOST_PIXELS) for value in shape),
             rotation=require_number("rotation", self.rotation, minimum=-math.tau, maximum=math.tau),
         )
         put(self, warp=require_warp("warp", self.warp))
-        put(self, middle=tuple(require_number("middle", each, minimum=-1e9, maximum=1e9) for each in self.middle))
+        put(self, middle=tuple(require_number("middle", value, minimum=-1e9, maximum=1e9) for value in self.middle))
         if self.shifted_rows is not None:
             put(self, shifted_rows=require_count("shifted_rows", self.shifted_rows, minimum=0, maximum=1))
 
@@ -104,8 +104,10 @@ class LensGrid:
         row, column = np.indices(self.shape, dtype=np.float64)
         if self.shifted_rows is not None:
             column += 0.5 * (row % 2 == self.shifted_rows)
-        along, across = column * self.spacing[0], row * self.spacing[1]
-        cosine, sine = math.cos(self.rotation), math.sin(self.rotation)
+        along = column * self.spacing[0]
+        across = row * self.spacing[1]
+        cosine = math.cos(self.rotation)
+        sine = math.sin(self.rotation)
         regular = np.stack(
             [self.offset[0] + cosine * along - sine * across, self.offset[1] + sine * along + cosine * across],
             axis=-1,
@@ -130,7 +132,8 @@ def bin_grid(camera: PlenopticCamera) -> LensGrid:
     """
     camera.require_thin("light fields are decoded")
     camera.require_resolved()
-    start, count = [], []
+    start = []
+    count = []
     spacing = camera.micro_image_pitch / camera.pixel_size
     for axis, bins in enumerate(camera.bin_count):
         pixel = _pixel(camera, (np.arange(bins) - bins / 2 + 0.5) * camera.mla_pitch, axis)
@@ -180,7 +183,10 @@ def _warped(grid: LensGrid, camera: PlenopticCamera) -> LensGrid:
         return grid
     # From millimetres on the array to pixels.
     size = camera.pixel_size / camera.image_growth
-    warp = [number * size ** (sum(powers) - 1) for number, powers in zip(camera.mla_warp, WARP_POWERS * 2, strict=True)]
+    warp = [
+        coefficient * size ** (sum(powers) - 1)
+        for coefficient, powers in zip(camera.mla_warp, WARP_POWERS * 2, strict=True)
+    ]
     x, y = np.array(camera.resolution) / 2 - camera.crop_offset
     return replace(grid, warp=tuple(warp), middle=(float(x), float(y)))
 
@@ -231,8 +237,8 @@ def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
     height = max(1, _BLOCK // len(x))
     for first in range(0, len(y), height):
         rows = slice(first, first + height)
-        for found, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
-            found[rows] = np.rint(values)
+        for indices, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):
+            indices[rows] = np.rint(values)
     i, j = index.astype(np.int64)
     return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
 
@@ -252,15 +258,15 @@ def lattice_rows(vectors: np.ndarray, tolerance: float = 1e-9) -> tuple[np.ndarr
     errors = [abs(p @ q) / (math.hypot(*p) * math.hypot(*q)) for p, q in crossings]
     best = min(errors)
     shifted = errors[0] > best + tolerance
-    found = [
+    candidates = [
         (along, across)
         for pair, error in zip(crossings[1:], errors[1:], strict=True)
         if error <= best + tolerance
         for along, across in (pair, pair[::-1])
     ]
     if not shifted:
-        found = [(a, b), (b, a)]
-    along, across = min(found, key=lambda pair: abs(pair[0][1]) / math.hypot(*pair[0]))
+        candidates = [(a, b), (b, a)]
+    along, across = min(candidates, key=lambda pair: abs(pair[0][1]) / math.hypot(*pair[0]))
     unit = along / math.hypot(*along) * (1 if along[0] > 0 else -1)
     normal = np.array([-unit[1], unit[0]])
     return np.array([unit * math.hypot(*along), normal * (math.hypot(*across) / (2 if shifted else 1))]), shifted
@@ -288,7 +294,8 @@ def covering_grid(shape: tuple[int, ...], origin: np.ndarray, vectors: np.ndarra
     index = np.linalg.solve(vectors.T, (corners - origin).T).T
     # A shifted row may begin half a step earlier.
     slack = np.array([0.5 if shifted else 0.0, 0.0])
-    low, high = np.ceil(index.min(0) - slack).astype(int), np.floor(index.max(0)).astype(int)
+    low = np.ceil(index.min(0) - slack).astype(int)
+    high = np.floor(index.max(0)).astype(int)
     first = origin + low @ vectors
     return LensGrid(
         spacing=(math.hypot(*vectors[0]), math.hypot(*vectors[1])),

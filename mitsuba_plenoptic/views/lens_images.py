@@ -80,22 +80,23 @@ def micro_images(
     InputError
         As `decode` does, if there is no camera, and of Fourier microscopes.
     """
-    image, reference, known = checked_images(capture, camera, white, grid)
-    if known is None:
+    image, reference, upright = checked_images(capture, camera, white, grid)
+    if upright is None:
         raise InputError("camera = None: of micro-images the camera must be known")
     refuse_if(
-        known.lens_data.images_stop,
+        upright.lens_data.images_stop,
         "camera: each lens of a Fourier microscope makes a view, not a micro-image; use decode",
     )
-    lenses = grid or lens_grid(known)
-    half, alone = view_window(known, lenses)
+    lenses = grid or lens_grid(upright)
+    half, alone = view_window(upright, lenses)
     size = math.prod(lenses.shape) * (2 * half + 1) ** 2
     require_memory(
         4.0 * size * (image.shape[2] + 1) + 12.0 * image.shape[0] * image.shape[1],
         f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
     )
-    values, weight = sample_lenses(image, lenses, half), sample_lenses(reference, lenses, half)[..., 0]
-    return MicroImages(values, divide_by_weight(values, weight, alone), lenses, bin_grid(known), known)
+    values = sample_lenses(image, lenses, half)
+    weight = sample_lenses(reference, lenses, half)[..., 0]
+    return MicroImages(values, divide_by_weight(values, weight, alone), lenses, bin_grid(upright), upright)
 
 
 def micro_images_of(lf: xr.DataArray) -> MicroImages:
@@ -116,5 +117,5 @@ def micro_images_of(lf: xr.DataArray) -> MicroImages:
     values = np.asarray(lf.values, dtype=np.float32).reshape(*lf.shape[:4], -1).transpose(2, 3, 0, 1, 4)
     weight = np.asarray(lf["weight"].values, dtype=np.float32).transpose(2, 3, 0, 1)
     # A part of the field counts from its own first bin.
-    own = LensGrid(bins.spacing, bins.offset, (lf.shape[2], lf.shape[3]))
-    return MicroImages(np.ascontiguousarray(values), np.ascontiguousarray(weight), own, own, camera)
+    lenses = LensGrid(bins.spacing, bins.offset, (lf.shape[2], lf.shape[3]))
+    return MicroImages(np.ascontiguousarray(values), np.ascontiguousarray(weight), lenses, lenses, camera)

@@ -73,14 +73,14 @@ def open_light_field(
     refuse_if(
         white is not None and views is not None, f"{path}: a white image and a number of views exclude each other"
     )
-    if not any(str(one).lower().endswith((".png", *TIFF)) for one in (path, white)):
+    if not any(str(source).lower().endswith((".png", *TIFF)) for source in (path, white)):
         _refuse(path, linear=linear or None)
     if name.endswith(".exr"):
         _refuse(path, views=views)
         capture = read_capture(path, camera=camera)
-        known = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
+        ground_truth = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
         by = None if white is None else read_recording(white, linear)
-        return decode(capture, camera=camera, white=by, truth=known)
+        return decode(capture, camera=camera, white=by, truth=ground_truth)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
     if of_extension := format_of(key, "light field", str(path)):
@@ -200,8 +200,8 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
         return None
     if not (path.parent / name).is_file():
         return None
-    found = read_ground_truth(path.parent / name)
-    return found if are_alike(found.camera, capture.camera) else None
+    stored = read_ground_truth(path.parent / name)
+    return stored if are_alike(stored.camera, capture.camera) else None
 
 
 def read_recording(path: str | Path, linear: bool) -> Capture | np.ndarray:
@@ -235,7 +235,8 @@ def write_labelled(path: str | Path, lf: xr.DataArray) -> None:
     InputError
         If it cannot be written.
     """
-    path, lf = Path(path), require_light_field(lf)
+    path = Path(path)
+    lf = require_light_field(lf)
     with atomic_output(path, ".nc", ".zarr") as temporary:
         if path.suffix.lower() == ".nc":
             lf.to_netcdf(temporary, engine="scipy")

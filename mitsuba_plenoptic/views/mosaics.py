@@ -43,8 +43,8 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
 
 def stated_mosaic(picture: StoredPicture) -> tuple[int, str] | None:
     """Return the views along each axis and the layout that a file of `write_mosaic` states, None if it states none."""
-    found = re.fullmatch(rf'"([0-9]{{1,6}}) ({"|".join(LAYOUTS)})"', picture.text)
-    return found and (int(found[1]), found[2])
+    match = re.fullmatch(rf'"([0-9]{{1,6}}) ({"|".join(LAYOUTS)})"', picture.text)
+    return match and (int(match[1]), match[2])
 
 
 def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear: bool = False) -> xr.DataArray:
@@ -79,10 +79,10 @@ def read_mosaic(path: str | Path, views: int, *, layout: str = "lenses", linear:
         rows % views or columns % views,
         f"{path}: {columns} x {rows} pixels are not a whole number of {views} x {views} views",
     )
-    rest = image.shape[2:]
+    channels = image.shape[2:]
     if layout == "lenses":
-        values = image.reshape(rows // views, views, columns // views, views, *rest)
+        values = image.reshape(rows // views, views, columns // views, views, *channels)
         values = values.transpose(1, 3, 0, 2, *range(4, values.ndim))
     else:
-        values = image.reshape(views, rows // views, views, columns // views, *rest).swapaxes(1, 2)
+        values = image.reshape(views, rows // views, views, columns // views, *channels).swapaxes(1, 2)
     return light_field(np.ascontiguousarray(values))

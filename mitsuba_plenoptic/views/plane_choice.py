@@ -15,48 +15,23 @@ import numpy as np
 import scipy
 from scipy.special import expit, logit
 
-# Deviations of a light field that are below this fraction of its brightness, which is at least this fraction of the
-# mean, mean nothing.
-_NOISE, _DARK = 0.02, 0.02
-
 # A neighbour is on the same plane or, half as likely, on each of the next ones; with this probability on any.
-_NEXT, _ANY = 0.5, 0.3
-
-# Samples that the evidence is worth where neighbours take part in it: they share windows, and model errors are alike.
-_SHARED = 2.0
+_NEXT = 0.5
+_ANY = 0.3
 
 # A probability counts as no smaller, and no greater than one less that.
 _SURE = 1e-3
 
-# Where views are apart by less than this fraction of the brightness, that no longer makes a depth surer.
-_STILL = 0.06
-
-# A valley of the disagreement is closed where it rises, on both sides, by the first fraction of its depth; by the
-# second on a side where planes before others cannot be compared, as they soon hide what would rise.
-_CLOSED, _CLOSED_AT_GAP = 0.15, 0.06
-
-# Neighbouring bins that are asked for the plane that explains them best: standard deviation of a Gaussian window. They
-# agree with a bin where theirs is within so many times the tolerance of its own, as noise scatters them in one valley.
-_ASKED, _NEAR_BY = 3.0, 2.0
-
-# Neighbouring bins over which evidence is averaged: standard deviation of a Gaussian window. An average holds so many
-# times the independent samples of a bin, whose own window has a standard deviation of 1.
+# Neighbouring bins over which evidence is averaged: standard deviation of a Gaussian window.
 _AVERAGED = 2.0
-_MORE = 1 + _AVERAGED**2
-
-# Deviations by which noise alone leaves the ratio below 1 on the best of all planes. What is beyond counts from the
-# second number to the third: below nothing is there, above nothing is noise.
-_BY_CHANCE, _INSIGNIFICANT, _SIGNIFICANT = 2.0, 0.3, 30.0
 
 # Independent samples that the disagreement of a bin's surroundings counts for: of views, and of micro-images of focused
 # cameras. Model errors, which most of them share, leave this few.
-VIEWS, LENSES = 20.0, 3.0
+VIEWS = 20.0
+LENSES = 3.0
 
 # Fraction of a variance up to which that of noise is known.
 _UNSURE = 0.05
-
-# Most neighbours agree with a plane where this fraction of them does.
-_MAJORITY = 0.5
 
 # What `indications` are worth for the log odds that a depth is right, whatever the camera. Found by maximum likelihood
 # without stripes of 1.3 and 2 lenses.
@@ -97,42 +72,48 @@ class Disagreement:
 
 def disagreement(
     ratio: np.ndarray,
-    whole: np.ndarray,
+    total_variance: np.ndarray,
     samples: np.ndarray,
     brightness: np.ndarray,
     inverse: np.ndarray,
     noise: np.ndarray | float = 0.0,
 ) -> Disagreement:
     """Return the disagreement of views; deviations too small for the bins' brightness count as noise."""
-    bright = np.maximum(brightness, _DARK * brightness.mean()) + np.finfo(np.float32).tiny
+    bright = np.maximum(brightness, 0.02 * brightness.mean()) + np.finfo(np.float32).tiny
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        contrast = np.sqrt(np.nan_to_num(np.nanmedian(whole, axis=0))) / bright
-    floor = np.square(_NOISE * bright)
-    return Disagreement((ratio * whole + floor) / (whole + floor), samples, contrast, inverse, noise / (whole + floor))
+        contrast = np.sqrt(np.nan_to_num(np.nanmedian(total_variance, axis=0))) / bright
+    floor = np.square(0.02 * bright)
+    return Disagreement(
+        (ratio * total_variance + floor) / (total_variance + floor),
+        samples,
+        contrast,
+        inverse,
+        noise / (total_variance + floor),
+    )
 
 
-def choose(found: Disagreement, samples: float, tolerance: float) -> Choice:
+def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
     """Return the most probable plane of each bin, if its surroundings have enough samples of `VIEWS` or `LENSES`.
 
     `tolerance` is the relative error up to which a distance counts as right.
     """
-    plane, evidence, agreeing = indications(found, samples, tolerance)
+    plane, evidence, agreeing = indications(views, samples, tolerance)
     probability = expit(np.tensordot(WEIGHTS, evidence, 1))
     probability = np.minimum(probability, 1 - np.square(1 - agreeing))
-    probability = np.where(at_an_end(found, plane, tolerance), 0, probability)
-    return Choice(plane, probability, agreeing >= _MAJORITY)
+    probability = np.where(at_an_end(views, plane, tolerance), 0, probability)
+    return Choice(plane, probability, agreeing >= 0.5)
 
 
-def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
+def at_an_end(views: Disagreement, plane: np.ndarray, tolerance: float) -> np.ndarray:
     """Return a mask of bins whose true plane may lie beyond the last plane.
 
     These are bins within the tolerance of the first or the last plane, and bins whose minimum of disagreement is not
     closed. In a closed minimum the logarithm of the deviation rises on both sides by a part of its difference between
     the chosen plane and the median of all planes; by less on a side that ends at planes without comparison.
     """
-    ratio = found.ratio
-    low, high = _around(found.inverse, plane, tolerance)
+    ratio = views.ratio
+    low, high = _around(views.inverse, plane, tolerance)
     with np.errstate(divide="ignore", invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         energy = 0.5 * np.log(ratio)
@@ -147,12 +128,12 @@ def at_an_end(found: Disagreement, plane: np.ndarray, tolerance: float) -> np.nd
     for side in (planes < plane, planes > plane):
         wall = np.where(joined & side, energy, -np.inf).max(axis=0)
         before_gap = (np.isfinite(energy) & side & ~joined).any(axis=0)
-        needed = np.where(before_gap, _CLOSED_AT_GAP, _CLOSED)
+        needed = np.where(before_gap, 0.06, 0.15)
         beyond |= ~(wall - least > needed * (typical - least))
     return np.asarray(beyond)
 
 
-def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the most probable planes with fractions, evidence on whether they are right, and agreeing neighbours.
 
     The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane is
@@ -166,33 +147,44 @@ def indications(found: Disagreement, samples: float, tolerance: float) -> tuple[
     plane.
     """
     # What cannot be compared agrees as badly as any.
-    worst = np.fmax.reduce(found.ratio, axis=0)
-    ratio = np.where(np.isnan(found.ratio), np.where(np.isnan(worst), 1, worst), found.ratio)
+    worst = np.fmax.reduce(views.ratio, axis=0)
+    ratio = np.where(np.isnan(views.ratio), np.where(np.isnan(worst), 1, worst), views.ratio)
     energy = 0.5 * np.log(ratio)
-    plane = _summit(_with_neighbours(_normalised(-_SHARED * energy)))
-    low, high = _around(found.inverse, plane, _NEAR_BY * tolerance)
-    own = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
-    asked = scipy.ndimage.gaussian_filter(own.astype(np.float32), (0, _ASKED, _ASKED), mode="nearest")
+    # The evidence is worth two samples where neighbours take part: they share windows, and model errors are alike.
+    plane = _summit(_with_neighbours(_normalised(-2.0 * energy)))
+    low, high = _around(views.inverse, plane, 2.0 * tolerance)
+    best_of_bin = energy.argmin(axis=0) == np.arange(len(energy))[:, None, None]
+    neighbours_best = scipy.ndimage.gaussian_filter(best_of_bin.astype(np.float32), (0, 3.0, 3.0), mode="nearest")
     # However far apart planes are, the next ones agree.
-    agreeing = _mass(asked, np.minimum(low, plane - 1), np.maximum(high, plane + 1))
-    del own, asked
+    agreeing = _mass(neighbours_best, np.minimum(low, plane - 1), np.maximum(high, plane + 1))
+    del best_of_bin, neighbours_best
+    # An average holds so many times the independent samples of a bin, whose window has a standard deviation of 1.
     averaged, explained, independent, noise = (
-        scipy.ndimage.gaussian_filter(part, (0, _AVERAGED, _AVERAGED), mode="nearest")
-        for part in (energy, 1 - ratio, _MORE * found.samples, np.broadcast_to(np.nan_to_num(found.noise), ratio.shape))
+        scipy.ndimage.gaussian_filter(quantity, (0, _AVERAGED, _AVERAGED), mode="nearest")
+        for quantity in (
+            energy,
+            1 - ratio,
+            (1 + _AVERAGED**2) * views.samples,
+            np.broadcast_to(np.nan_to_num(views.noise), ratio.shape),
+        )
     )
     here = np.rint(plane).astype(np.int64)[None]
-    significance, noise = (np.take_along_axis(part, here, 0)[0] for part in (explained * np.sqrt(independent), noise))
+    significance, noise = (
+        np.take_along_axis(quantity, here, 0)[0] for quantity in (explained * np.sqrt(independent), noise)
+    )
     # Noise, of many independent samples, is no error of the model: evidence is what it leaves of the variances.
     noise = noise * (1 - _UNSURE)
     averaged = averaged + 0.5 * np.log(np.maximum(1 - noise / np.maximum(1 - explained, 1e-6), _UNSURE))
     least = ratio.min(axis=0)
-    misfit = 0.5 * np.log(np.maximum(least - noise, _UNSURE * least)) + np.log(found.contrast + 1e-30)
-    mass = _mass(_normalised(-samples * averaged), *_around(found.inverse, plane, tolerance))
+    misfit = 0.5 * np.log(np.maximum(least - noise, _UNSURE * least)) + np.log(views.contrast + 1e-30)
+    mass = _mass(_normalised(-samples * averaged), *_around(views.inverse, plane, tolerance))
+    # Where views are apart by less than 0.06 of the brightness, that no longer makes a depth surer. Noise alone leaves
+    # the ratio below 1 by two deviations on the best plane.
     evidence = (
         np.ones_like(plane),
         logit(mass.clip(_SURE, 1 - _SURE)),
-        misfit.clip(np.log(_STILL)),
-        np.log((significance - _BY_CHANCE).clip(_INSIGNIFICANT, _SIGNIFICANT)),
+        misfit.clip(np.log(0.06)),
+        np.log((significance - 2.0).clip(0.3, 30.0)),
     )
     return plane, np.stack(evidence), agreeing
 
@@ -212,24 +204,24 @@ def _normalised(logarithm: np.ndarray) -> np.ndarray:
     return np.asarray(values / values.sum(axis=0))
 
 
-def _with_neighbours(own: np.ndarray) -> np.ndarray:
+def _with_neighbours(probability: np.ndarray) -> np.ndarray:
     """Return probabilities of planes multiplied by the messages from the bins on the four sides.
 
     Belief propagation (Pearl 1988) along rows and columns, each line a chain.
     """
-    total = np.log(own)
+    total = np.log(probability)
     for axis in (1, 2):
         for step in (1, -1):
-            lines = np.moveaxis(own, axis, 0)[::step]
+            lines = np.moveaxis(probability, axis, 0)[::step]
             evidence = np.moveaxis(total, axis, 0)[::step]
-            message = np.full(lines.shape[1:], 1 / len(own))
+            message = np.full(lines.shape[1:], 1 / len(probability))
             for index in range(1, len(lines)):
                 belief = lines[index - 1] * message
                 belief /= belief.sum(axis=0)
                 spread = belief.copy()
                 spread[1:] += _NEXT * belief[:-1]
                 spread[:-1] += _NEXT * belief[1:]
-                message = (1 - _ANY) * spread / spread.sum(axis=0) + _ANY / len(own)
+                message = (1 - _ANY) * spread / spread.sum(axis=0) + _ANY / len(probability)
                 evidence[index] += np.log(message)
     return _normalised(total)
 
@@ -252,8 +244,9 @@ def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndar
 
     def up_to(plane: np.ndarray) -> np.ndarray:
         plane = (plane + 0.5).clip(0, len(probability))
-        whole = np.minimum(plane.astype(np.int64), len(probability) - 1)
-        left, right = below[whole, row, column], below[whole + 1, row, column]
-        return np.asarray(left + (plane - whole) * (right - left))
+        index = np.minimum(plane.astype(np.int64), len(probability) - 1)
+        left = below[index, row, column]
+        right = below[index + 1, row, column]
+        return np.asarray(left + (plane - index) * (right - left))
 
     return up_to(high) - up_to(low)

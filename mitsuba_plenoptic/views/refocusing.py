@@ -45,10 +45,11 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
     weight = np.asarray(lf["weight"].values)
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
-    v, u = view_steps(lf, "v"), view_steps(lf, "u")
+    v = view_steps(lf, "v")
+    u = view_steps(lf, "u")
     total, *light = (_gather(plane, v * disparity, u * disparity) for plane in planes)
-    seen = total > 1e-6
-    image = np.stack([np.where(seen, plane / np.where(seen, total, 1), 0) for plane in light], axis=-1)
+    visible = total > 1e-6
+    image = np.stack([np.where(visible, plane / np.where(visible, total, 1), 0) for plane in light], axis=-1)
     return as_view(lf, image if "c" in lf.dims else image[..., 0])
 
 
@@ -155,12 +156,14 @@ def moved(values: np.ndarray, shift: float, axis: int) -> np.ndarray:
     whole. Four weights, with the sum 1, the mean `shift`, one variance and one sum of squares, do not. Outside the
     array is 0.
     """
-    part = shift - math.floor(shift)
-    before, at, after = (_SPREAD + part**2 - part) / 2, 1 - _SPREAD - part**2, (_SPREAD + part**2 + part) / 2
+    fraction = shift - math.floor(shift)
+    before = (_SPREAD + fraction**2 - fraction) / 2
+    at = 1 - _SPREAD - fraction**2
+    after = (_SPREAD + fraction**2 + fraction) / 2
     # What is left free is a third difference; it sets the sum of squares to that of three weights of a whole shift.
     half = 3 * (at - after) - before
     excess = before**2 + at**2 + after**2 - (1 - 2 * _SPREAD + 1.5 * _SPREAD**2)
-    last = (math.copysign(math.sqrt(max(half**2 - 20 * excess, 0)), 0.5 - part) - half) / 20
+    last = (math.copysign(math.sqrt(max(half**2 - 20 * excess, 0)), 0.5 - fraction) - half) / 20
     result = np.zeros_like(values)
     _add_shifted(result, values, shift, axis, {-1: before - last, 0: at + 3 * last, 1: after - 3 * last, 2: last})
     return result
@@ -173,14 +176,16 @@ def _add_shifted(
 
     The weights are those of the samples about the last one before the place; without them, of linear interpolation.
     """
-    whole, size, left = int(np.floor(shift)), values.shape[axis], (slice(None),) * axis
-    part = shift - whole
-    for step, factor in (weights or {0: 1 - part, 1: part}).items():
-        count = whole + step
+    steps = int(np.floor(shift))
+    size = values.shape[axis]
+    before = (slice(None),) * axis
+    fraction = shift - steps
+    for step, factor in (weights or {0: 1 - fraction, 1: fraction}).items():
+        count = steps + step
         overlap = size - abs(count)
         if overlap > 0 and factor != 0:
-            source = values[(*left, slice(max(count, 0), max(count, 0) + overlap))]
-            total[(*left, slice(max(-count, 0), max(-count, 0) + overlap))] += (
+            source = values[(*before, slice(max(count, 0), max(count, 0) + overlap))]
+            total[(*before, slice(max(-count, 0), max(-count, 0) + overlap))] += (
                 source if factor == 1 else source * np.float32(factor)
             )
 

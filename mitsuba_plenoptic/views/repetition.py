@@ -15,22 +15,6 @@ from .lens_images import MicroImages
 # Neighbouring lenses over which correlations are averaged: standard deviation of a Gaussian window.
 _WINDOW = 4.0
 
-# Samples that see at least half of the pupil take part, and moves that leave at least so many along an axis.
-_OPEN, _FEWEST = 0.5, 5
-
-# By how much the correlation of a micro-image with itself, moved, rises again after it has fallen: below the first
-# nothing repeats, above the second all does. Of random textures 95 % of the lenses are below 0.11, of stripes above
-# 0.13.
-_RANDOM, _REPEATED = 0.08, 0.14
-
-# The period is the first move at which it has risen by this fraction of its whole rise.
-_RISEN = 0.6
-
-# Fraction of the depths of stripes that are right, by their period in pixels: (period - first) / second, at least the
-# third and at most the fourth. Measured on stripes of 1.1 to 2.4 lenses: 12 % of those of 3 pixels, which smoothing and
-# the width of a pixel leave little of, 55 % of 4, and 84 % of 5 or more.
-_BLURRED, _SLOPE, _LEAST, _MOST = 2.5, 3.0, 0.25, 0.87
-
 
 def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
     """Return the probability (t, s) that a bin's depth is wrong because texture repeats within the search range.
@@ -41,8 +25,14 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
     # Neighbouring lenses show the same so many pixels apart.
     moves = 1 / slopes[slopes != 0]
     searched = np.ptp(moves) if len(moves) else 0.0
-    right = ((period - _BLURRED) / _SLOPE).clip(_LEAST, _MOST)
-    repeated = ((rise - _RANDOM) / (_REPEATED - _RANDOM)).clip(0, 1) * (period <= searched)
+    # Fraction of the depths of stripes that are right, by their period in pixels: (period - first) / second, at least
+    # the third and at most the fourth. Measured on stripes of 1.1 to 2.4 lenses: 12 % of those of 3 pixels, which
+    # smoothing and the width of a pixel leave little of, 55 % of 4, and 84 % of 5 or more.
+    right = ((period - 2.5) / 3.0).clip(0.25, 0.87)
+    # By how much the correlation of a micro-image with itself, moved, rises again after it has fallen: below the first
+    # nothing repeats, above the second all does. Of random textures 95 % of the lenses are below 0.11, of stripes above
+    # 0.13.
+    repeated = ((rise - 0.08) / (0.14 - 0.08)).clip(0, 1) * (period <= searched)
     shape = images.bins.shape
     rows, columns = np.indices(shape)
     _, nearest = cKDTree(images.places.reshape(-1, 2)).query(np.stack([columns.ravel(), rows.ravel()], axis=1))
@@ -51,27 +41,29 @@ def wrong_by_repetition(images: MicroImages, slopes: np.ndarray) -> np.ndarray:
 
 def _repetition(images: MicroImages) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each lens, how far the micro-image's correlation rises again, and the period in pixels."""
-    open_ = (images.weight >= _OPEN).astype(np.float32)[..., None]
-    seen = np.maximum(open_.sum(axis=(2, 3), keepdims=True), 1)
-    values = (images.values - (images.values * open_).sum(axis=(2, 3), keepdims=True) / seen) * open_
-    rises, periods = [], []
+    open_ = (images.weight >= 0.5).astype(np.float32)[..., None]
+    count = np.maximum(open_.sum(axis=(2, 3), keepdims=True), 1)
+    values = (images.values - (images.values * open_).sum(axis=(2, 3), keepdims=True) / count) * open_
+    rises = []
+    periods = []
     for axis in (2, 3):
         size = values.shape[axis]
         correlation = [np.ones(values.shape[:2])]
-        for lag in range(1, size - _FEWEST + 1):
+        for lag in range(1, size - 5 + 1):
             first, second = (
-                (slice(None),) * axis + (part,) for part in (slice(0, size - lag), slice(lag, size))
+                (slice(None),) * axis + (window,) for window in (slice(0, size - lag), slice(lag, size))
             )  # fmt: skip
             products = [
                 (values[first] * values[second]).sum(axis=(2, 3, 4)),
                 (np.square(values[first]) * open_[second]).sum(axis=(2, 3, 4)),
                 (np.square(values[second]) * open_[first]).sum(axis=(2, 3, 4)),
             ]
-            both, one, other = scipy.ndimage.gaussian_filter(products, (0, _WINDOW, _WINDOW), mode="nearest")
-            size_of_both = np.sqrt(one * other)
+            both, power, moved_power = scipy.ndimage.gaussian_filter(products, (0, _WINDOW, _WINDOW), mode="nearest")
+            size_of_both = np.sqrt(power * moved_power)
             correlation.append(np.divide(both, size_of_both, out=np.zeros(both.shape), where=size_of_both > 0))
         risen = correlation - np.minimum.accumulate(correlation, axis=0)
         rises.append(risen.max(axis=0))
-        periods.append((risen >= _RISEN * rises[-1]).argmax(axis=0))
+        # The period is the first move at which it has risen by this fraction of its whole rise.
+        periods.append((risen >= 0.6 * rises[-1]).argmax(axis=0))
     along_v = rises[0] > rises[1]
     return np.where(along_v, *rises), np.where(along_v, *periods)

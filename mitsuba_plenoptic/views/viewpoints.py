@@ -144,19 +144,20 @@ def epipolar_image(
 
 def _nearest(lf: xr.DataArray, **positions: tuple[str, float | None]) -> xr.DataArray:
     """Return the samples nearest to given positions on axes; None means nearest to the middle."""
-    wanted = dict.fromkeys(positions, 0.0)
+    targets = dict.fromkeys(positions, 0.0)
     for axis, (name, value) in positions.items():
         if value is None:
             continue
-        wanted[axis] = require_number(name, value)
+        targets[axis] = require_number(name, value)
         samples = np.sort(lf[axis].values)
         # Of a single sample there is nothing to choose, and no step is known.
         reach = (samples[-1] - samples[0]) / (len(samples) - 1) / 2 if len(samples) > 1 else math.inf
-        low, high = samples[0] - reach, samples[-1] + reach
+        low = samples[0] - reach
+        high = samples[-1] + reach
         # Rounding must not refuse the border itself.
         margin = 1e-6 * reach if math.isfinite(reach) else 0.0
         refuse_if(
-            not low - margin <= wanted[axis] <= high + margin,
-            f"{name} = {wanted[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there",
+            not low - margin <= targets[axis] <= high + margin,
+            f"{name} = {targets[axis]:g}: the light field goes from {low:.4g} to {high:.4g} there",
         )
-    return lf.sel(wanted, method="nearest")
+    return lf.sel(targets, method="nearest")

@@ -38,9 +38,6 @@ MINIMUM_WEIGHT = 0.1
 _SAMPLES = 16
 _WIDEST = 4096
 
-# Points across a step of the table of a pupil that is not round.
-_FINER = 8
-
 # Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
 _POINTS = 8
 
@@ -71,7 +68,8 @@ class PupilFraction:
         self._step = camera.pupil_step / samples
         lens = camera.lattice.aperture_image(self._step, smear)
         half = math.ceil(camera.aperture_radius / self._step + samples) + lens.shape[0] // 2
-        axis, radius = np.arange(-half, half + 1) / samples, camera.aperture_radius / camera.pupil_step
+        axis = np.arange(-half, half + 1) / samples
+        radius = camera.aperture_radius / camera.pupil_step
         if camera.aperture == Round():
             pupil = _square_in_disc(axis, axis[:, None], radius)
         else:
@@ -88,7 +86,8 @@ class PupilFraction:
         last = 2 * self._half - 1
         column, row = (np.floor(axis).clip(0, last).astype(np.int32) for axis in (x, y))
         fx, fy = ((axis - base).clip(0, 1).astype(np.float32) for axis, base in ((x, column), (y, row)))
-        table, size = self._table.ravel(), self._table.shape[1]
+        table = self._table.ravel()
+        size = self._table.shape[1]
         index = row * size + column
         low = table[index] * (1 - fx) + table[index + 1] * fx
         return low * (1 - fy) + (table[index + size] * (1 - fx) + table[index + size + 1] * fx) * fy
@@ -96,9 +95,9 @@ class PupilFraction:
 
 def _square_in_aperture(half: int, samples: int, aperture: Opening, radius: float) -> np.ndarray:
     """Return the mean power over the pixel around each step (-x, -y) of `_table`, for a pupil of a radius in pixels."""
-    finer = 2 * max(1, min(_FINER, _WIDEST // (2 * half + samples)) // 2)
-    place = ((np.arange((2 * half + samples) * finer) + 0.5) / finer - half) / samples - 0.5
-    means = aperture.power(*np.broadcast_arrays(-place / radius, -place[:, None] / radius))
+    finer = 2 * max(1, min(8, _WIDEST // (2 * half + samples)) // 2)
+    position = ((np.arange((2 * half + samples) * finer) + 0.5) / finer - half) / samples - 0.5
+    means = aperture.power(*np.broadcast_arrays(-position / radius, -position[:, None] / radius))
     for axis in (0, 1):
         upto = np.insert(np.cumsum(means, axis), 0, 0, axis)
         first = np.arange(2 * half + 1) * finer
@@ -114,16 +113,14 @@ def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
     edge = np.abs(distance - radius) < math.sqrt(0.5)
     offsets = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
     chord = np.sqrt(np.maximum(0, radius**2 - (x[edge][:, None] + offsets) ** 2))
-    low, high = y[edge][:, None] - 0.5, y[edge][:, None] + 0.5
+    low = y[edge][:, None] - 0.5
+    high = y[edge][:, None] + 0.5
     fraction[edge] = np.maximum(0, np.minimum(high, chord) - np.maximum(low, -chord)).mean(1)
     return fraction
 
 
 # Micro-images drawn at once.
 _BLOCK = 128
-
-# Lenses of a tilted array whose heights differ by less, in detector distances, are blurred alike.
-_ALIKE = 0.01
 
 # Pixels of micro-images, an hour.
 _MOST_WORK = 3e10
@@ -135,15 +132,8 @@ _WHOLE = 0.2
 _MOST_SATURATED = 0.01
 
 # Light of a lens over that of the brightest: below three stops, more than main lenses vignette by, a white is refused.
-_DARKEST, _DIM = 1 / 8, 1 / 2
-
-# Light that lies within micro-images as computed; waves leave 0.4 in those narrower than the microlens's own blur.
-_LEAST_COMMON = 1 / 4
-
-# Fraction of the lenses by which the radiance is found, and how far from 1 it counts as 1.
-_CENTRAL, _SAME_RADIANCE = 0.25, 0.05
-
-_RESPONSE_RAYS = 4096
+_DARKEST = 1 / 8
+_DIM = 1 / 2
 
 # Rays of a pixel through each lens that can light it, behind a real main lens.
 _RAYS = 32
@@ -206,7 +196,8 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
     window = np.arange(-half, half + 1)
     for row in np.array_split(centres, -(-len(centres) // _BLOCK) or 1):
-        height, bright = fractions.heights(row), 1.0
+        height = fractions.heights(row)
+        bright = 1.0
         if camera.mla_transmissions is not None:
             bright = camera.mla_transmissions.at(camera.lattice, *lens_indices(camera, row))[:, None, None]
         if grid is None and any(camera.mla_tilt):
@@ -267,37 +258,40 @@ def recorded_white(
         If the image is a mosaic of colours, has many saturated pixels, is by another camera or of another shape, or
         does not fill the view.
     """
-    given = white.image if isinstance(white, Capture) else as_pixels("white", white)
+    recorded = white.image if isinstance(white, Capture) else as_pixels("white", white)
     if isinstance(white, Capture):
         require_demosaiced(white)
-        saturated, pixels = recording_of(white).get("saturated_pixels", 0), math.prod(white.camera.shape)
+        saturated = recording_of(white).get("saturated_pixels", 0)
+        pixels = math.prod(white.camera.shape)
         refuse_if(
             isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
             f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
         )
         if cameras and not any(are_alike(white.camera, camera) for camera in cameras):
-            theirs, ours = white.camera.to_dict(), cameras[-1].to_dict()
+            theirs = white.camera.to_dict()
+            ours = cameras[-1].to_dict()
             parameters = (name for name in {**ours, **theirs} if name != "lens_model")
             name = next(name for name in parameters if theirs.get(name) != ours.get(name))
             raise InputError(
                 f"white: its camera has {name} = {short_repr(theirs.get(name))}, that of the capture "
                 f"{short_repr(ours.get(name))}: it must be by the camera of the capture"
             )
-    if given.shape not in (shape[:2], (*shape[:2], 1), shape):
-        raise InputError(f"white of shape {given.shape}: it must have the pixels of the capture, {shape[:2]}")
-    image = np.atleast_3d(given)
+    if recorded.shape not in (shape[:2], (*shape[:2], 1), shape):
+        raise InputError(f"white of shape {recorded.shape}: it must have the pixels of the capture, {shape[:2]}")
+    image = np.atleast_3d(recorded)
     if computed is None:
         return image
     if lenses is None:
         camera = cameras[0]
         x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-        lenses, computed = (lens_numbers(camera), np.hypot(x, y[:, None])), computed * mean_response(camera)
+        lenses = (lens_numbers(camera), np.hypot(x, y[:, None]))
+        computed = computed * mean_response(camera)
     numbers, away, model = (values.ravel() for values in (*lenses, computed))
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
     light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
     expected = np.bincount(numbers, model)
-    whole = (expected > 0) & (expected >= _WHOLE * expected.max(initial=0))
-    ratio = light[whole] / expected[whole, None]
+    judged = (expected > 0) & (expected >= _WHOLE * expected.max(initial=0))
+    ratio = light[judged] / expected[judged, None]
     brightest = ratio.max(axis=0, initial=0)
     refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")
     least = (ratio / brightest).min(axis=1)
@@ -306,6 +300,7 @@ def recorded_white(
     light_ratio = light.sum(axis=1) / np.maximum(expected, np.finfo(np.float32).tiny)
     scaled = image.sum(axis=-1).ravel() / np.where(light_ratio > 0, light_ratio, np.inf)[numbers]
     common = float(np.minimum(scaled, model).clip(0).sum() / model.sum())
+    # Light that lies within micro-images as computed; waves leave 0.4 in those narrower than the microlens's own blur.
     for fraction, required, text in (
         (
             least.min(),
@@ -315,7 +310,7 @@ def recorded_white(
         ),
         (
             common,
-            _LEAST_COMMON,
+            (1 / 4),
             f"{common:.0%} of its light is distributed over the micro-images as the camera distributes it: it must be "
             "by this camera and fill the view of the whole pupil",
         ),
@@ -323,12 +318,12 @@ def recorded_white(
         refuse_if(fraction < required, f"white: {text}")
         if fraction < _DIM:
             warn(f"white: {text}")
-    near = radius[whole] <= np.quantile(radius[whole], _CENTRAL)
+    near = radius[judged] <= np.quantile(radius[judged], 0.25)
     radiance = np.median(ratio[near], axis=0)
-    other = np.abs(radiance - 1) > _SAME_RADIANCE
-    if other.any():
+    scaled_channels = np.abs(radiance - 1) > 0.05
+    if scaled_channels.any():
         _log.info("white: its radiance is %s: it is scaled to 1", ", ".join(f"{value:.3g}" for value in radiance))
-    return np.asarray(image / np.where(other, radiance, 1), np.float32)
+    return np.asarray(image / np.where(scaled_channels, radiance, 1), np.float32)
 
 
 def divide_by_weight(light: np.ndarray, weight: np.ndarray, alone: np.ndarray | bool = True) -> np.ndarray:
@@ -349,7 +344,7 @@ def mean_response(camera: PlenopticCamera) -> float:
     # Importing this takes longer than most commands of a shell need in all.
     from scipy.stats import qmc
 
-    s, t, u, v = qmc.Sobol(4, scramble=False).random(_RESPONSE_RAYS).T
+    s, t, u, v = qmc.Sobol(4, scramble=False).random(4096).T
     distance = camera.micro_image_diameter / 2 * np.sqrt(u)
     x, y = camera.lattice.aperture_point(s, t)
     across = np.hypot(distance * np.cos(2 * np.pi * v) - x, distance * np.sin(2 * np.pi * v) - y)
@@ -366,13 +361,16 @@ def _traced(camera: PlenopticCamera) -> NDArray[np.float32]:
     Every pixel has its own shift of one even set of rays, so that sampling errors at the rims of micro-images average
     out within a bin.
     """
-    types, walk, p, steps = array_module(), Walk.of(camera), camera.pixel_size, even_steps(4).tolist()
+    types = array_module()
+    walk = Walk.of(camera)
+    p = camera.pixel_size
+    steps = even_steps(4).tolist()
     image = np.empty(camera.shape, np.float32)
     around = crosstalk_neighbours(camera).tolist()
     for rows, px, py in detector_rows(camera):
         _, (i, j) = walk.chief_cell((px, py))
-        number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
-        shifts = [types.Float64(hashed(number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
+        pixel_number = dr.arange(types.UInt32, dr.width(px)) + dr.opaque(types.UInt32, rows.start * camera.crop_size[0])
+        shifts = [types.Float64(hashed(pixel_number * 4 + axis)) * (1 / 2**32) for axis in range(4)]
         total = types.Float64(0)
         for ray in range(_RAYS):
             s, t, u, v = (
@@ -399,7 +397,8 @@ class _Fractions:
     def __init__(self, camera: PlenopticCamera) -> None:
         self._camera = camera
         self._slopes = np.tan(np.deg2rad(camera.mla_tilt))
-        self._step = _ALIKE * camera.detector_distance
+        # Lenses of a tilted array whose heights differ by less, in detector distances, are blurred alike.
+        self._step = 0.01 * camera.detector_distance
         self._tables: dict[tuple[int, int], PupilFraction] = {}
         reach = max(math.hypot(*(camera.pixel_coordinates(axis)[end] for axis in (0, 1))) for end in (0, -1))
         rise = round(reach * math.hypot(*self._slopes) / self._step)
@@ -421,17 +420,19 @@ class _Fractions:
     def __call__(self, lens_type: np.ndarray, height: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the fractions (n, rows, columns) of lenses at pupil positions x (n, columns), y (n, rows)."""
         fraction = np.zeros((len(x), y.shape[1], x.shape[1]), dtype=np.float32)
-        kinds, which = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
+        kinds, kind_index = np.unique(np.stack([lens_type, np.round(height / self._step)]), axis=1, return_inverse=True)
         for index, (kind, level) in enumerate(kinds.T.astype(int)):
-            mine = which.ravel() == index
-            fraction[mine] = self._table(kind, level)(x[mine, None, :], y[mine, :, None])
+            of_kind = kind_index.ravel() == index
+            fraction[of_kind] = self._table(kind, level)(x[of_kind, None, :], y[of_kind, :, None])
         return fraction
 
     def _at(self, level: int) -> PlenopticCamera:
-        camera, height = self._camera, level * self._step
+        camera = self._camera
+        height = level * self._step
         if not level:
             return camera
-        b, z = camera.mla_distance - height, camera.detector_distance + height
+        b = camera.mla_distance - height
+        z = camera.detector_distance + height
         return camera.replace(mla_distance=b, detector_distance=z, mla_tilt=(0.0, 0.0))
 
     def _table(self, lens_type: int, level: int) -> PupilFraction:
