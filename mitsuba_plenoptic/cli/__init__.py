@@ -29,7 +29,7 @@ PROGRAM = "mitsuba-plenoptic"
 
 _logger = logging.getLogger(__package__.partition(".")[0])
 
-_OWN = {
+_COMMANDS_OF_CORE = {
     "example": ("example", "Write a finished capture, with its ground truth next to it, to try the other commands on."),
     "render": ("render_command", "Render what a scene's plenoptic camera records."),
     "reconstruct": ("reconstruct", "Refocus a capture to one or several distances."),
@@ -45,7 +45,7 @@ _OWN = {
     "doctor": ("info", "Check the installation: versions, LLVM, Mitsuba variants, threads and GPU."),
 }
 
-COMMANDS = {name: (f"{__package__}.{module}", line) for name, (module, line) in _OWN.items()} | {
+COMMANDS = {name: (f"{__package__}.{module}", line) for name, (module, line) in _COMMANDS_OF_CORE.items()} | {
     name: (f"{package}.{module}", line) for package, name, (module, line) in entries("commands")
 }
 """In the order of the help: the module of each command, a function of its name, and its line of help."""
@@ -67,20 +67,20 @@ class _Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name, the command and the words that follow."""
-        name, command, rest = super().resolve_command(ctx, args)
-        return name, command and load(str(name)), rest
+        name, command, following = super().resolve_command(ctx, args)
+        return name, command and load(str(name)), following
 
 
 def command_group() -> Any:
     """Return the command with its subcommands, none of which is imported."""
-    made = typer.Typer(
+    application = typer.Typer(
         cls=_Commands,
         rich_markup_mode="rich",
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    made.callback(invoke_without_command=True)(_root)
-    group: Any = typer.main.get_command(made)
+    application.callback(invoke_without_command=True)(_root)
+    group: Any = typer.main.get_command(application)
     group.commands |= {name: TyperCommand(name, help=line) for name, (_, line) in COMMANDS.items()}
     return group
 
@@ -101,8 +101,8 @@ def load(name: str) -> Any:
     return typer.main.get_command(alone)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(flag: bool) -> None:
+    if flag:
         from importlib.metadata import version
 
         typer.echo(f"{PROGRAM} {version(PROGRAM)}")
@@ -131,15 +131,15 @@ def _root(
         typer.echo(context.get_help())
 
 
-def _be_quiet(wanted: bool) -> None:
-    if wanted:
+def _be_quiet(flag: bool) -> None:
+    if flag:
         # Progress, too, is silent at this level.
         _logger.setLevel(logging.CRITICAL)
         warnings.showwarning = lambda *_, **__: None
 
 
-def _be_verbose(wanted: bool) -> None:
-    if wanted:
+def _be_verbose(flag: bool) -> None:
+    if flag:
         _logger.setLevel(logging.DEBUG)
 
 
@@ -173,7 +173,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["MPLBACKEND"] = "agg"
     if words and (absent := missing("commands", words[0])):
         return _fail(absent)
-    group, called = command_group(), words[0] if words and words[0] in COMMANDS else None
+    group = command_group()
+    called = words[0] if words and words[0] in COMMANDS else None
     if called:
         # Options before the command, of which none is given: Typer would import pydantic to judge them.
         group.params.clear()
@@ -181,9 +182,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with _remarks(), _interrupts():
         try:
             # Progress begins before the options are read, thus before --quiet is.
-            shown = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
+            has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
-            with at_shell(_OPTIONS), plain_lines(words[0]) if shown else contextlib.nullcontext():
+            with at_shell(_OPTIONS), plain_lines(words[0]) if has_progress else contextlib.nullcontext():
                 status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == _STOPPED:
@@ -194,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _STOPPED
         except Exception as error:
             command = load(called) if called else group
-            message = _mistake(error, {option for known in command.params for option in known.opts})
+            message = _mistake(error, {option for parameter in command.params for option in parameter.opts})
             if message is None:
                 raise
             return _fail(message)
@@ -259,7 +260,8 @@ def _remarks() -> Iterator[None]:
         detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
         _complain(f"{detail}{record.getMessage()}")
 
-    handler, level = logging.Handler(), _logger.level
+    handler = logging.Handler()
+    level = _logger.level
     handler.emit = emit  # type: ignore[method-assign]
     _logger.addHandler(handler)
     _logger.setLevel(logging.INFO)
@@ -275,12 +277,12 @@ def _remarks() -> Iterator[None]:
 def _with_options(message: str, options: Collection[str]) -> str:
     """Return a message in which arguments, ``name = value: ...``, are spelt as options of the command."""
 
-    def spelled(found: re.Match[str]) -> str:
-        option = _OPTIONS.get(found[1], f"--{found[1].replace('_', '-')}")
+    def spelled(argument: re.Match[str]) -> str:
+        option = _OPTIONS.get(argument[1], f"--{argument[1].replace('_', '-')}")
         if option not in options:
-            return found[0]
+            return argument[0]
         # At a shell flags and what is not given have no value.
-        return option if found[2] else f"{option} = "
+        return option if argument[2] else f"{option} = "
 
     about, colon, rule = message.partition(": ")
     return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b|True\b)?", spelled, about) + colon + rule

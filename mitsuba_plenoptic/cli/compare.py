@@ -99,15 +99,15 @@ def compare(
     if real is not None:
         refuse_if(scene is not None, f"scene = {scene}: --real takes its place")
         refuse_if(bool(distance or against or define), "--distance, --against, -D: they are not for --real")
-        known = named_camera(camera)
-        missing = None in (white, dark, known, wavelength)
+        nominal = named_camera(camera)
+        missing = None in (white, dark, nominal, wavelength)
         refuse_if(missing, "--real: give --white, --dark, --camera and --wavelength, too")
         with stage_lines(resume) as stages:
             hook("--real", "--real")(
-                real, output, known, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
+                real, output, nominal, white=white, dark=dark, wavelength=wavelength, part=part, options=stages
             )
         return
-    refuse_if(any(each is not None for each in (white, dark, part)), "--white, --dark, --part: they are for --real")
+    refuse_if(any(value is not None for value in (white, dark, part)), "--white, --dark, --part: they are for --real")
     if scene is None or not distance:
         raise InputError("scene, --distance: give a scene and a distance, or --real with a real light field")
     from ..light.render_capture import MOST_SAMPLES
@@ -141,19 +141,19 @@ def compare(
     )
     with stage_lines(resume) as stages:
         results = compute(settings, output, stages=stages, against=against)
-    found = results["captures"]
-    similarity = ssim_text(found["ssim"])
-    typer.echo(f"Rays against waves: {found['psnr']:.1f} dB, SSIM {similarity}, energy {found['energy']:.3f}")
-    found = found["difference"]
-    if found["all"]["noise"] is None:
+    captures = results["captures"]
+    similarity = ssim_text(captures["ssim"])
+    typer.echo(f"Rays against waves: {captures['psnr']:.1f} dB, SSIM {similarity}, energy {captures['energy']:.3f}")
+    captures = captures["difference"]
+    if captures["all"]["noise"] is None:
         typer.echo("Noise: not known of one sample; use --spp 2 or more")
-    elif found["all"]["noise_alone"]:
-        typer.echo(f"They differ by {found['all']['measured']:.2%}, which noise alone explains; use more --spp")
+    elif captures["all"]["noise_alone"]:
+        typer.echo(f"They differ by {captures['all']['measured']:.2%}, which noise alone explains; use more --spp")
     else:
         typer.echo(
-            f"They differ by {found['all']['measured']:.2%}: noise {found['all']['noise']:.2%}, diffraction "
-            f"{found['all']['true']:.2%} ({found['middle']['true']:.2%} in the middle of micro-images, "
-            f"{found['rim']['true']:.2%} at their rim)"
+            f"They differ by {captures['all']['measured']:.2%}: noise {captures['all']['noise']:.2%}, diffraction "
+            f"{captures['all']['true']:.2%} ({captures['middle']['true']:.2%} in the middle of micro-images, "
+            f"{captures['rim']['true']:.2%} at their rim)"
         )
     if against is not None:
         halves = [f"{row['title']} {row['mtf50_per_mm']:.3g}" for row in results["ordinary"]["pictures"]]

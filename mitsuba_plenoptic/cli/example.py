@@ -32,7 +32,8 @@ def example(
     from ..io.truth_files import NAME, truth_path, write_ground_truth
     from ..runtime.files import require_writable
 
-    capture, truth = examples.example(name), examples.example_truth(name)
+    capture = examples.example(name)
+    truth = examples.example_truth(name)
     path = require_writable(output or Path(f"{name}.exr"))
     truth_file = require_writable(truth_path(path))
     write_ground_truth(truth_file, truth)

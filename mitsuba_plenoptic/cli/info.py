@@ -114,31 +114,32 @@ def info(
     refuse_if(unit != "mm" and recorded, f"--unit {unit}: {source} is no scene; leave it out")
     capture = read_capture(source) if recorded else None
     if Path(source).is_file() and format_of(suffix, "lens", source):
-        seen = PlenopticCamera(main_lens=source, mla_lattice="none")
+        shown_camera = PlenopticCamera(main_lens=source, mla_lattice="none")
     else:
-        seen = capture.camera if capture else load_camera(source, parameters, unit)[0]
+        shown_camera = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if drawing is not None:
         # Brings Matplotlib, which takes a while to load.
         from ..report.lens_drawing import draw_main_lens
 
-        draw_main_lens(drawing, seen)
+        draw_main_lens(drawing, shown_camera)
     if microlens is not None:
         from ..report.microlens_drawing import draw_microlens
 
-        draw_microlens(microlens, seen, wavelength)
-    rows, found = design_sheet(seen, wavelength), design_warnings(seen, wavelength)
+        draw_microlens(microlens, shown_camera, wavelength)
+    rows = design_sheet(shown_camera, wavelength)
+    warnings = design_warnings(shown_camera, wavelength)
     origin = _origin(capture) if capture else {}
     better = None
     if fix is not None:
-        better = mended(seen, wavelength)
+        better = mended(shown_camera, wavelength)
         write_text(fix, better.to_json(), ".json")
-    changed = {} if better is None else _changes(seen, better)
+    changed = {} if better is None else _changes(shown_camera, better)
     still = [] if better is None else design_warnings(better, wavelength)
     if as_json:
         sheet = [row._asdict() for row in rows]
-        facts = {"camera": seen.to_dict(), "sheet": sheet, "warnings": found, "capture": origin}
+        facts = {"camera": shown_camera.to_dict(), "sheet": sheet, "warnings": warnings, "capture": origin}
         typer.echo(json.dumps(facts if fix is None else facts | {"changed": changed, "still": still}, indent=1))
         return
     console = Console(highlight=False)
@@ -148,11 +149,13 @@ def info(
         for name, fact in origin.items():
             text = fact if isinstance(fact, str) else json.dumps(fact)
             console.print(f"  {escape(printable(name))}: {escape(printable(text))}", soft_wrap=True)
-    for warning in found:
+    for warning in warnings:
         console.print(f"[bold]Warning:[/bold] {escape(warning)}.", soft_wrap=True)
     if fix is not None:
-        what = f"with {', '.join(f'{name} = {value}' for name, value in changed.items())}" if changed else "unchanged"
-        console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {what}')}.", soft_wrap=True)
+        outcome = (
+            f"with {', '.join(f'{name} = {value}' for name, value in changed.items())}" if changed else "unchanged"
+        )
+        console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {outcome}')}.", soft_wrap=True)
         for warning in still:
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
 
@@ -194,19 +197,23 @@ def doctor(as_json: Json = False) -> None:
     """
     from ..report.installation import inspect_installation
 
-    found = inspect_installation()
+    installation = inspect_installation()
     if as_json:
-        sections = {title: dict(lines) for title, lines in found.sections.items()}
-        facts: dict[str, Any] = {"ready": found.ready, "verdict": found.verdict, "problem": found.problem}
+        sections = {title: dict(lines) for title, lines in installation.sections.items()}
+        facts: dict[str, Any] = {
+            "ready": installation.ready,
+            "verdict": installation.verdict,
+            "problem": installation.problem,
+        }
         typer.echo(json.dumps(facts | sections, indent=1))
-        raise typer.Exit(0 if found.ready else 1)
-    for title, lines in found.sections.items():
+        raise typer.Exit(0 if installation.ready else 1)
+    for title, lines in installation.sections.items():
         typer.echo(f"\n{typer.style(title, bold=True)}")
         for name, value in lines:
             typer.echo(f"  {name:<26} {value}")
     typer.echo()
-    if found.problem:
-        typer.echo(f"Problem: {found.problem}.")
-    typer.echo(f"{found.verdict}.")
-    if not found.ready:
+    if installation.problem:
+        typer.echo(f"Problem: {installation.problem}.")
+    typer.echo(f"{installation.verdict}.")
+    if not installation.ready:
         raise typer.Exit(1)

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from ..report.images import Drawing
     from ..runtime.batches import BatchMap
 
-_LARGEST_SCALE = 64
-
 COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
 
@@ -49,8 +47,8 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
         refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
         return camera_and_record(source)
     require_camera_name("camera", source)
-    found = content_of(Path(source)) if Path(source).is_file() else SCENE_XML
-    refuse_if(found != SCENE_XML, f"{source}: it is {found}; a camera is a preset, a JSON or YAML file or a scene")
+    content = content_of(Path(source)) if Path(source).is_file() else SCENE_XML
+    refuse_if(content != SCENE_XML, f"{source}: it is {content}; a camera is a preset, a JSON or YAML file or a scene")
     sensors = load_scene(source, parameters=parameters, unit=unit).sensors()
     refuse_if(not sensors, f"{source}: it has no sensor; add one of type 'plenoptic'")
     return PlenopticCamera.from_sensor(sensors[0]), None
@@ -64,10 +62,10 @@ def refuse_options(work: str, **options: object) -> None:
 
 def require_linear(linear: bool, *paths: Path | None) -> None:
     """Refuse ``--linear`` unless an input is a picture."""
-    given = [path for path in paths if path is not None]
+    sources = [path for path in paths if path is not None]
     refuse_if(
-        linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in given),
-        f"--linear: it is for pictures (.png, .tiff); {given[0]} holds values proportional to light",
+        linear and not any(path.suffix.lower() in RAW_SUFFIXES for path in sources),
+        f"--linear: it is for pictures (.png, .tiff); {sources[0]} holds values proportional to light",
     )
 
 
@@ -94,21 +92,25 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> Drawing:
     """Return the settings for drawn pictures, the options `PICTURE`; refuse them where the output is not a picture."""
     from ..report.images import SHOWN, Brightness, Drawing
 
-    given = [path for path in paths if path is not None]
+    outputs = [path for path in paths if path is not None]
     for name in ("exposure", "percentile"):
         refuse_if(
-            options[name] is not None and not any(path.suffix.lower() in SHOWN for path in given),
-            f"--{name}: it is for pictures ({', '.join(SHOWN)}); {given[0]} keeps the values as they are",
+            options[name] is not None and not any(path.suffix.lower() in SHOWN for path in outputs),
+            f"--{name}: it is for pictures ({', '.join(SHOWN)}); {outputs[0]} keeps the values as they are",
         )
-    suffix, figure, scale = given[0].suffix.lower(), options["figure"], options["scale"]
-    refuse_if(figure and suffix not in (".png", ".pdf"), f"--figure: it is for .png and .pdf; the output is {given[0]}")
+    suffix = outputs[0].suffix.lower()
+    figure = options["figure"]
+    scale = options["scale"]
+    refuse_if(
+        figure and suffix not in (".png", ".pdf"), f"--figure: it is for .png and .pdf; the output is {outputs[0]}"
+    )
     if scale is not None:
         refuse_if(
             figure or suffix not in (".png", *ANIMATED),
             f"--scale {scale}: it is for plain pictures (.png, {', '.join(ANIMATED)}), without --figure; the output is "
-            f"{given[0]}",
+            f"{outputs[0]}",
         )
-        require_count("scale", scale, maximum=_LARGEST_SCALE)
+        require_count("scale", scale, maximum=64)
     return Drawing(Brightness(options["exposure"], options["percentile"]), scale, figure)
 
 
@@ -152,25 +154,22 @@ def open_scene(
     from ..plugins.other_camera import with_camera
     from ..runtime.backend import DEFAULT_VARIANT
 
-    other = named_camera(camera)
+    replacement = named_camera(camera)
     colours = None if variant else colours_of_film(scene, parameters)
     chosen = variant or (COLOURS if colours else DEFAULT_VARIANT)
     loaded = load_scene(scene, variant=chosen, parameters=parameters, unit=unit)
-    if other is not None:
+    if replacement is not None:
         require_in_use(scene, parameters)
         # It stands first. Number 0 is the first camera, before which there may be meters.
-        loaded, index = with_camera(loaded, other, index or None), 0
+        loaded = with_camera(loaded, replacement, index or None)
+        index = 0
     sensor = plenoptic_sensor(loaded, index)
-    seen = PlenopticCamera.from_sensor(sensor)
+    camera_of_scene = PlenopticCamera.from_sensor(sensor)
     if colours:
         _log.info("variant %s, as the film records %s; --variant chooses another", COLOURS, colours)
-    for text in design_warnings(seen):
+    for text in design_warnings(camera_of_scene):
         warn(text)
     return loaded
-
-
-_OWN = ("sampler", "transform", "medium")
-"""Elements of a scene's sensor that remain where another camera takes its place."""
 
 
 def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -> None:
@@ -181,24 +180,30 @@ def require_in_use(scene: str, parameters: dict[str, str], option: str = "-D") -
     """
     from ..light.scene import names_in
 
-    roots, used = scene_roots(scene, parameters), set()
-    known = {name for root in roots for each in root.iter() for name in names_in(each)}
+    roots = scene_roots(scene, parameters)
+    used_names = set()
+    known_names = {name for root in roots for element_of_root in root.iter() for name in names_in(element_of_root)}
 
     def visit(element: Element, of_camera: bool) -> None:
-        replaced = element.tag == "sensor" or (of_camera and element.tag not in _OWN)
+        # The sampler, the position and the medium remain where another camera takes the sensor's place.
+        replaced = element.tag == "sensor" or (of_camera and element.tag not in ("sampler", "transform", "medium"))
         if not replaced and element.tag != "default":
-            used.update(names_in(element))
-        for part in element:
-            visit(part, replaced)
+            used_names.update(names_in(element))
+        for child in element:
+            visit(child, replaced)
 
     for root in roots:
         visit(root, False)
     # Parameters are used, too, to which the defaults of used ones refer.
-    defaults = {each.get("name"): names_in(each) for root in roots for each in root.iter("default")}
-    while more := {other for name in used for other in defaults.get(name, ())} - used:
-        used |= more
+    defaults = {
+        element_of_root.get("name"): names_in(element_of_root)
+        for root in roots
+        for element_of_root in root.iter("default")
+    }
+    while more := {referred for name in used_names for referred in defaults.get(name, ())} - used_names:
+        used_names |= more
     for name in parameters:
-        if name in known - used:
+        if name in known_names - used_names:
             raise InputError(
                 f"{option} {name}: it is of the scene's own camera, which another one replaces; leave it out"
             )
@@ -222,8 +227,8 @@ def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
 
     roots = scene_roots(scene, parameters)
     formats: list[str] = []
-    for film in [each for root in roots for each in root.iter("film")] or [Element("film", type="hdrfilm")]:
-        named = [each.get("value", "") for each in film.iter("string") if each.get("name") == "pixel_format"]
+    for film in [node for root in roots for node in root.iter("film")] or [Element("film", type="hdrfilm")]:
+        named = [node.get("value", "") for node in film.iter("string") if node.get("name") == "pixel_format"]
         formats += named or (["rgb"] if film.get("type") == "hdrfilm" else [])
     values = scene_defaults(roots) | parameters
     for name in formats:
@@ -247,8 +252,8 @@ def batches_on(workers: int | None, scheduler: str | None) -> contextlib.Abstrac
     """Return the Dask cluster of the requested workers; without workers a context that yields None."""
     from ..runtime.batches import Cluster
 
-    given = workers is not None or scheduler is not None
-    return Cluster(workers=workers, scheduler=scheduler) if given else contextlib.nullcontext()
+    asks_cluster = workers is not None or scheduler is not None
+    return Cluster(workers=workers, scheduler=scheduler) if asks_cluster else contextlib.nullcontext()
 
 
 def camera_instead(

@@ -157,8 +157,8 @@ def stack(
     if not distance and not disparity:
         raise typer.BadParameter("give at least one, or a disparity", param_hint="--distance")
     refuse_if(distance and disparity, "--distance, --disparity: give one of the two")
-    known = require_in_sight(source, named_camera(options["camera"]), *(distance or []))
-    by, given = ("distance", distance) if distance else ("disparity", disparity or [])
+    camera_of_option = require_in_sight(source, named_camera(options["camera"]), *(distance or []))
+    by, planes = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
     from ..report.animations import sweep_distances
@@ -168,22 +168,21 @@ def stack(
 
     require_apart(require_picture_path(output, animated=True), source, options["white"])
     drawing = drawing_of(options, output)
-    lf = light_field(source, options, known)
+    lf = light_field(source, options, camera_of_option)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(
-            lf, sweep_distances(given, by) if animated else given, method=method, by=by, progress=progress
+            lf, sweep_distances(planes, by) if animated else planes, method=method, by=by, progress=progress
         )
     if animated:
         frames = write_focal_sweep(output, images, drawing)
-        typer.echo(f"{output}: {frames} images from {given[0]:g} to {given[-1]:g} {images[by].units} and back")
+        typer.echo(f"{output}: {frames} images from {planes[0]:g} to {planes[-1]:g} {images[by].units} and back")
         return
     write_stack(output, images, drawing)
     rows, columns = images.shape[1:3]
     typer.echo(f"{output}: {len(images)} images of {columns} x {rows} bins")
 
 
-_BEYOND = {"near": "nearer", "far": "farther"}
 _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
 
@@ -230,24 +229,25 @@ def depth(
 
     require_apart(require_picture_path(output), source, options["white"], truth)
     drawing = drawing_of(options, output)
-    known = named_camera(options["camera"])
-    lf = light_field(source, options, known, truth or True)
+    camera_of_option = named_camera(options["camera"])
+    lf = light_field(source, options, camera_of_option, truth or True)
     images = None
     if is_focused(lf):
-        images = open_micro_images(source, white=options["white"], linear=options["linear"], camera=known)
+        images = open_micro_images(source, white=options["white"], linear=options["linear"], camera=camera_of_option)
     with progress_bar("Comparing views") as progress:
-        found = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
-    write_depth(output, found, drawing)
-    sure = found.confidence > 0.5
-    unit = "mm" if "depth" in found else "pixels per view"
-    where = (found.depth if "depth" in found else found.disparity).where(sure)
+        estimate = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
+    write_depth(output, estimate, drawing)
+    sure = estimate.confidence > 0.5
+    unit = "mm" if "depth" in estimate else "pixels per view"
+    where = (estimate.depth if "depth" in estimate else estimate.disparity).where(sure)
     fraction = f"{100 * float(sure.mean()):.0f} % of the bins with a confidence above half"
-    ends = dict(zip(("near", "far"), beyond_search(found), strict=True))
+    ends = dict(zip(("near", "far"), beyond_search(estimate), strict=True))
     for end, beyond in ends.items():
         if beyond >= _LITTLE:
             warn(
                 f"depth: {100 * beyond:.0f} % of the bins agree best at the {end} end of the search, "
-                f"{found.attrs[end]:.4g} {unit}, and are probably {_BEYOND[end]}: widen the search with --{end}"
+                f"{estimate.attrs[end]:.4g} {unit}, and are probably {'nearer' if end == 'near' else 'farther'}: widen "
+                f"the search with --{end}"
             )
     if float(sure.mean()) < _LITTLE and max(ends.values()) < _LITTLE:
         warn(
@@ -256,12 +256,12 @@ def depth(
         )
     span = f", from {float(where.min()):.4g} to {float(where.max()):.4g} {unit}" if bool(sure.any()) else ""
     typer.echo(f"{output}: {fraction}{span}")
-    if "depth" not in found:
+    if "depth" not in estimate:
         typer.echo(
             "no camera: these are disparities, negative nearer than the plane in focus, positive farther (HCI's have "
             "the other sign)"
         )
-    if "truth" in found and (error := depth_error(found)).share:
+    if "truth" in estimate and (error := depth_error(estimate)).share:
         typer.echo(
             f"error there against ground truth: median {error.median:.2%} of the distance, 90th percentile "
             f"{error.percentile_90:.2%}"
@@ -320,8 +320,8 @@ def convert(
     require_apart(output, source, options["white"], truth)
     lf = light_field(source, options, named_camera(options["camera"]), truth or True)
     if writer is not None:
-        known = lf.coords.get("virtual_depth", lf.coords.get("depth"))
-        central = None if known is None else known.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]
+        depth_of_views = lf.coords.get("virtual_depth", lf.coords.get("depth"))
+        central = None if depth_of_views is None else depth_of_views.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]
         with naming(source):
             views = place(*writer)(output, lf, central, name=source.stem)
         typer.echo(f"{output}: {views} x {views} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")

@@ -28,7 +28,8 @@ from ..presets import PRESETS
 from ..refocus_options import method_names
 from ..scene_files import scene_names, scene_path
 
-WAVES, EXPERT = "Options of waves", "Options for experts"
+WAVES = "Options of waves"
+EXPERT = "Options for experts"
 """Panels of the help below the one of the options that most people need."""
 
 
@@ -37,9 +38,9 @@ def checked(check: Callable[[str, Any], object]) -> Callable[..., Any]:
 
     def callback(parameter: typer.CallbackParam, value: Any) -> Any:
         name = max(parameter.opts, key=len).lstrip("-").replace("-", "_")
-        for one in value if isinstance(value, (list, tuple)) else [value]:
-            if one is not None:
-                check(name, one)
+        for item in value if isinstance(value, (list, tuple)) else [value]:
+            if item is not None:
+                check(name, item)
         return value
 
     return callback
@@ -89,9 +90,9 @@ def nanometres_of_channels(name: str, text: str) -> None:
     with refusing(
         f"{name} = {short_repr(text)}: it must be nanometres, or three of them separated by commas", ValueError
     ):
-        numbers = [float(number) for number in text.split(",")]
-    for number in numbers:
-        require_wavelength(number, name)
+        wavelengths = [float(wavelength) for wavelength in text.split(",")]
+    for wavelength in wavelengths:
+        require_wavelength(wavelength, name)
 
 
 def _require_file(name: str, path: Path) -> None:

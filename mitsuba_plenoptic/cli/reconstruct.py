@@ -45,11 +45,11 @@ if TYPE_CHECKING:
 
 def _method_options() -> dict[str, Any]:
     """Return an option of the command for each argument that only some methods take."""
-    made: dict[str, Any] = {}
+    command_options: dict[str, Any] = {}
     for name, option in all_options().items():
         flag = bool in option.types
         kind: Any = str | None if str in option.types else option.types[0] | None
-        made[name] = Annotated[
+        command_options[name] = Annotated[
             kind,
             typer.Option(
                 *([f"--{name}/--no-{name}" if option.default else f"--{name}"] if flag else []),
@@ -59,7 +59,7 @@ def _method_options() -> dict[str, Any]:
                 rich_help_panel=WAVES if option.waves else EXPERT,
             ),
         ]
-    return made
+    return command_options
 
 
 @partial(with_parameters, parameters=_method_options())
@@ -125,7 +125,7 @@ def reconstruct(
 
       mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
-    known = require_in_sight(capture, named_camera(camera), *distance)
+    camera_of_option = require_in_sight(capture, named_camera(camera), *distance)
 
     # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
@@ -141,7 +141,7 @@ def reconstruct(
     elif output is None:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
     # Those that the command alone knows, too, so that there is one note on all.
-    used = used_by(
+    arguments = used_by(
         chosen,
         white=white,
         wavelength=wavelength,
@@ -150,25 +150,25 @@ def reconstruct(
         workers=workers,
         scheduler=scheduler,
     )
-    white, resume, workers, scheduler = (used.pop(name) for name in ("white", "resume", "workers", "scheduler"))
-    used |= {"method": method, "oversample": oversample}
+    white, resume, workers, scheduler = (arguments.pop(name) for name in ("white", "resume", "workers", "scheduler"))
+    arguments |= {"method": method, "oversample": oversample}
     require_linear(linear, capture, white)
     if estimate or output is None:
         with progress_bar("Estimating") as progress:
-            recorded, reference = _recorded(capture, white, known, linear, variant)
+            recorded, reference = _recorded(capture, white, camera_of_option, linear, variant)
             progress(1, 3)
-            cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **used)
+            cost = reconstruction.estimate_reconstruction(recorded, distance, white=reference, **arguments)
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
-    whole = output.suffix.lower() in VOLUMES
+    as_volume = output.suffix.lower() in VOLUMES
     drawing = drawing_of(options, output)
-    paths = [] if whole else reconstruction_paths(output, distance, drawing)
-    if whole:
+    paths = [] if as_volume else reconstruction_paths(output, distance, drawing)
+    if as_volume:
         require_volume_path(output, distance)
     written = paths or [output]
     for path in written:
         require_apart(path, capture, white)
-    recorded, reference = _recorded(capture, white, known, linear, variant)
+    recorded, reference = _recorded(capture, white, camera_of_option, linear, variant)
     saved = checkpoint_of(output, bool(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
         with progress_bar("Refocusing") as progress, resumable(progress, saved):
@@ -179,9 +179,9 @@ def reconstruct(
                 progress=progress,
                 checkpoint=saved,
                 batch_map=batch_map,
-                **used,
+                **arguments,
             )
-        if whole:
+        if as_volume:
             volume = reconstruction.Volume.of(results)
             reconstruction.write_volume(output, volume)
             planes, rows, columns = volume.values.shape[:3]
@@ -222,30 +222,30 @@ def sheet(
 
     require_apart(require_writable(output), *results)
     read = [read_reconstruction(path) for path in results]
-    there = sorted({one.distance for one in read})
+    there = sorted({result.distance for result in read})
     for value in distance or ():
         refuse_if(
             value not in there,
-            f"distance = {value:g}: no result is refocused there, but to {', '.join(f'{one:g}' for one in there)}",
+            f"distance = {value:g}: no result is refocused there, but to {', '.join(f'{at:g}' for at in there)}",
         )
-    read = [one for one in read if not distance or one.distance in distance]
+    read = [result for result in read if not distance or result.distance in distance]
     # Brings Matplotlib, which takes a while to load.
     from ..report.plots import contact_sheet
 
-    contact_sheet(read, Brightness(exposure, percentile).peak([one.image for one in read])).save(output)
-    methods, distances = ({getattr(one, name) for one in read} for name in ("method", "distance"))
+    contact_sheet(read, Brightness(exposure, percentile).peak([result.image for result in read])).save(output)
+    methods, distances = ({getattr(result, name) for result in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images (methods: {len(methods)}, distances: {len(distances)})")
 
 
 def _recorded(
-    capture: Path, white: Path | None, known: PlenopticCamera | None, linear: bool, variant: str | None
+    capture: Path, white: Path | None, camera: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
     """Return a capture and its white reference, after setting the variant."""
     from ..io.captures import read_capture
     from ..runtime.backend import set_variant
 
-    recorded = read_capture(capture, camera=known, linear=linear)
-    reference = None if white is None else read_capture(white, camera=known, linear=linear)
+    recorded = read_capture(capture, camera=camera, linear=linear)
+    reference = None if white is None else read_capture(white, camera=camera, linear=linear)
     set_variant(variant)
     return recorded, reference
 

@@ -150,7 +150,8 @@ def render(
     from ..runtime.files import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
-    replaced, sensor = sensor, 0 if camera else sensor
+    replaced = sensor
+    sensor = 0 if camera else sensor
     options = {"wavelength": wavelength, "bandwidth": bandwidth, "responses": responses, "method": method}
     wave = {name: value for name, value in options.items() if value is not None}
     if estimate:
@@ -164,8 +165,8 @@ def render(
                 cost = estimate_capture(
                     loaded, sensor=sensor, model=model, spp=spp, seed=seed, batch_map=batch_map, **wave
                 )
-        what = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
-        typer.echo(f"{scene}: {what}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
+        counts = f"{cost.points} points, {cost.patterns} point spreads, " if cost.points else ""
+        typer.echo(f"{scene}: {counts}about {cost.seconds:.3g} s and {cost.memory / 2**30:.2g} GiB")
         if hint := _shorter(loaded, sensor, spp, method):
             typer.echo(hint)
         return

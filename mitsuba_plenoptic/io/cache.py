@@ -24,9 +24,6 @@ from .captures import Capture, read_capture, write_capture
 from .checkpoints import SUFFIX, Checkpoint, hash_of, lock_of, locked, write_json
 from .exr import read_exr, write_exr
 
-_LARGEST_JSON = 2**26
-_LARGEST_KEY = 2**10
-
 Progress = Callable[[int, int], None]
 
 
@@ -82,7 +79,7 @@ class Cache:
         """Return a dictionary of plain JSON values."""
 
         def read(path: Path) -> dict[str, Any]:
-            return dict(json.loads(read_text(path, _LARGEST_JSON)))
+            return dict(json.loads(read_text(path, (2**26))))
 
         return self._get(f"{name}.json", inputs, make, write_json, read)[0]
 
@@ -95,11 +92,14 @@ class Cache:
         read: Callable[[Path], Any],
     ) -> tuple[Any, str]:
         """Return the value of an entry, read or made, and its key."""
-        path, beside, name = self.folder / file, self.folder / f".{file}.key", file.rpartition(".")[0]
+        path = self.folder / file
+        beside = self.folder / f".{file}.key"
+        name = file.rpartition(".")[0]
         key = hash_of({"entry": name, "inputs": inputs, "software": software()})
-        value, seconds = None, "0"
+        value = None
+        seconds = "0"
         try:
-            stored, seconds = read_text(beside, _LARGEST_KEY).split()
+            stored, seconds = read_text(beside, (2**10)).split()
             if stored == key:
                 value = read(path)
         except (InputError, ValueError):

@@ -149,14 +149,15 @@ class Capture(Displayed):
         return float(np.sqrt(np.mean(np.square(self.noise, dtype=np.float64)))) / mean if mean else 0.0
 
 
-EXPOSED, RECORDED = "exposure", "raw"
+EXPOSED = "exposure"
+RECORDED = "raw"
 """Entries of a capture's metadata on its detector: a simulated one, and that of a real camera."""
 
 
 def recording_of(capture: Capture) -> dict[str, Any]:
     """Return the record of the detector in a capture's metadata, empty if there is none."""
-    found = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
-    return found if isinstance(found, dict) else {}
+    recording = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
+    return recording if isinstance(recording, dict) else {}
 
 
 def mosaic_of(capture: Capture) -> str | None:
@@ -216,7 +217,7 @@ def _capture_of(
     path: str | Path, record: dict[str, Any], image: np.ndarray, noise: np.ndarray | None = None
 ) -> Capture:
     """Return a capture from its pixels and the record of its other data."""
-    found = Capture(
+    capture = Capture(
         image,
         PlenopticCamera.from_dict(record["camera"]),
         record.get("wavelength"),
@@ -224,13 +225,13 @@ def _capture_of(
         record.get("metadata", {}),
         noise,
     )
-    if found.model == "ray" or not is_of_1_0(record):
-        return found
-    camera = camera_of_waves(found.camera, found.wavelength, found.metadata)
-    if camera == found.camera:
-        return found
+    if capture.model == "ray" or not is_of_1_0(record):
+        return capture
+    camera = camera_of_waves(capture.camera, capture.wavelength, capture.metadata)
+    if camera == capture.camera:
+        return capture
     _remark(path, camera.lens_model)
-    return replace(found, camera=camera)
+    return replace(capture, camera=camera)
 
 
 # Some commands read a capture twice.
@@ -286,20 +287,20 @@ def read_capture(
         with refusing(f"{path}: it cannot be read as a picture:"):
             return Capture(picture.values(linear, black_level), require_camera(camera))
     if picture is not None:
-        found = raw_capture(path, picture)
+        capture = raw_capture(path, picture)
     elif of_extension := format_of(suffix, "capture", str(path)):
-        found = place(*of_extension)(path)
+        capture = place(*of_extension)(path)
     elif camera is not None and not read_attributes(path):
         pixels = read_pixels(path, require_camera(camera))
         with naming(path):
-            found = Capture(pixels, camera)
+            capture = Capture(pixels, camera)
     else:
         image, noise, record = read_exr(path)
         with naming(path):
             refuse_if(record.get("kind") != "capture", f"it holds a {short_repr(record.get('kind'))}, not a capture")
             refuse_if(not isinstance(record.get("camera"), dict), "its header has no camera")
-            found = _capture_of(path, record, image, noise)
-    return found if camera is None else replace(found, camera=camera)
+            capture = _capture_of(path, record, image, noise)
+    return capture if camera is None else replace(capture, camera=camera)
 
 
 read_raw = read_capture
@@ -341,8 +342,8 @@ def raw_capture(path: Path, picture: StoredPicture) -> Capture:
     """Return the capture in a picture of `write_raw`."""
     with refusing(f"{path}: it states no camera and detector; a raw picture needs its camera", *NO_RECORD):
         about = json.loads(picture.text)[KEY]
-        given = about["camera"], about["metadata"]["exposure"]
-        if not all(isinstance(part, dict) for part in given):
+        records = about["camera"], about["metadata"]["exposure"]
+        if not all(isinstance(entry, dict) for entry in records):
             raise TypeError("camera and exposure are no objects")
     with naming(path):
         require_seal(about, [{"": picture.numbers.astype(picture.numbers.dtype.name)}])

@@ -58,7 +58,8 @@ def locked(path: Path, refusal: str | None = None) -> Iterator[None]:
     The system releases the lock when this process ends, however it ends. Windows and some network drives have no such
     lock; a warning tells of the latter.
     """
-    new, mine = not path.parent.exists(), False
+    new = not path.parent.exists()
+    mine = False
     while not mine:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -219,8 +220,8 @@ class Checkpoint:
 
     def _known_facts(self) -> dict[str, Any]:
         """Return the facts of the run as plain JSON values; functions are called once."""
-        known = {name: value() if callable(value) else value for name, value in self._facts.items()}
-        self._facts = json.loads(json.dumps(known))
+        facts = {name: value() if callable(value) else value for name, value in self._facts.items()}
+        self._facts = json.loads(json.dumps(facts))
         return self._facts
 
     def _save(self, write: Callable[[Path], None]) -> None:
@@ -297,9 +298,11 @@ def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]],
     except Exception as error:
         # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None
-    shown = "; ".join(changed[:_DIFFERENCES_SHOWN])
+    shown_changes = "; ".join(changed[:_DIFFERENCES_SHOWN])
     more = len(changed) - _DIFFERENCES_SHOWN
-    raise InputError(f"{path}: the checkpoint of another run: {shown}" + (f", and {more} more" if more > 0 else ""))
+    raise InputError(
+        f"{path}: the checkpoint of another run: {shown_changes}" + (f", and {more} more" if more > 0 else "")
+    )
 
 
 def _snapshot(shape: tuple[int, ...], archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> Snapshot:
@@ -318,7 +321,8 @@ def _named_arrays(archive: Mapping[str, NDArray[Any]], header: dict[str, Any]) -
 
 def differences(there: Any, here: Any) -> list[str]:
     """Return sentences on the nested values that differ between a record on disk and that of this run."""
-    before, now = _flattened(there), _flattened(here)
+    before = _flattened(there)
+    now = _flattened(here)
     return [
         f"{name} = {before.get(name, 'nothing')} there, {now.get(name, 'nothing')} here"
         for name in {**now, **before}

@@ -27,15 +27,6 @@ _MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 _SRGB = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 """Chromaticities of the primaries and of white (ITU-R BT.709), which files without any mean."""
 
-# The others lose precision, which is not for captures.
-_LOSSLESS = (
-    OpenEXR.NO_COMPRESSION,
-    OpenEXR.RLE_COMPRESSION,
-    OpenEXR.ZIPS_COMPRESSION,
-    OpenEXR.ZIP_COMPRESSION,
-    OpenEXR.PIZ_COMPRESSION,
-)
-
 
 class ExrPart(NamedTuple):
     """The header of one part of an OpenEXR file: its data window, its channels, and all attributes."""
@@ -129,20 +120,29 @@ def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, np.ndarray]], 
     parts = read_parts(path)
     with _undamaged(path):
         attributes = _attributes(path, parts[0])
+        # The others lose precision, which is not for captures.
         if any(
-            part.header["type"] != OpenEXR.scanlineimage or part.header["compression"] not in _LOSSLESS
+            part.header["type"] != OpenEXR.scanlineimage
+            or part.header["compression"]
+            not in (
+                OpenEXR.NO_COMPRESSION,
+                OpenEXR.RLE_COMPRESSION,
+                OpenEXR.ZIPS_COMPRESSION,
+                OpenEXR.ZIP_COMPRESSION,
+                OpenEXR.PIZ_COMPRESSION,
+            )
             for part in parts
         ):
             raise ValueError("its pixels are tiled or deep, or their compression is lossy or unknown")
         with _opened(path, parts) as file:
-            found = {}
+            planes_of_parts = {}
             for part, read in zip(parts, file.parts, strict=True):
                 shape = part.rows, part.columns
-                planes = {name: np.array(one.pixels, np.float32) for name, one in read.channels.items()}
-                found[read.name()] = {name: plane.reshape(shape) for name, plane in planes.items()}
+                planes = {name: np.array(channel.pixels, np.float32) for name, channel in read.channels.items()}
+                planes_of_parts[read.name()] = {name: plane.reshape(shape) for name, plane in planes.items()}
         with naming(path):
-            require_seal(attributes, [*found.values()])
-    return found, attributes
+            require_seal(attributes, [*planes_of_parts.values()])
+    return planes_of_parts, attributes
 
 
 def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> np.ndarray:
@@ -155,17 +155,21 @@ def read_pixels(path: str | Path, camera: PlenopticCamera | None = None) -> np.n
     with _undamaged(path):
         part, names = _only_layer(parts)
         (left, top), (right, bottom) = (map(int, corner) for corner in part.header["displayWindow"])
-        left, top, size = left - part.origin[0], top - part.origin[1], (right - left + 1, bottom - top + 1)
+        size = (right - left + 1, bottom - top + 1)
+        top = top - part.origin[1]
+        left = left - part.origin[0]
         if camera is not None and size == camera.resolution:
-            left, top, size = left + camera.crop_offset[0], top + camera.crop_offset[1], camera.crop_size
+            left = left + camera.crop_offset[0]
+            top = top + camera.crop_offset[1]
+            size = camera.crop_size
         refuse_if(
             min(left, top) < 0 or left + size[0] > part.columns or top + size[1] > part.rows,
             f"{path}: its data window of {part.columns} x {part.rows} pixels at {part.origin} does not cover the "
             f"{size[0]} x {size[1]} of the detector: write all, or give a camera with crop_offset and crop_size",
         )
         with _opened(path, parts) as file:
-            found = file.parts[parts.index(part)].channels
-            planes = [found[name].pixels for name in names]
+            channels = file.parts[parts.index(part)].channels
+            planes = [channels[name].pixels for name in names]
             if any(plane.dtype.kind != "f" or plane.shape != (part.rows, part.columns) for plane in planes):
                 raise ValueError("its channels must be of half or single precision, with a sample for each pixel")
             cut = np.s_[top : top + size[1], left : left + size[0]]
@@ -178,14 +182,16 @@ def _only_layer(parts: list[ExrPart]) -> tuple[ExrPart, tuple[str, ...]]:
     layers = []
     for part in parts:
         for prefix in sorted({name[: name.rfind(".") + 1] for name in part.channels}):
-            own = {name.removeprefix(prefix) for name in part.channels if name.rfind(".") + 1 == len(prefix)}
-            names = tuple("RGB") if own.issuperset("RGB") else ("Y",)
-            if own.issuperset(names) and (len(names) == 3 or own.isdisjoint(("X", "Z", "RY", "BY"))):
+            names_in_layer = {name.removeprefix(prefix) for name in part.channels if name.rfind(".") + 1 == len(prefix)}
+            names = tuple("RGB") if names_in_layer.issuperset("RGB") else ("Y",)
+            if names_in_layer.issuperset(names) and (
+                len(names) == 3 or names_in_layer.isdisjoint(("X", "Z", "RY", "BY"))
+            ):
                 layers.append((prefix, part, tuple(prefix + name for name in names)))
     chosen = [layer for layer in layers if not layer[0]] or layers
     if len(chosen) != 1 or len(chosen[0][1].header.get("multiView", ())) > 1:
-        known = ", ".join(name for part in parts for name in part.channels)
-        raise ValueError(f"its channels are {known}: they must be one picture, R, G and B or Y")
+        all_names = ", ".join(name for part in parts for name in part.channels)
+        raise ValueError(f"its channels are {all_names}: they must be one picture, R, G and B or Y")
     _, part, names = chosen[0]
     primaries = tuple(part.header.get("chromaticities", _SRGB)) if len(names) == 3 else _SRGB
     if part.header.get("pixelAspectRatio", 1) != 1 or not np.allclose(primaries, _SRGB, atol=2e-3):
@@ -252,7 +258,10 @@ def _undamaged(path: Path) -> Iterator[None]:
 def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
     """Open the pixels of a file with given parts."""
     # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
-    samples, first = sum(one.columns * one.rows * len(one.channels) for one in parts), parts[0]
+    samples = sum(
+        header_of_part.columns * header_of_part.rows * len(header_of_part.channels) for header_of_part in parts
+    )
+    first = parts[0]
     size = f"{first.columns} x {first.rows} pixels of {len(first.channels)} channels"
     require_memory(8 * samples, f"{path}: {size}")
     with native_output_dropped(), OpenEXR.File(str(path), separate_channels=True) as file:

@@ -100,7 +100,8 @@ def read_png(path: Path) -> StoredPicture:
     columns, rows = struct.unpack(">II", head[16:])
     require_memory(4.0 * _SAMPLE_BYTES * columns * rows, f"{path}: {columns} x {rows} pixels")
     with Image.open(path, formats=["PNG"]) as described:
-        stated, count = described.info, getattr(described, "n_frames", 1)
+        stated = described.info
+        count = getattr(described, "n_frames", 1)
     if count > 1:
         raise ValueError(f"it holds {count} pictures: write one")
     with native_output_dropped():
@@ -116,9 +117,12 @@ def read_tiff(path: Path) -> StoredPicture:
     with tifffile.TiffFile(path, is_ome=False, is_mmstack=False, is_ndtiff=False) as file:
         pages = [page for page in file.pages if not page.is_reduced]
         page = pages[0]
-        kind, meaning, colours = page.dtype, page.photometric, _COLOURS.get(page.photometric, 0)
+        kind = page.dtype
+        meaning = page.photometric
+        colours = _COLOURS.get(page.photometric, 0)
         count = page.imagedepth * max(len(pages), file.series[0].size // max(page.size, 1))
-        floats, turned = str(kind).startswith("float"), page.tags.valueof("Orientation", default=1)
+        floats = str(kind).startswith("float")
+        turned = page.tags.valueof("Orientation", default=1)
         extra = page.samplesperpixel - colours
         if (
             (count, turned) != (1, 1)
@@ -133,13 +137,15 @@ def read_tiff(path: Path) -> StoredPicture:
                 "floating point, without premultiplied transparency"
             )
         require_memory(_SAMPLE_BYTES * page.size, f"{path}: its pixels")
-        numbers, white = decoded(page, path), None if floats else 2**page.bitspersample - 1
+        numbers = decoded(page, path)
+        white = None if floats else 2**page.bitspersample - 1
         if "S" in page.axes:
             numbers = np.moveaxis(numbers, page.axes.index("S"), -1)[..., slice(3) if colours == 3 else 0]
         if meaning == PHOTOMETRIC.MINISWHITE:
             numbers = np.int64(white or 0) - numbers
         if meaning == PHOTOMETRIC.PALETTE:
-            numbers, white = np.moveaxis(page.colormap[:, numbers], 0, -1), 65535
+            numbers = np.moveaxis(page.colormap[:, numbers], 0, -1)
+            white = 65535
         return StoredPicture(numbers, white, page.tags.valueof("InterColorProfile"), str(page.description))
 
 

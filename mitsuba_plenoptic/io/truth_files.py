@@ -27,7 +27,8 @@ COORDINATES = {
 }
 """Names of the channels in light fields."""
 
-_PIXELS, _VIEWS = "capture", "views"
+_PIXELS = "capture"
+_VIEWS = "views"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +67,11 @@ class GroundTruth:
 
 def require_quantities(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of quantities without repetitions; refuse unknown names."""
-    found = tuple(dict.fromkeys(names))
-    for name in found:
+    quantities = tuple(dict.fromkeys(names))
+    for name in quantities:
         require_choice("aov", name, QUANTITIES)
-    refuse_if(not found, f"aov: name at least one of {', '.join(QUANTITIES)}")
-    return found
+    refuse_if(not quantities, f"aov: name at least one of {', '.join(QUANTITIES)}")
+    return quantities
 
 
 def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -151,9 +152,9 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
             set(parts) != set(shapes_of),
             f"its parts are {short_repr(sorted(parts))}: they must be {' and '.join(shapes_of)}",
         )
-        for part, shape in shapes_of.items():
-            for plane in parts[part].values():
-                refuse_if(plane.shape != shape, f"its part {part} has the shape {plane.shape}: it must be {shape}")
+        for part_name, shape in shapes_of.items():
+            for plane in parts[part_name].values():
+                refuse_if(plane.shape != shape, f"its part {part_name} has the shape {plane.shape}: it must be {shape}")
         to_world: np.ndarray = np.empty(0)
         with contextlib.suppress(TypeError, ValueError):
             to_world = np.array(attributes.get("to_world"), dtype=np.float64)
@@ -164,7 +165,9 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         shapes = attributes.get("shapes")
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {short_repr(shapes)}: they must be names")
-        pixels, views = (_quantities(parts[part], len(shapes)) if part in parts else {} for part in (_PIXELS, _VIEWS))
+        pixels, views = (
+            _quantities(parts[part_name], len(shapes)) if part_name in parts else {} for part_name in (_PIXELS, _VIEWS)
+        )
         if views:
             views = {name: array.reshape(v, t, u, s, *array.shape[2:]).swapaxes(1, 2) for name, array in views.items()}
         return GroundTruth(camera, pixels, views, tuple(shapes), to_world)
@@ -178,13 +181,13 @@ def _quantities(planes: Mapping[str, np.ndarray], shapes: int) -> dict[str, np.n
         not names or set().union(*keys.values()) != set(planes),
         f"its channels are {short_repr(sorted(planes))}: they must be whole quantities",
     )
-    found = {
+    arrays = {
         name: np.stack([planes[key] for key in of_name], axis=-1) if len(of_name) > 1 else planes[of_name[0]]
         for name, of_name in keys.items()
     }
-    index = found.get("shape_index")
+    index = arrays.get("shape_index")
     refuse_if(
         index is not None and not np.isin(index, np.arange(shapes + 1)).all(),
         f"its shape_index is not always a whole number from 0 to {shapes}",
     )
-    return found
+    return arrays

@@ -22,7 +22,8 @@ from ..prescription.glass import LINE_D
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
 
-KEY, DIGEST = "version", "digest"
+KEY = "version"
+DIGEST = "digest"
 """Names of the entries that state it, and the digest of pixels and other entries."""
 
 
@@ -48,11 +49,11 @@ def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, np.ndarray
 
 
 def _digest(record: Mapping[str, Any], parts: Sequence[Mapping[str, np.ndarray]]) -> str:
-    rest = {name: value for name, value in record.items() if name != DIGEST}
-    found = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
+    sealed_record = {name: value for name, value in record.items() if name != DIGEST}
+    content_hash = hashlib.sha256(json.dumps(sealed_record, sort_keys=True).encode())
     for name, plane in ((name, planes[name]) for planes in parts for name in sorted(planes)):
-        found.update(f"{name} {plane.dtype.name} {plane.shape}".encode() + np.ascontiguousarray(plane).tobytes())
-    return found.hexdigest()
+        content_hash.update(f"{name} {plane.dtype.name} {plane.shape}".encode() + np.ascontiguousarray(plane).tobytes())
+    return content_hash.hexdigest()
 
 
 def is_of_1_0(record: Mapping[str, Any]) -> bool:
@@ -71,17 +72,17 @@ def camera_of_waves(
         return camera
     spectrum = metadata.get("spectrum")
     stated = wavelength, metadata.get("wavelength"), spectrum.get("wavelengths") if isinstance(spectrum, dict) else None
-    longest = max((number for value in stated for number in _numbers(value)), default=LINE_D)
+    longest = max((length for value in stated for length in _numbers(value)), default=LINE_D)
     return camera if has_small_lenses(camera, longest) else camera.replace(lens_model="parabolic")
 
 
 def _numbers(value: Any) -> Iterator[float]:
     """Yield the positive numbers in a number, a list, or a text with commas; metadata may hold anything else."""
-    parts = value.split(",") if isinstance(value, str) else value if isinstance(value, (list, tuple)) else [value]
-    for part in parts:
+    items = value.split(",") if isinstance(value, str) else value if isinstance(value, (list, tuple)) else [value]
+    for item in items:
         try:
-            number = float(part)
+            positive = float(item)
         except (TypeError, ValueError):
             continue
-        if number > 0:
-            yield number
+        if positive > 0:
+            yield positive

@@ -35,7 +35,7 @@ _R = TypeVar("_R")
 
 _log = logging.getLogger(__name__)
 
-_turn = threading.RLock()
+_process_lock = threading.RLock()
 _started = False
 _forked = False
 
@@ -58,11 +58,11 @@ def require_own_process() -> None:
     )
 
 
-def require_unfrozen(what: str) -> None:
+def require_unfrozen(work: str) -> None:
     """Refuse to compute while `dr.freeze` records a function: replays repeat kernels, and no work of the host."""
     refuse_if(
         dr.flag(dr.JitFlag.FreezingScope),
-        f"{what}: dr.freeze: it repeats Dr.Jit's kernels alone, and a part of this is computed outside of them; "
+        f"{work}: dr.freeze: it repeats Dr.Jit's kernels alone, and a part of this is computed outside of them; "
         "call it outside of frozen functions",
     )
 
@@ -78,7 +78,7 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     def in_turn(*arguments: _P.args, **options: _P.kwargs) -> _R:
         require_own_process()
         require_unfrozen(function.__name__)
-        with _turn:
+        with _process_lock:
             try:
                 return function(*arguments, **options)
             finally:
@@ -88,7 +88,8 @@ def one_at_a_time(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return in_turn
 
 
-_PACKET, _ALIGNMENT = 16, 64
+_PACKET = 16
+_ALIGNMENT = 64
 """Numbers that kernels of Dr.Jit read at once, and bytes on which they may rely for that, at most."""
 
 
@@ -109,7 +110,8 @@ def drjit_array(kind: Any, numbers: Any) -> Any:
 
 def interleaved(parts: list[Any]) -> Any:
     """Return one Dr.Jit array with the first number of each of some arrays, then the second ones, and so on."""
-    count, numbers = dr.width(parts), dr.empty(type(parts[0]), dr.width(parts) * len(parts))
+    count = dr.width(parts)
+    numbers = dr.empty(type(parts[0]), dr.width(parts) * len(parts))
     dr.scatter(numbers, mi.ArrayXf(parts), dr.arange(mi.UInt32, count))
     return numbers
 
@@ -141,7 +143,8 @@ def _whole_packets(count: int) -> int:
 
 def empty_packets(shape: tuple[int, ...], kind: Any) -> NDArray[Any]:
     """Return an uninitialised NumPy array whose memory `packets` need not copy."""
-    count, size = math.prod(shape), np.dtype(kind).itemsize
+    count = math.prod(shape)
+    size = np.dtype(kind).itemsize
     memory = np.empty(_whole_packets(count) * size + _ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % _ALIGNMENT
     return memory[start : start + count * size].view(kind).reshape(shape)
@@ -344,7 +347,8 @@ def turn(x: Any, y: Any, degrees: Any) -> tuple[Any, Any]:
     angle = degrees * (math.pi / 180)
     # A number of NumPy would turn Dr.Jit's arrays into its own.
     module = dr if dr.is_array_v(angle) else math
-    cosine, sine = module.cos(angle), module.sin(angle)
+    cosine = module.cos(angle)
+    sine = module.sin(angle)
     return cosine * x - sine * y, sine * x + cosine * y
 
 
@@ -381,19 +385,19 @@ def as_array(
     refuse_if(masked, f"{name}: {masked} of its values are masked: give an array without a mask")
     if isinstance(values, (list, tuple)):
         # NumPy would drop masks, units and names of arrays in a list.
-        arrays = (hasattr(each, "__array__") and not isinstance(each, np.generic) for each in values)
+        arrays = (hasattr(item, "__array__") and not isinstance(item, np.generic) for item in values)
         values = [
-            as_array(name, each, None, dims[1:], rule=rule, units=units) if one else each
-            for each, one in zip(values, arrays, strict=True)
+            as_array(name, item, None, dims[1:], rule=rule, units=units) if is_array else item
+            for item, is_array in zip(values, arrays, strict=True)
         ]
     named = getattr(values, "dims", None)
     if isinstance(named, tuple) and len(named) > 1 and named != tuple(f"dim_{index}" for index in range(len(named))):
-        order = [each for known in dims for each in named if each in known.split()]
-        known = ", ".join(each.split()[0] for each in dims)
-        refuse_if(len(order) != len(named), f"{name} with dimensions {named}: they must be {known}")
+        order = [item for dimension in dims for item in named if item in dimension.split()]
+        dimension = ", ".join(item.split()[0] for item in dims)
+        refuse_if(len(order) != len(named), f"{name} with dimensions {named}: they must be {dimension}")
         values = values.transpose(*order)
-    given = f"{name} = {short_repr(values)}" if isinstance(values, (str, bytes)) else name
-    rule = f"{given}: {rule or 'it must be an array'}"
+    described = f"{name} = {short_repr(values)}" if isinstance(values, (str, bytes)) else name
+    rule = f"{described}: {rule or 'it must be an array'}"
     refuse_if(
         getattr(values, "requires_grad", False) is True, f"{name}: it requires gradients: give it without, by detach()"
     )
@@ -415,11 +419,11 @@ def unit_of(values: Any) -> str:
     return "" if stated is None else str(stated)
 
 
-def require_units(name: str, data: Any, known: Mapping[str, Names]) -> None:
+def require_units(name: str, data: Any, expected: Mapping[str, Names]) -> None:
     """Refuse labelled data that states another unit of a variable than one of those named."""
-    for part, units in known.items():
-        unit = unit_of(data[part])
-        refuse_if(unit not in ("", *units), f"{name}: {part} is in {unit}: it must be in {units[0]}")
+    for variable, units in expected.items():
+        unit = unit_of(data[variable])
+        refuse_if(unit not in ("", *units), f"{name}: {variable} is in {unit}: it must be in {units[0]}")
 
 
 def as_pixels(name: str, values: ArrayLike, dtype: DTypeLike | None = None) -> np.ndarray:
@@ -434,8 +438,12 @@ def require_pixels(name: str, image: np.ndarray) -> None:
     # The largest and the smallest value show every NaN too, and cost far less than a test of each.
     if image.size == 0 or max(float(image.max()), -float(image.min())) <= BRIGHTEST:
         return
-    bad, what, rule = ~np.isfinite(image), "NaN or infinite", "finite"
+    bad = ~np.isfinite(image)
+    fault = "NaN or infinite"
+    rule = "finite"
     if not bad.any():
-        bad, what, rule = np.abs(np.float64(image)) > BRIGHTEST, "too large", f"{BRIGHTEST:g} at most in magnitude"
+        bad = np.abs(np.float64(image)) > BRIGHTEST
+        fault = "too large"
+        rule = f"{BRIGHTEST:g} at most in magnitude"
     first = ", ".join(str(index) for index in np.argwhere(bad)[0])
-    raise InputError(f"{name}: {bad.sum()} of its pixels are {what}, the first at ({first}): all must be {rule}")
+    raise InputError(f"{name}: {bad.sum()} of its pixels are {fault}, the first at ({first}): all must be {rule}")

@@ -42,7 +42,7 @@ class Box:
     @classmethod
     def between(cls, low: NDArray[np.int64], high: NDArray[np.int64]) -> Box:
         """Return the rectangle between two corners, the second one excluded."""
-        return cls(*(int(number) for number in (*low, *(high - low))))
+        return cls(*(int(corner) for corner in (*low, *(high - low))))
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,6 @@ class PartialSum:
     arrived: float = 0.0
 
 
-_MOST_THREADS = 16
-"""Threads that batches are computed on by default: each takes memory, and Dr.Jit's part is done by one of them."""
-
-
 class Threads:
     """Computes batches on threads of this process."""
 
@@ -108,7 +104,8 @@ class Threads:
         # Default: the cores that this process may use, up to a number. A CUDA device takes its work from one.
         count: int | None = None,
     ) -> None:
-        self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), _MOST_THREADS)
+        # Threads that batches are computed on by default: each takes memory, and Dr.Jit's part is done by one of them.
+        self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), 16)
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Yield the results of batches, computed a few ahead of the next one due; on CUDA, by the calling thread."""
@@ -136,14 +133,17 @@ def on_all_cores(function: Callable[[Item], Result], items: Iterable[Item]) -> l
         return list(pool.map(function, items))
 
 
-def add(part: Part, box: Box, sums: NDArray[np.float32]) -> None:
+def add(partial_sum: Part, box: Box, sums: NDArray[np.float32]) -> None:
     """Add a part to a sum (channels, rows, columns) that covers a box of the grid."""
-    left, top = max(box.left, part.box.left), max(box.top, part.box.top)
-    right = min(box.left + box.columns, part.box.left + part.box.columns)
-    bottom = min(box.top + box.rows, part.box.top + part.box.rows)
+    left = max(box.left, partial_sum.box.left)
+    top = max(box.top, partial_sum.box.top)
+    right = min(box.left + box.columns, partial_sum.box.left + partial_sum.box.columns)
+    bottom = min(box.top + box.rows, partial_sum.box.top + partial_sum.box.rows)
     if left < right and top < bottom:
-        sums[:, top - box.top : bottom - box.top, left - box.left : right - box.left] += part.sums[
-            :, top - part.box.top : bottom - part.box.top, left - part.box.left : right - part.box.left
+        sums[:, top - box.top : bottom - box.top, left - box.left : right - box.left] += partial_sum.sums[
+            :,
+            top - partial_sum.box.top : bottom - partial_sum.box.top,
+            left - partial_sum.box.left : right - partial_sum.box.left,
         ]
 
 
@@ -288,11 +288,12 @@ class Job:
         )
         left = work.items[start.batches :].tolist()
         total = replace(start, sums=work.arrays.asarray(start.sums))
-        batches, done = work.batches(start.batches), before + task.items - sum(left)
+        batches = work.batches(start.batches)
+        done = before + task.items - sum(left)
         with contextlib.closing(self.each(batches, left, done, items)) as parts:
-            for part in parts:
-                add(part, work.box, total.sums)
-                arrived = total.arrived + float(part.sums.sum(dtype=np.float64))
+            for batch_sum in parts:
+                add(batch_sum, work.box, total.sums)
+                arrived = total.arrived + float(batch_sum.sums.sum(dtype=np.float64))
                 total = PartialSum(total.batches + 1, total.sums, arrived)
                 if self.keeper:
                     self.keeper.save(replace(state, partial=total))
@@ -390,7 +391,7 @@ class Cluster:
                 client = distributed.Client(address, timeout=_PATIENCE, set_as_default=False)
                 self._client = opened.enter_context(client)
                 self._client.wait_for_workers(1, timeout=_PATIENCE)
-                found = self._client.run(software)
+                software_of_workers = self._client.run(software)
             except (OSError, ValueError, ImportError, RuntimeError) as error:
                 failure = _line(error)
             if failure:
@@ -399,7 +400,7 @@ class Cluster:
                 gc.collect()
                 guard = '; in a script, put the code under if __name__ == "__main__":' if self._count else ""
                 raise InputError(f"{self._name}: no workers can be had: {failure.rstrip('.')}{guard}")
-            for worker, versions in found.items():
+            for worker, versions in software_of_workers.items():
                 _check_software(versions, software(), worker)
             self._open = opened.pop_all()
         return self
@@ -456,7 +457,8 @@ def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
         samples += batch.samples
         if samples >= _GROUP_SAMPLES:
             yield group
-            group, samples = [], 0
+            group = []
+            samples = 0
     if group:
         yield group
 

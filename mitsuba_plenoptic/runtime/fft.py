@@ -37,7 +37,7 @@ Field = NDArray[np.complex64]
 _LONGEST = 2**31
 """Largest number of samples of a field along an axis."""
 
-_rest = threading.Lock()
+_rest_lock = threading.Lock()
 _resting = 0
 _busy_threads = 0
 
@@ -64,7 +64,7 @@ def resting_drjit() -> Iterator[None]:
         yield
         return
     global _resting, _busy_threads
-    with _rest:
+    with _rest_lock:
         if _resting == 0:
             # No thread is taken from kernels at work.
             dr.sync_thread()
@@ -74,7 +74,7 @@ def resting_drjit() -> Iterator[None]:
     try:
         yield
     finally:
-        with _rest:
+        with _rest_lock:
             _resting -= 1
             if _resting == 0:
                 dr.set_thread_count(_busy_threads)
@@ -83,14 +83,14 @@ def resting_drjit() -> Iterator[None]:
 @contextmanager
 def busy_drjit() -> Iterator[None]:
     """Restore Dr.Jit's threads, within a context of `resting_drjit`, until this context ends."""
-    with _rest:
+    with _rest_lock:
         resting = _resting > 0
         if resting:
             dr.set_thread_count(_busy_threads)
     try:
         yield
     finally:
-        with _rest:
+        with _rest_lock:
             if resting and _resting > 0:
                 stop_threads()
 
@@ -118,16 +118,20 @@ def stop_threads() -> None:
 @functools.cache
 def _nanothread() -> Any:
     """Return the library of Dr.Jit's threads (nanothread), None if it is not found."""
-    number, pointer, flag = ctypes.c_uint32, ctypes.c_void_p, ctypes.c_int
+    count = ctypes.c_uint32
+    pointer = ctypes.c_void_p
+    flag = ctypes.c_int
     for path in Path(dr.__file__).parent.glob("*nanothread.*"):
         with contextlib.suppress(OSError, AttributeError):
             library = ctypes.CDLL(str(path))
-            library.pool_set_size.argtypes, library.pool_set_size.restype = (pointer, number, flag), None
+            library.pool_set_size.argtypes = (pointer, count, flag)
+            library.pool_set_size.restype = None
             library.task_submit_dep.argtypes = (
-                pointer, pointer, number, number, pointer, pointer, number, pointer, flag, flag
+                pointer, pointer, count, count, pointer, pointer, count, pointer, flag, flag
             )  # fmt: skip
             library.task_submit_dep.restype = pointer
-            library.task_wait_and_release.argtypes, library.task_wait_and_release.restype = (pointer,), None
+            library.task_wait_and_release.argtypes = (pointer,)
+            library.task_wait_and_release.restype = None
             return library
     return None
 
@@ -182,14 +186,17 @@ def fft2_packed(packed: Any, shape: tuple[int, ...], *, inverse: bool = False) -
 def pack(field: Any) -> Any:
     """Return a Dr.Jit complex array (``Complex2f``) as 64-bit words, without gradient."""
     types = array_types(field.real)
-    real, imaginary = (types.UInt64(dr.reinterpret_array(types.UInt32, part)) for part in (field.real, field.imag))
+    real, imaginary = (
+        types.UInt64(dr.reinterpret_array(types.UInt32, component)) for component in (field.real, field.imag)
+    )
     return real | (imaginary << 32)
 
 
 def unpack(packed: Any) -> Any:
     """Return 64-bit words as a Dr.Jit complex array (``Complex2f``), without gradient."""
     types = array_types(packed)
-    real, imaginary = types.UInt32(packed), types.UInt32(packed >> 32)
+    real = types.UInt32(packed)
+    imaginary = types.UInt32(packed >> 32)
     return types.Complex2f(dr.reinterpret_array(types.Float, real), dr.reinterpret_array(types.Float, imaginary))
 
 
@@ -228,16 +235,13 @@ def split(types: Any, index: Any, rows: int, columns: int) -> tuple[Any, Any, An
     )
 
 
-_LARGE = 2**24
-"""Samples of an image from which on it is convolved part by part."""
-
-
 def convolve(image: NDArray[Any], kernel: NDArray[Any]) -> NDArray[np.float64]:
     """Return the full convolution of two images, n + k - 1 samples along each axis.
 
     Shapes: `image`, `kernel` (rows, columns).
     """
-    if image.size > _LARGE:
+    # Larger images are convolved part by part.
+    if image.size > 2**24:
         from scipy.signal import oaconvolve
 
         return np.asarray(oaconvolve(image, kernel))

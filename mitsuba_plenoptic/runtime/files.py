@@ -23,9 +23,6 @@ from numpy.typing import NDArray
 
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
 
-_NO_ROOM = 2**16
-"""Bytes that are free on a disk that is taken for full."""
-
 _one_at_a_time = threading.Lock()
 
 _log = logging.getLogger(__name__)
@@ -63,21 +60,24 @@ def require_apart(path: Path, *sources: Path | None) -> None:
 
 def require_different(*paths: Path | None) -> None:
     """Refuse output files of which two are the same."""
-    found: set[Path] = set()
+    resolved: set[Path] = set()
     for path in filter(None, paths):
-        refuse_if(path.resolve() in found, f"{path}: two results would be written to it; give each a name of its own")
-        found.add(path.resolve())
+        refuse_if(
+            path.resolve() in resolved, f"{path}: two results would be written to it; give each a name of its own"
+        )
+        resolved.add(path.resolve())
 
 
 def require_file(path: str | Path) -> Path:
     """Return a path after a check that its file can be read."""
     path = _path(path)
     try:
-        there, regular = path.exists(), path.is_file()
+        there = path.exists()
+        regular = path.is_file()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from None
-    what = "it is a folder; give a file" if path.is_dir() else "it is not a regular file"
-    refuse_if(not regular, f"{path}: {what if there else 'there is no such file'}")
+    fault = "it is a folder; give a file" if path.is_dir() else "it is not a regular file"
+    refuse_if(not regular, f"{path}: {fault if there else 'there is no such file'}")
     refuse_if(not os.access(path, os.R_OK), f"{path}: no permission to read it")
     _log.debug("%s: read", path)
     return path
@@ -121,7 +121,8 @@ def atomic_output(path: str | Path, *suffixes: str) -> Iterator[Path]:
                 yield temporary
             except (OSError, RuntimeError) as error:
                 # Not all libraries say why they could not write; while their part of the file is there, the disk does.
-                if shutil.disk_usage(folder).free < _NO_ROOM:
+                # A disk with less than 64 KiB free is taken for full.
+                if shutil.disk_usage(folder).free < 2**16:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) from error
                 raise
             temporary.replace(path)
@@ -185,18 +186,17 @@ def native_output_dropped() -> Iterator[None]:
     The libraries' exceptions repeat them.
     """
     with _one_at_a_time, Path(os.devnull).open("wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
-        saved = [(number, os.dup(number)) for number in (1, 2)]
+        saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
         try:
-            for number, _ in saved:
-                os.dup2(nowhere.fileno(), number)
+            for descriptor, _ in saved:
+                os.dup2(nowhere.fileno(), descriptor)
             yield
         finally:
-            for number, copy in saved:
-                os.dup2(copy, number)
+            for descriptor, copy in saved:
+                os.dup2(copy, descriptor)
                 os.close(copy)
 
 
-_LARGEST_YAML = 2**16
 _LARGEST_JSON = 2**26
 
 
@@ -229,7 +229,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 
 def read_yaml(path: str | Path) -> Any:
     """Read a YAML or JSON file of at most 64 KiB."""
-    text = read_text(path, _LARGEST_YAML)
+    text = read_text(path, (2**16))
     with naming(path):
         return parse_yaml(text)
 
@@ -240,12 +240,9 @@ def parse_yaml(text: str) -> Any:
         return yaml.load(text, Loader=_Loader)
 
 
-_LARGEST_TABLE = 2**22
-
-
 def read_table(path: str | Path) -> NDArray[np.float64]:
     """Return all numbers of a CSV file of at most 4 MiB, (rows, columns); the first line may hold names."""
-    lines = [line for line in read_text(path, _LARGEST_TABLE).splitlines() if line.strip()]
+    lines = [line for line in read_text(path, (2**22)).splitlines() if line.strip()]
     for cell in lines[0].split(",") if lines else ():
         with contextlib.suppress(ValueError):
             float(cell)

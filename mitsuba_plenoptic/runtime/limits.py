@@ -33,12 +33,6 @@ _FRACTION = 0.75
 MEMORY_LIMIT = 4 * GIB
 """Largest memory in bytes for one propagation."""
 
-_UNKNOWN = 8 * GIB
-
-# Times the limit beyond which an estimate is rather of lengths in other units.
-_OTHER_UNITS = 64
-_CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
-
 
 def memory_limit() -> float:
     """Return the bytes that one computation may take.
@@ -50,8 +44,8 @@ def memory_limit() -> float:
     if text is None:
         return _FRACTION * _machine_memory()
     with refusing(f"{VARIABLE} = {text!r}: it must be a number of GiB", ValueError):
-        number = float(text)
-    return require_number(VARIABLE, number, positive=True) * GIB
+        gib = float(text)
+    return require_number(VARIABLE, gib, positive=True) * GIB
 
 
 def work_limit(needed: float) -> float:
@@ -66,13 +60,13 @@ def work_limit(needed: float) -> float:
     return min(_FRACTION * free, memory_limit() if VARIABLE in os.environ else math.inf)
 
 
-def require_memory(needed: float, what: str, fits: Callable[[float], str | None] | None = None) -> None:
+def require_memory(needed: float, work: str, fits: Callable[[float], str | None] | None = None) -> None:
     """Refuse work that needs more of the machine's memory than is allowed."""
-    _require(needed, what, fits, memory_limit(), "memory")
+    _require(needed, work, fits, memory_limit(), "memory")
 
 
 def check_memory(
-    needed: float, what: str, fits: Callable[[float], str | None] | None = None, *, most: float | None = None
+    needed: float, work: str, fits: Callable[[float], str | None] | None = None, *, most: float | None = None
 ) -> None:
     """Refuse work that needs more than `most` bytes, or than `work_limit` allows where the active variant computes.
 
@@ -80,46 +74,48 @@ def check_memory(
     """
     most = MEMORY_LIMIT if most is None else most
     name = "memory" if free_device_memory(0.0) is None else "device memory"
-    _require(needed, what, fits, min(most, work_limit(needed)), name)
+    _require(needed, work, fits, min(most, work_limit(needed)), name)
 
 
-def _require(needed: float, what: str, fits: Callable[[float], str | None] | None, limit: float, name: str) -> None:
+def _require(needed: float, work: str, fits: Callable[[float], str | None] | None, limit: float, name: str) -> None:
     """Refuse work that needs more than `limit` bytes of a memory of this name."""
-    for sizes in _asked:
+    for sizes in _memory_requests:
         sizes.append(needed)
     # Written so that an estimate that is not a number is refused too.
     if needed <= limit:
         return
     hint = fits(limit) if fits else None
     raise InputError(
-        f"{what}: it would need {_gib(needed)} of {name}, at most {_gib(limit)} are allowed"
+        f"{work}: it would need {_gib(needed)} of {name}, at most {_gib(limit)} are allowed"
         + (f"; {hint} would fit" if hint else "")
         + unit_hint(needed, limit)
     )
 
 
-_asked: list[list[float]] = []
+_memory_requests: list[list[float]] = []
 
 
 @contextmanager
 def memory_asked() -> Iterator[list[float]]:
     """Collect the bytes of all computations that ask for memory within the context."""
     sizes: list[float] = []
-    _asked.append(sizes)
+    _memory_requests.append(sizes)
     try:
         yield sizes
     finally:
-        _asked.remove(sizes)
+        _memory_requests.remove(sizes)
 
 
 def unit_hint(needed: float, limit: float) -> str:
     """Return a sentence to add to a refusal of memory, if lengths are probably not in millimetres."""
-    return "; lengths are millimetres: check their unit" if not needed <= _OTHER_UNITS * limit else ""
+    # Estimates of 64 times the limit are rather of lengths in other units.
+    return "; lengths are millimetres: check their unit" if not needed <= 64 * limit else ""
 
 
 def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int) -> int:
     """Return the largest count whose estimate is within a limit, for an estimate that grows with the count."""
-    low, high = 0, highest + 1
+    low = 0
+    high = highest + 1
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if estimate(middle) <= limit else (low, middle)
@@ -127,7 +123,7 @@ def largest_fitting(estimate: Callable[[int], float], limit: float, highest: int
 
 
 def require_memory_for(
-    memory: Callable[[int], float], size: int, what: str, words: Callable[[int], str], *, computed: bool = False
+    memory: Callable[[int], float], size: int, work: str, words: Callable[[int], str], *, computed: bool = False
 ) -> None:
     """Refuse work of a size, whose bytes `memory` gives; `words` state a size that fits.
 
@@ -139,9 +135,9 @@ def require_memory_for(
         return words(largest) if largest else None
 
     if computed:
-        check_memory(memory(size), what, fitting, most=math.inf)
+        check_memory(memory(size), work, fitting, most=math.inf)
     else:
-        require_memory(memory(size), what, fitting)
+        require_memory(memory(size), work, fitting)
 
 
 # The memory of a machine does not change.
@@ -151,8 +147,9 @@ def _machine_memory() -> float:
     try:
         machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, OSError, ValueError):
-        machine = _UNKNOWN
-    for name in _CGROUP_LIMITS:
+        # What most machines have at least.
+        machine = 8 * GIB
+    for name in ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"):
         try:
             text = Path(name).read_text().strip()
         except OSError:
@@ -166,11 +163,6 @@ def _gib(size: float) -> str:
     return f"{size / GIB:.0f} GiB" if size >= 10 * GIB else f"{size / GIB:.1f} GiB"
 
 
-# Parts of the package that show results and do not make them, and the file there that does.
-_SHOWING = {"report", "cli"}
-_MAKING = "experiment.py"
-
-
 # The versions are those of the loaded modules.
 @cache
 def software() -> dict[str, str]:
@@ -178,7 +170,8 @@ def software() -> dict[str, str]:
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
-        if source.name == _MAKING or not _SHOWING & set(source.relative_to(package).parts[:-1]):
+        # Reports and commands show results, except the experiment, which makes them.
+        if source.name == "experiment.py" or not {"report", "cli"} & set(source.relative_to(package).parts[:-1]):
             text.update(source.read_bytes())
     versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
     return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}

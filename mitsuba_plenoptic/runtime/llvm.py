@@ -27,8 +27,6 @@ MINIMUM = 17
 _NAME = re.compile(
     r"libLLVM(?:[-.](?P<stem>\d[\d.]*?)(?:\.so(?:\.\d+)*|\.dylib)|\.so\.(?P<suffix>\d[\d.]*)|\.so|\.dylib)"
 )
-# Homebrew's Cellar/llvm/19.1.7/lib/libLLVM.dylib and Fedora's llvm19/lib64/libLLVM.so: the folder has the version.
-_FOLDER = re.compile(r"llvm(?:@\d+/|[-/])?(\d[\d.]*)")
 
 
 @dataclass(frozen=True)
@@ -59,19 +57,20 @@ def library(path: str | Path) -> Library:
     real = Path(path).resolve()
     name = _NAME.fullmatch(real.name)
     digits = (name["stem"] or name["suffix"]) if name else None
-    if digits is None and (folder := _FOLDER.search(str(real.parent))):
+    # Homebrew's Cellar/llvm/19.1.7/lib/libLLVM.dylib and Fedora's llvm19/lib64/libLLVM.so: the folder has the version.
+    if digits is None and (folder := re.search(r"llvm(?:@\d+/|[-/])?(\d[\d.]*)", str(real.parent))):
         digits = folder[1]
-    return Library(Path(path), tuple(int(part) for part in (digits or "").split(".") if part))
+    return Library(Path(path), tuple(int(digit_group) for digit_group in (digits or "").split(".") if digit_group))
 
 
 def candidates() -> list[Library]:
     """Return the LLVM libraries on this machine, the newest first and each once."""
-    found: dict[Path, Library] = {}
+    libraries: dict[Path, Library] = {}
     for folder in _folders():
         for path in sorted(folder.glob("libLLVM*")):
             if _NAME.fullmatch(path.name) and path.is_file():
-                found.setdefault(path.resolve(), library(path))
-    return sorted(found.values(), key=lambda item: item.version, reverse=True)
+                libraries.setdefault(path.resolve(), library(path))
+    return sorted(libraries.values(), key=lambda item: item.version, reverse=True)
 
 
 def choose() -> None:
@@ -97,7 +96,7 @@ def problem() -> str | None:
     return explain(loaded, os.environ.get(VARIABLE), candidates())
 
 
-def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
+def explain(loaded: str | None, named: str | None, libraries: list[Library]) -> str:
     """Return the sentence on an unusable LLVM and its remedy."""
     need = f"but the llvm variants need LLVM {MINIMUM} or newer"
     if named and not Path(named).is_file():
@@ -105,13 +104,13 @@ def explain(loaded: str | None, named: str | None, found: list[Library]) -> str:
     elif named:
         # The name helps where Dr.Jit refused to load the file at all.
         version = library(named).version
-        what = loaded or (format_version(version) if version else "not an LLVM library that loads")
-        fault = f"{VARIABLE} = {named!r}: it is {what}, {need}"
+        actual = loaded or (format_version(version) if version else "not an LLVM library that loads")
+        fault = f"{VARIABLE} = {named!r}: it is {actual}, {need}"
     elif loaded:
         fault = f"Dr.Jit loaded {loaded}, {need}"
     else:
         fault = f"no LLVM {MINIMUM} or newer was found, which the llvm variants need"
-    if best := _newest_usable(found):
+    if best := _newest_usable(libraries):
         return f"{fault}; " + (
             f"unset the variable, and {best.path} is used"
             if named
@@ -147,12 +146,12 @@ def newest_apt_package() -> str | None:
         check=False,
     ).stdout
     packages = re.findall(r"^(libllvm(\d+)(?:t64)?) ", listing, flags=re.MULTILINE)
-    usable = [(int(number), name) for name, number in packages if int(number) >= MINIMUM]
+    usable = [(int(major), name) for name, major in packages if int(major) >= MINIMUM]
     return max(usable)[1] if usable else None
 
 
-def _newest_usable(found: list[Library]) -> Library | None:
-    return next((item for item in found if item.usable), None)
+def _newest_usable(libraries: list[Library]) -> Library | None:
+    return next((item for item in libraries if item.usable), None)
 
 
 def _folders() -> Iterator[Path]:

@@ -14,13 +14,17 @@ from typing import TYPE_CHECKING, TextIO
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-FIRST_LINE, INTERVAL, LONGEST_INTERVAL = 5.0, 10.0, 60.0
+FIRST_LINE = 5.0
+INTERVAL = 10.0
+LONGEST_INTERVAL = 60.0
 """Seconds to the first plain line, and between two of them at least and at most."""
 
 INTERRUPTED = threading.Event()
 """Set by commands on Ctrl-C: where C++ libraries try to convert an object of Python they drop the KeyboardInterrupt."""
 
-SETTLED, FORESEEN, MINUTE = 5.0, 0.05, 60.0
+SETTLED = 5.0
+FORESEEN = 0.05
+MINUTE = 60.0
 """Seconds of work after which its speed is known, the fraction of it from which lines tell how long the rest takes, and
 seconds in a minute."""
 
@@ -37,9 +41,11 @@ class ProgressBar:
     """Display of progress, for the argument `progress` of this package's long computations."""
 
     def __init__(self, label: str, show: Callable[[int, int], None] | None = None, hint: str = "") -> None:
-        self.fraction, self.label = 0.0, label
+        self.fraction = 0.0
+        self.label = label
         self.begun: float | None = None  # the first fraction: what was done by an earlier run
-        self._show, self._hint = show, hint
+        self._show = show
+        self._hint = hint
 
     def __call__(self, done: int, total: int) -> None:
         """Show the fraction of the total that is done; end the work if Ctrl-C was pressed."""
@@ -61,7 +67,8 @@ class Forecast:
     """Passes progress on, and reports once, when it can be estimated, how many seconds the whole work takes."""
 
     def __init__(self, tell: Callable[[float], None], progress: Callable[[int, int], None] | None = None) -> None:
-        self._progress, self._tell = progress, tell
+        self._progress = progress
+        self._tell = tell
         self._start = time.monotonic()
         self._first: tuple[float, float] | None = None
         self._known = False
@@ -70,16 +77,18 @@ class Forecast:
         """Pass on the finished fraction of the total; see `ProgressBar`."""
         if self._progress:
             self._progress(done, total)
-        now, fraction = time.monotonic(), done / max(total, 1)
+        now = time.monotonic()
+        fraction = done / max(total, 1)
         if self._known or fraction == 0:
             return
         if self._first is None:
             # Before, plans are made and kernels compiled.
             self._first = now, fraction
-        elapsed, part = now - self._first[0], fraction - self._first[1]
-        if elapsed >= SETTLED and part > 0:
+        elapsed = now - self._first[0]
+        done_since = fraction - self._first[1]
+        if elapsed >= SETTLED and done_since > 0:
             self._known = True
-            self._tell(now - self._start + (1 - fraction) * elapsed / part)
+            self._tell(now - self._start + (1 - fraction) * elapsed / done_since)
 
 
 @contextlib.contextmanager
@@ -108,16 +117,17 @@ def progress_bar(label: str, hint: str = "") -> Iterator[ProgressBar]:
             yield line
         return
     with moving_bar() as bar:
-        task, start = bar.add_task(label, total=1), time.monotonic()
+        task = bar.add_task(label, total=1)
+        start = time.monotonic()
 
         def show(done: int, total: int) -> None:
             bar.update(task, completed=done, total=total)
             elapsed = time.monotonic() - start
-            if elapsed >= FIRST_LINE and (text := shown.hint_after(elapsed)):
+            if elapsed >= FIRST_LINE and (text := display.hint_after(elapsed)):
                 bar.console.print(text)
 
-        shown = ProgressBar(label, show, hint)
-        yield shown
+        display = ProgressBar(label, show, hint)
+        yield display
 
 
 def moving_bar() -> Progress:
@@ -126,10 +136,10 @@ def moving_bar() -> Progress:
     from rich import progress
     from rich.console import Console
 
-    shown = (progress.SpinnerColumn(), "{task.description}", progress.BarColumn(), progress.TaskProgressColumn())
+    columns = (progress.SpinnerColumn(), "{task.description}", progress.BarColumn(), progress.TaskProgressColumn())
     times = (progress.TimeElapsedColumn(), progress.TimeRemainingColumn())
     console = Console(stderr=True, highlight=False)
-    return progress.Progress(*shown, *times, console=console, transient=True, disable=is_quiet() or not has_screen())
+    return progress.Progress(*columns, *times, console=console, transient=True, disable=is_quiet() or not has_screen())
 
 
 def is_quiet() -> bool:
@@ -171,17 +181,19 @@ def plain_lines(label: str, hint: str = "") -> Iterator[ProgressBar]:
 
 
 def _print_lines(ended: threading.Event, output: TextIO) -> None:
-    start, wait = time.monotonic(), FIRST_LINE
+    start = time.monotonic()
+    wait = FIRST_LINE
     while not ended.wait(wait) and _under_way:
-        line, elapsed = _under_way[-1], time.monotonic() - start
+        line = _under_way[-1]
+        elapsed = time.monotonic() - start
         done = f"{100 * line.fraction:.0f} %, " if line.fraction else ""
-        part = line.fraction - (line.begun or 0.0)
-        left = elapsed * (1 - line.fraction) / max(part, FORESEEN)
-        rest = f", about {in_words(left)} left" if part >= FORESEEN and left >= 1 else ""
+        done_here = line.fraction - (line.begun or 0.0)
+        left = elapsed * (1 - line.fraction) / max(done_here, FORESEEN)
+        remaining = f", about {in_words(left)} left" if done_here >= FORESEEN and left >= 1 else ""
         hint = line.hint_after(elapsed)
         try:
             if not is_quiet():
-                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s{rest}{'; ' * bool(hint)}{hint}\n"
+                text = f"mitsuba-plenoptic: {line.label}: {done}{elapsed:.0f} s{remaining}{'; ' * bool(hint)}{hint}\n"
                 print(text, end="", file=output, flush=True)
         except (OSError, ValueError):
             return  # Nobody reads it any more.
