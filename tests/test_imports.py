@@ -18,7 +18,8 @@ PACKAGE = Path(mitsuba_plenoptic.__file__).parent
 def loaded(code):
     """Return the package's modules, and the names of libraries, that a new process has imported after some code."""
     code += "; import json, sys; print(json.dumps(sorted(sys.modules)), file=sys.stderr)"
-    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
     modules = json.loads(made.stderr.splitlines()[-1])
     own = {name.partition(".")[2] for name in modules if name.partition(".")[0] == "mitsuba_plenoptic"}
     # Records alone: the `__init__` of each extension.

@@ -16,21 +16,16 @@ from stopped_runs import start_command
 from test_imports import loaded
 
 from mitsuba_plenoptic.cli import COMMANDS, load, main, render_command
-from mitsuba_plenoptic.cli.stopping import checkpoint_of
 from mitsuba_plenoptic.runtime import progress
 
-STUDIO, SHARPNESS = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness"))
+STUDIO, SHARPNESS, INVERSE = (pytest.mark.needs_extension(name) for name in ("studio", "sharpness", "inverse"))
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_can_be_quiet_and_verbose(name, run):
-    assert re.search(r"--quiet +-q", said := run(name, "--help")) and re.search(r"--verbose +-v", said)
-
-
-def test_resume_means_the_same_in_every_command_that_has_it(tmp_path):
-    kept = {resume: checkpoint_of(tmp_path / "a.exr", resume) for resume in (False, True)}
-    assert kept[False].existing == "resume_if_same" and kept[True].existing == "resume"
-    assert kept[True].path == tmp_path / "a.exr.checkpoint"
+def test_every_command_has_help_and_can_be_quiet_and_verbose(run):
+    for name in COMMANDS:
+        said = run(name, "--help")
+        assert f"mitsuba-plenoptic {name}" in said
+        assert re.search(r"--quiet +-q", said) and re.search(r"--verbose +-v", said)
     texts = {option.help for name in COMMANDS for option in load(name).params if "--resume" in option.opts}
     assert len(texts) == 1
 
@@ -96,7 +91,7 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
 def test_ctrl_c_in_a_wave_capture_says_how_to_go_on(tmp_path):
-    words = [*WAVES, "--method", "points", "-o", str(tmp_path / "raw.exr")]
+    words = [*WAVES, "--method", "points", "-o", str(tmp_path / "raw.exr"), "--checkpoint", str(tmp_path / "kept")]
     early = subprocess.run([sys.executable, "-c", EARLY, *words], capture_output=True, text=True, timeout=600)
     assert early.returncode == 130
     assert early.stderr.splitlines()[-1] == (
@@ -104,10 +99,11 @@ def test_ctrl_c_in_a_wave_capture_says_how_to_go_on(tmp_path):
     )
     process = start_command(*words, interrupt_after=1)
     _, error = process.communicate(timeout=600)
-    assert process.returncode == 130
-    assert re.fullmatch(
-        r"mitsuba-plenoptic: stopped at \d+ %: the same command goes on from there", error.splitlines()[-1]
-    )
+    assert process.returncode == 130, error
+    stopping, stopped = error.splitlines()[-2:]
+    assert "stopping after the current batch" in stopping
+    assert re.fullmatch(r"mitsuba-plenoptic: stopped at \d+ %: the same command goes on from there", stopped)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
     process = start_command(*words)
     output, error = process.communicate(timeout=600)
     assert process.returncode == 0, error
@@ -164,30 +160,19 @@ def test_ctrl_c_is_one_line_and_a_status(tmp_path):
     assert sum("stopped" in line for line in told) == 1
 
 
-@pytest.mark.parametrize("source", ["paper", "letters", "{raw}"])
-def test_info_prints_json_alone(source, raw, capfd):
-    assert main(["info", source.format(raw=raw), "--json"]) == 0
-    found = json.loads(capfd.readouterr().out)
-    assert found["camera"]["resolution"]
-    assert {"group", "quantity", "value", "unit", "note"} == set(found["sheet"][0])
-    assert isinstance(found["warnings"], list)
-    assert bool(found["capture"]) == ("raw" in source)
-
-
-def test_info_prints_what_it_mends_as_json(tmp_path, capfd):
+def test_info_prints_json_alone(raw, tmp_path, capfd):
+    for source in ("paper", "letters", str(raw)):
+        assert main(["info", source, "--json"]) == 0
+        found = json.loads(capfd.readouterr().out)
+        assert found["camera"]["resolution"]
+        assert {"group", "quantity", "value", "unit", "note"} == set(found["sheet"][0])
+        assert isinstance(found["warnings"], list)
+        assert bool(found["capture"]) == (source == str(raw))
     assert main(["info", "raytrix", "--json", "--fix", str(tmp_path / "better.json")]) == 0
     found = json.loads(capfd.readouterr().out)
     better = json.loads((tmp_path / "better.json").read_text())
     assert {name: better[name] for name in found["changed"]} == found["changed"]
     assert isinstance(found["still"], list)
-
-
-def test_doctor_prints_json_alone(capfd, monkeypatch):
-    monkeypatch.setattr("mitsuba.variants", lambda: ["llvm_ad_mono"])
-    status = main(["doctor", "--json"])
-    found = json.loads(capfd.readouterr().out)
-    assert found["ready"] == (status == 0)
-    assert found["Versions"]["mitsuba"]
 
 
 # What may be imported for help, and before a value is refused that can be judged without the library.
@@ -229,92 +214,96 @@ def test_help_does_not_judge_options_that_are_not_given(python):
     assert "pydantic" not in made.stdout.split()
 
 
-COMPLETE = {"_MITSUBA_PLENOPTIC_COMPLETE": "complete_bash"}
-
-
 @pytest.mark.parametrize(
     ("line", "words"),
     [
         ("recon", {"reconstruct"}),
         ("reconstruct x.exr --interl", {"--interleave"}),
-        ("reconstruct x.exr --method part", {"partial"}),
         ("render letters --model ", {"ray", "wave"}),
         ("epi x.exr --axis h", {"horizontal"}),
     ],
 )
-def test_words_are_completed(line, words, python):
+def test_words_are_completed(line, words):
+    """By the package run as a module, as by the command."""
     typed = ["mitsuba-plenoptic", *line.split(" ")]
-    given = {"COMP_WORDS": " ".join(typed), "COMP_CWORD": str(len(typed) - 1), **COMPLETE}
-    made = python("from mitsuba_plenoptic.cli import main; main([])", **given)
+    asked = {"COMP_WORDS": " ".join(typed), "COMP_CWORD": str(len(typed) - 1)}
+    asked["_MITSUBA_PLENOPTIC_COMPLETE"] = "complete_bash"
+    command = [sys.executable, "-m", "mitsuba_plenoptic"]
+    made = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | asked)
     assert set(made.stdout.split()) == words, made.stderr
 
 
+REFUSED = [
+    ("render letterz -o raw.exr", "did you mean letters?"),
+    ("render letters -o raw.exr --camera lytr", "did you mean lytro?"),
+    ("render letters -o raw.exr --model weve", "did you mean wave?"),
+    ("render letters -o raw.exr --spp -4", "--spp = -4: it must be at least 1"),
+    ("render letters -o raw.exr --unit km", "it must be one of mm, cm, m"),
+    ("render letters -o raw.exr --wavelength abc", "--wavelength = 'abc': it must be nanometres"),
+    ("render letters -o raw.exr --wavelength 611,549,0.4", "from 200 to 2500 nm"),
+    ("render letters -o raw.png", "raw.png: give a name that ends in .exr"),
+    ("render letters -o raw.exr --white white.png", "white.png: give a name that ends in .exr"),
+    ("reconstruct missing.exr -o out.exr --distance 240", "missing.exr: there is no such file"),
+    ("reconstruct {there} -o out.exr --distance 240 --method rey", "did you mean ray?"),
+    ("reconstruct {there} -o out.exr --distance nan", "--distance = nan"),
+    ("reconstruct {there} -o out.exr --distance 240 --wavelength 0.5", "from 200 to 2500 nm"),
+    ("reconstruct {there} -o out.jpg --distance 240", "out.jpg: give a name that ends in .exr or .png or .pdf"),
+    ("reconstruct letters -o out.png --distance 240", "letters: it is a scene: give what 'render' made of it"),
+    ("expose {there} -o out.jpg --photons 9", "out.jpg: give a name that ends in .exr or .png"),
+    ("sheet {there} -o sheet.exr", "sheet.exr: give a name that ends in .pdf or .png"),
+    ("views {there} -o views.jpg", "views.jpg: give a name that ends in .exr or .png or .pdf or .gif"),
+    ("views missing.exr -o views.png", "missing.exr: there is no such file"),
+    ("stack {there} -o stack.jpg --distance 240", "stack.jpg: give a name"),
+    ("convert {there} -o lf.jpg", "lf.jpg: give a name that ends in .nc or .zarr or .mat or .eslf.png or .png"),
+    ("convert {there} -o folder --format hcj", "did you mean hci?"),
+    ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
+    ("depth missing.exr -o depth.exr", "missing.exr: there is no such file"),
+    ("example letterz", "it must be one of letters-ray"),
+    ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
+    ("info lytr", "did you mean lytro?"),
+]
+REFUSED_BY_EXTENSIONS = [
+    ("view {scene} -o page.html", "scene.xml: it is a scene: give what 'render' made of it"),
+    ("view {there} -o page.pdf", "page.pdf: give a name that ends in .html"),
+    ("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc"),
+    ("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?"),
+    ("preview letterz", "did you mean letters?"),
+    ("fit {there} --scene letters -o camera.xml --parameter mla_pitch", "camera.xml: give a name that ends in .json"),
+    ("mtf missing.exr", "missing.exr: there is no such file"),
+]
+
+
 @pytest.mark.parametrize(
-    ("words", "rule"),
-    [
-        ("render letterz -o raw.exr", "did you mean letters?"),
-        ("render letters -o raw.exr --camera lytr", "did you mean lytro?"),
-        ("render letters -o raw.exr --model weve", "did you mean wave?"),
-        ("render letters -o raw.exr --spp -4", "--spp = -4: it must be at least 1"),
-        ("render letters -o raw.exr --unit km", "it must be one of mm, cm, m"),
-        ("reconstruct missing.exr -o out.exr --distance 240", "missing.exr: there is no such file"),
-        ("reconstruct {there} -o out.exr --distance 240 --method rey", "did you mean ray?"),
-        ("reconstruct {there} -o out.exr --distance nan", "--distance = nan"),
-        ("reconstruct {there} -o out.exr --distance 240 --wavelength 0.5", "from 200 to 2500 nm"),
-        ("render letters -o raw.exr --wavelength abc", "--wavelength = 'abc': it must be nanometres"),
-        ("render letters -o raw.exr --wavelength 611,549,0.4", "from 200 to 2500 nm"),
-        ("render letters -o raw.png", "raw.png: give a name that ends in .exr"),
-        ("render letters -o raw.exr --white white.png", "white.png: give a name that ends in .exr"),
-        ("expose {there} -o out.jpg --photons 9", "out.jpg: give a name that ends in .exr or .png"),
-        ("reconstruct {there} -o out.jpg --distance 240", "out.jpg: give a name that ends in .exr or .png or .pdf"),
-        ("sheet {there} -o sheet.exr", "sheet.exr: give a name that ends in .pdf or .png"),
-        ("views {there} -o views.jpg", "views.jpg: give a name that ends in .exr or .png or .pdf or .gif"),
-        ("stack {there} -o stack.jpg --distance 240", "stack.jpg: give a name"),
-        ("convert {there} -o lf.jpg", "lf.jpg: give a name that ends in .nc or .zarr or .mat or .eslf.png or .png"),
-        ("convert {there} -o folder --format hcj", "did you mean hci?"),
-        ("reconstruct letters -o out.png --distance 240", "letters: it is a scene: give what 'render' made of it"),
-        pytest.param(
-            "view {scene} -o page.html", "scene.xml: it is a scene: give what 'render' made of it", marks=STUDIO
-        ),
-        ("depth {there} -o depth.gif", "depth.gif: give a name that ends in .exr or .png or .pdf"),
-        pytest.param("view {there} -o page.pdf", "page.pdf: give a name that ends in .html", marks=STUDIO),
-        pytest.param("sweep letters -o sweep.csv", "sweep.csv: give a name that ends in .nc", marks=STUDIO),
-        pytest.param(
-            "fit {there} --scene letters -o camera.xml --parameter mla_pitch",
-            "camera.xml: give a name that ends in .json",
-            marks=pytest.mark.needs_extension("inverse"),
-        ),
-        ("example letterz", "it must be one of letters-ray"),
-        ("compare letters -o out --distance -240", "--distance = -240: it must be greater than 0"),
-        pytest.param("sweep letters -o out.nc --vary distance=240 --method rey", "did you mean ray?", marks=STUDIO),
-        ("depth missing.exr -o depth.exr", "missing.exr: there is no such file"),
-        ("views missing.exr -o views.png", "missing.exr: there is no such file"),
-        ("info lytr", "did you mean lytro?"),
-        pytest.param("preview letterz", "did you mean letters?", marks=STUDIO),
-        pytest.param("mtf missing.exr", "missing.exr: there is no such file", marks=SHARPNESS),
-    ],
+    "lines", [REFUSED, pytest.param(REFUSED_BY_EXTENSIONS, marks=[STUDIO, SHARPNESS, INVERSE])], ids=["core", "others"]
 )
-def test_values_are_refused_before_the_library_is_imported(words, rule, raw, tmp_path, capfd, complaint):
+def test_values_are_refused_before_the_library_is_imported(lines, raw, tmp_path):
     (tmp_path / "scene.xml").write_text("<scene/>")
-    words = words.format(there=raw, scene=tmp_path / "scene.xml").split()
-    assert rule in complaint(*words)
-    own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
-    module = COMMANDS[words[0]][0].removeprefix("mitsuba_plenoptic.")
-    assert own <= LIGHT | {module}
-    assert not libraries & SLOW
+    lines = [(line.format(there=raw, scene=tmp_path / "scene.xml").split(), rule) for line, rule in lines]
+    code = f"""
+    import contextlib, io, sys
+    from mitsuba_plenoptic.cli import main
+    for words, rule in {lines}:
+        with contextlib.redirect_stderr(io.StringIO()) as told:
+            assert main(words) == 2, words
+        said = told.getvalue()
+        assert rule in said and said.startswith("mitsuba-plenoptic: error: ") and said.count("\\n") == 1, said
+        assert not set(sys.modules) & {SLOW}, words
+    """
+    own, libraries = loaded(textwrap.dedent(code).strip())
+    asked = {COMMANDS[words[0]][0].removeprefix("mitsuba_plenoptic.") for words, _ in lines}
+    assert own <= LIGHT | asked and not libraries & SLOW
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "reconstruct {there} -o out.exr --distance -240",
-        "stack {there} -o out.exr --distance 3",
-        pytest.param("mtf {there} --distance 3", marks=SHARPNESS),
-    ],
-)
-def test_distances_that_the_camera_cannot_see_are_refused_before_methods_are_imported(words, raw, complaint):
-    words = words.format(there=raw).split()
-    assert "it must be greater than the focal length 80" in complaint(*words)
-    own, libraries = loaded(f"from mitsuba_plenoptic.cli import main; main({words})")
+def test_distances_that_the_camera_cannot_see_are_refused_before_methods_are_imported(raw):
+    lines = [f"reconstruct {raw} -o out.exr --distance -240", f"stack {raw} -o out.exr --distance 3"]
+    code = f"""
+    import contextlib, io
+    from mitsuba_plenoptic.cli import main
+    for line in {lines}:
+        with contextlib.redirect_stderr(io.StringIO()) as told:
+            assert main(line.split()) == 2, line
+        assert "it must be greater than the focal length 80" in told.getvalue(), told.getvalue()
+    """
+    own, libraries = loaded(textwrap.dedent(code).strip())
     assert not {name.partition(".")[0] for name in own} & {"refocus", "views", "report", "points", "light"}
     assert not libraries & {"pandas", "xarray", "matplotlib", "skimage", "h5py"}

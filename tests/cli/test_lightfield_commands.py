@@ -206,22 +206,3 @@ def test_figures_enlarged_pictures_and_animations(raw, lf, tmp_path, run, coarse
         assert (picture.n_frames, picture.size) == (46, (16, 16))
     assert "one after the other" in run("views", raw, "-o", tmp_path / "b.gif")
     assert Image.open(tmp_path / "b.gif").size == (480, 480)
-
-
-def test_refused_drawings(raw, tmp_path, complaint):
-    for arguments, message in [
-        (["views", "-o", "a.exr", "--scale", 2], "--scale 2: it is for plain pictures (.png, .gif), without"),
-        (["views", "-o", "a.png", "--figure", "--scale", 2], "--scale 2: it is for plain pictures"),
-        (["depth", "-o", "a.pdf", "--scale", 2], "--scale 2: it is for plain pictures"),
-        (["views", "-o", "a.gif", "--figure"], "--figure: it is for .png and .pdf; the output is a.gif"),
-        (["views", "-o", "a.png", "--scale", 65], "--scale = 65: it must be at most 64"),
-        (["epi", "-o", "a.gif"], "a.gif: give a name that ends in .exr or .png or .pdf"),
-        (
-            ["stack", "-o", "a.gif", "--distance", 240],
-            "--distance: a focal sweep goes from one distance to another, and 1 are given",
-        ),
-        (["reconstruct", "-o", "a.pdf", "--distance", 240, "--distance", 240], "--distance = 240: it is given twice"),
-        (["views", "-o", "a.exr", "--exposure", 1], "--exposure: it is for pictures (.png, .pdf, .gif)"),
-    ]:
-        command, *options = arguments
-        assert complaint(command, raw, *options).startswith(message), message

@@ -1,7 +1,5 @@
 """Cameras from data sheets on the command line, and the camera that `info --fix` writes."""
 
-import pytest
-
 from mitsuba_plenoptic import PlenopticCamera, read_capture
 
 SHEET = "f_number=2.8,lenses=8,6,pixels_per_lens=10,pixel_size=0.005,focal_length=50,focus_distance=320"
@@ -31,20 +29,3 @@ def test_info_writes_the_mended_camera(run, tmp_path):
     assert "Warning" not in run("info", tmp_path / "better.json")
     assert "unchanged" in run("info", "paper", "--fix", tmp_path / "same.json")
     assert PlenopticCamera.from_json((tmp_path / "same.json").read_text()) == PlenopticCamera()
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("render letters -o x.exr --f-number 2", "--f-number; aperture_radius is focal_length / (2 f_number)"),
-        ("render letters -o x.exr -D lattice=hexagonal", "lattice: the scene"),
-        ("render letters -o x.exr --camera f_number=2,lenses=8", "pixels_per_lens or mla_pitch, pixel_size"),
-        ("render letters -o x.exr --camera focal_length=50,focal_length=60", "focal_length is given twice"),
-        ("render letters -o x.exr --camera focal_length=", "focal_length = : it must be a value"),
-        ("info paper --fix better.txt", "better.txt"),
-    ],
-)
-def test_what_is_said_about_mistakes(line, words, complaint, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert words in complaint(*line.split())
-    assert list(tmp_path.iterdir()) == []

@@ -41,7 +41,7 @@ def test_without_a_gpu_llvm_renders(machine):
     status, found = machine()
     assert status == 0 and found["ready"] and found["verdict"] == "Ready to render"
     assert found["Variants"] == {"llvm_ad_mono": "works here", "cuda_ad_mono": "not usable here"}
-    assert found["GPU"]["CUDA"] == "not found" and "OptiX" not in found["GPU"]
+    assert found["Versions"]["mitsuba"] and found["GPU"]["CUDA"] == "not found" and "OptiX" not in found["GPU"]
 
 
 def test_a_driver_without_optix(machine):
