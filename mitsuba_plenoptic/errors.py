@@ -23,9 +23,6 @@ from typing import Any, TypeVar, cast, get_args
 
 _Call = TypeVar("_Call", bound=Callable[..., Any])
 
-_LONGEST = 1000
-"""Characters of a message; names and values that come from files may be of any length."""
-
 _LONGEST_VALUE = 80
 
 # A list that holds itself many times over, as YAML can write it, would be endless in full.
@@ -42,7 +39,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message, _LONGEST))
+        super().__init__(printable(message, 1000))
 
 
 def refuse_if(broken: object, message: str) -> None:
@@ -144,7 +141,8 @@ _options: Mapping[str, str] | None = None
 def at_shell(options: Mapping[str, str]) -> Iterator[None]:
     """Spell arguments as command-line options in advice while the context is open; `options` lists deviating names."""
     global _options
-    before, _options = _options, options
+    before = _options
+    _options = options
     try:
         yield
     finally:
@@ -190,13 +188,13 @@ def relation(name: str) -> str:
     return f"{parameter} is {rule.format(name)}" if parameter else ""
 
 
-def did_you_mean(name: Any, known: Iterable[Any]) -> str:
+def did_you_mean(name: Any, names_known: Iterable[Any]) -> str:
     """Return the end of a message on an unknown name: the most similar known name, or nothing."""
-    names = {str(one).lower(): str(one) for one in known}
+    names = {str(candidate).lower(): str(candidate) for candidate in names_known}
     if _RELATIONS.get(str(name).lower(), ("",))[0] in names:
         return f"; {relation(str(name))}"
-    found = difflib.get_close_matches(str(name).lower()[:_LONGEST_VALUE], names, n=1)
-    return f"; did you mean {names[found[0]]}?" if found else ""
+    closest = difflib.get_close_matches(str(name).lower()[:_LONGEST_VALUE], names, n=1)
+    return f"; did you mean {names[closest[0]]}?" if closest else ""
 
 
 def suggest_keywords(
@@ -277,9 +275,12 @@ def require_choice(name: str, value: Any, choices: Any) -> str:
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the line outside this package that called it, through decorators and contexts."""
-    ours, level, frame = str(Path(__file__).parent), 1, sys._getframe()
+    ours = str(Path(__file__).parent)
+    level = 1
+    frame = sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith((ours, contextlib.__file__)):
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     warnings.warn(message, category, stacklevel=level)
 
 
@@ -339,7 +340,8 @@ def require_count(name: str, value: Any, *, minimum: int = 1, maximum: int | Non
     return int(number)
 
 
-SHORTEST, LONGEST = 1e-9, 1e9
+SHORTEST = 1e-9
+LONGEST = 1e9
 """Bounds of every length in scene units: a picometre and a thousand kilometres in millimetres.
 
 Between them no product or quotient of a camera's parameters leaves what a float holds.
@@ -381,7 +383,8 @@ MOST_JITTER = 0.1
 WARP_TERMS = 14
 """Coefficients of a warp: of seven terms along x, then along y."""
 
-MOST_WARP, MOST_WARP_SLOPE = 0.5, 0.1
+MOST_WARP = 0.5
+MOST_WARP_SLOPE = 0.1
 """Displacement of a warped array's lenses over the pitch, and its change per mm of their positions, at most."""
 
 MOST_SEED = 2**32 - 1

@@ -135,8 +135,8 @@ def hook(key: str, what: str) -> Any:
     InputError
         If no extension has it; `what` begins the line.
     """
-    for package, found, text in entries("hooks"):
-        if found == key:
+    for package, name, text in entries("hooks"):
+        if name == key:
             return place(package, text)
     raise InputError(f"{what}: {missing('hooks', key) or f'no extension has {key}'}")
 
@@ -161,9 +161,9 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
     InputError
         If a shipped extension has one and is not installed; `what` begins the line.
     """
-    for package, key, found in entries("formats"):
-        if (key, found.holds) == (suffix, holds):
-            return package, found.write if write else found.read
+    for package, key, value in entries("formats"):
+        if (key, value.holds) == (suffix, holds):
+            return package, value.write if write else value.read
     refuse_if(absent := missing("formats", suffix), f"{what}: {absent}")
     return None
 

@@ -146,7 +146,9 @@ def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
     A parameter that is a `bool` is False where it is not given, others are None.
     """
     signature = inspect.signature(function, eval_str=True)
-    own = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    parameters_of_function = [
+        item for item in signature.parameters.values() if item.kind is not inspect.Parameter.VAR_KEYWORD
+    ]
     added = [
         inspect.Parameter(
             name,
@@ -158,8 +160,8 @@ def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
         for name, kind in parameters.items()
     ]
     named: Any = function
-    named.__signature__ = signature.replace(parameters=[*own, *added])
-    named.__annotations__ = {one.name: one.annotation for one in (*own, *added)}
+    named.__signature__ = signature.replace(parameters=[*parameters_of_function, *added])
+    named.__annotations__ = {item.name: item.annotation for item in (*parameters_of_function, *added)}
     return function
 
 
@@ -167,7 +169,7 @@ def with_options(function: _Call) -> _Call:
     """Return `reconstruct` with the options of single methods in its signature and docstring."""
     text = ""
     for name, option in all_options().items():
-        words = " or ".join([repr(word) for word in option.choices] or [one.__name__ for one in option.types])
+        words = " or ".join([repr(word) for word in option.choices] or [item.__name__ for item in option.types])
         described = " ".join(filter(None, (option.text, option.details, f"Default: {option.shown_default}.")))
         text += f"{name} : {words}, optional\n{textwrap.indent(textwrap.fill(described, 110), '    ')}\n"
     head, _, tail = (function.__doc__ or "").partition("    **options\n")

@@ -35,9 +35,9 @@ def scene_path(name: str) -> Path:
     path = _folder() / f"{name}.xml"
     if path.name != f"{name}.xml" or not path.is_file():
         names = scene_names()
-        what = "is a camera: give it as --camera of a scene" if name in PRESETS else "is no file"
+        fault = "is a camera: give it as --camera of a scene" if name in PRESETS else "is no file"
         raise InputError(
-            f"scene = {name!r}: it {'is a folder' if Path(name).is_dir() else what}; built-in scenes are "
+            f"scene = {name!r}: it {'is a folder' if Path(name).is_dir() else fault}; built-in scenes are "
             f"{', '.join(names)}{did_you_mean(name, names)}"
         )
     return path

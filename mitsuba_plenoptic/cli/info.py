@@ -18,7 +18,6 @@ from .options import CAMERA, Definitions, Unit, wavelength_option
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..camera import PlenopticCamera
     from ..io.captures import Capture
     from ..report.design_sheet import Row
 
@@ -135,7 +134,10 @@ def info(
     if fix is not None:
         better = mended(shown_camera, wavelength)
         write_text(fix, better.to_json(), ".json")
-    changed = {} if better is None else _changes(shown_camera, better)
+    changed = {}
+    if better is not None:
+        old = shown_camera.to_dict()
+        changed = {name: value for name, value in better.to_dict().items() if old.get(name) != value}
     still = [] if better is None else design_warnings(better, wavelength)
     if as_json:
         sheet = [row._asdict() for row in rows]
@@ -158,12 +160,6 @@ def info(
         console.print(f"[bold]Written:[/bold] {escape(f'{fix}, {outcome}')}.", soft_wrap=True)
         for warning in still:
             console.print(f"[bold]Still:[/bold] {escape(warning)}.", soft_wrap=True)
-
-
-def _changes(camera: PlenopticCamera, better: PlenopticCamera) -> dict[str, Any]:
-    """Return the parameters in which a better camera differs from a camera."""
-    old = camera.to_dict()
-    return {name: value for name, value in better.to_dict().items() if old.get(name) != value}
 
 
 def _origin(capture: Capture) -> dict[str, Any]:

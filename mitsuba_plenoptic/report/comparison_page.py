@@ -172,18 +172,13 @@ def _numbers(measured: Mapping[str, Any]) -> list[Block]:
     return blocks
 
 
-def time_summary(seconds: dict[str, float]) -> str:
-    """Return a sentence on the total time of all stages and on the longest stage."""
-    total = sum(seconds.values())
-    longest = max(seconds, key=lambda name: seconds[name])
-    return f"{total:.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"
-
-
 def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the settings and versions of an experiment as pairs of texts."""
     settings = experiment.settings
     against = []
     points = measured["captures"]["points"]
+    seconds = experiment.seconds
+    longest = max(seconds, key=lambda name: seconds[name])
     if points is not None:
         apart = f"{points['relative_error']:.2%} (relative L2, with the noise of both), energy {points['energy']:.4f}"
         against = [(f"Wave capture against {settings.points} points per lens, each propagated by itself", apart)]
@@ -200,7 +195,7 @@ def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[st
             (f"Version of {name}", str(version))
             for name, version in sorted(experiment.wave.metadata.get("software", {}).items())
         ),
-        ("Time", time_summary(experiment.seconds)),
+        ("Time", f"{sum(seconds.values()):.0f} s, of which {seconds[longest]:.0f} s for {longest.replace('_', ' ')}"),
     ]
 
 

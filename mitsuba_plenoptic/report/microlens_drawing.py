@@ -45,7 +45,10 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
     u, v = np.meshgrid(along, along)
     inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
-    waves = _waves(camera, u, v, wavelength)
+    if camera.mla_shape is None:
+        waves = np.asarray(parabola(u * u + v * v, camera.reduced_focal_lengths[0], wavelength))
+    else:
+        waves = np.asarray(camera.mla_shape.waves(u, v, wavelength))
     plot = Plot(11.2, 3.7)
     lens, section, light = plot.subplots(1, 3, width_ratios=(1.2, 1.2, 1))
     ends = 1e3 * along[0], 1e3 * along[-1]
@@ -58,25 +61,15 @@ def draw_microlens(path: Path, camera: PlenopticCamera, wavelength: float | None
     plot.save(path)
 
 
-def _waves(camera: PlenopticCamera, u: NDArray, v: NDArray, wavelength: float) -> NDArray[np.float64]:
-    """Return the phase of a lens in waves at offsets in the lattice frame."""
-    if camera.mla_shape is None:
-        return np.asarray(parabola(u * u + v * v, camera.reduced_focal_lengths[0], wavelength))
-    return np.asarray(camera.mla_shape.waves(u, v, wavelength))
-
-
-def _slopes(camera: PlenopticCamera, u: NDArray, wavelength: float) -> NDArray[np.float64]:
-    """Return the change of direction cosine along the row through the centre of a lens."""
-    if camera.mla_shape is None:
-        return np.asarray(-u / camera.reduced_focal_lengths[0])
-    return np.asarray(camera.mla_shape.slopes(u, 0 * u)[0] * camera.mla_shape.strength(wavelength))
-
-
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     """Draw a section of the lens, with rays parallel to the axis to half the detector distance beyond the detector."""
     half = float(camera.lattice.aperture_width) / 2
     start = np.linspace(-1, 1, 15) * half * 0.98
-    sine = _slopes(camera, start, wavelength) / camera.mla_medium
+    if camera.mla_shape is None:
+        deflection = -start / camera.reduced_focal_lengths[0]
+    else:
+        deflection = camera.mla_shape.slopes(start, 0 * start)[0] * camera.mla_shape.strength(wavelength)
+    sine = np.asarray(deflection) / camera.mla_medium
     slope = sine / np.sqrt(1 - np.minimum(sine * sine, 0.999))
     z = camera.detector_distance
     ends = np.array([-0.3 * z, 0.0, 1.5 * z])

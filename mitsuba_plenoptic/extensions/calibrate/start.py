@@ -19,6 +19,7 @@ import numpy as np
 from ...errors import InputError, refuse_if
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .board_model import AT, NAMES, Observations
+from .calibration_result import group_means
 from .observations import Board
 
 _FEWEST_POSES = 3
@@ -117,7 +118,9 @@ def board_images(
         )
         centres = centre[rows]
         pixels = pixel[rows]
-        around, displaced = (values - _means(values, corner_index)[corner_index] for values in (centres, pixels))
+        around, displaced = (
+            values - group_means(values, corner_index)[1][corner_index] for values in (centres, pixels)
+        )
         refuse_if(
             not (around**2).sum() > 0, f"frame {frame}: each corner is seen through one lens only; several are needed"
         )
@@ -208,8 +211,3 @@ def upright_poses(maps: np.ndarray, focal_length: float) -> np.ndarray:
         pose[2] = np.arctan2(along[1] - across[0], along[0] + across[1]) + np.pi
         pose[3:] = *(-corner / magnification), focal_length * (1 + 1 / magnification)
     return poses
-
-
-def _means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Return the mean row of each group."""
-    return np.stack([np.bincount(group, column) for column in values.T], axis=-1) / np.bincount(group)[:, None]

@@ -32,8 +32,8 @@ def dataset(
     # Data sets need libraries that take a second to load.
     from .dataset import make_dataset, read_recipe
 
-    wanted = read_recipe(recipe)
+    settings = read_recipe(recipe)
     with batches_on(workers, scheduler) as batch_map, progress_bar("Samples") as progress, resumable(progress):
-        made = make_dataset(wanted, output, batch_map=batch_map, progress=progress)
+        data_set = make_dataset(settings, output, batch_map=batch_map, progress=progress)
     size = sum(path.stat().st_size for path in output.rglob("*") if path.is_file())
-    typer.echo(f"{output}: {len(made)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")
+    typer.echo(f"{output}: {len(data_set)} samples, {size / 2**20:.0f} MiB, described in {output / 'README.md'}")

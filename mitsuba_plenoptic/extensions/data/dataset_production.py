@@ -93,9 +93,9 @@ def make_dataset(
     with locked(folder / LOCK, f"{folder}: another process is making this data set"):
         layout = claim(folder, recipe)
         _produce(recipe, layout, batch_map, progress)
-        made = DataSet(folder)
-        write_preview(folder / PREVIEW, made)
-        write_card(folder / CARD, recipe, made)
+        data_set = DataSet(folder)
+        write_preview(folder / PREVIEW, data_set)
+        write_card(folder / CARD, recipe, data_set)
     return DataSet(folder)
 
 
@@ -108,27 +108,27 @@ def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, pro
         remove_leftovers(layout.folder / name)
         # They describe a complete data set.
         (layout.folder / name).unlink(missing_ok=True)
-    packed = set().union(*(samples_in(layout.shard(number)) for number in range(layout.shards)))
+    packed = set().union(*(samples_in(layout.shard(shard)) for shard in range(layout.shards)))
     missing = [index for index in range(recipe.count) if index not in packed and not layout.sample(index).exists()]
     waiting = set(missing)
 
-    def pack(number: int) -> None:
-        members = layout.members(number)
+    def pack(shard: int) -> None:
+        members = layout.members(shard)
         if waiting.isdisjoint(members) and not packed.issuperset(members):
-            write_samples(layout.shard(number), (read(index) for index in members))
+            write_samples(layout.shard(shard), (read(index) for index in members))
             for index in members:
                 layout.sample(index).unlink(missing_ok=True)
 
     def read(index: int) -> Sample:
-        number = index // layout.samples_per_shard
-        path = layout.shard(number) if index in packed else layout.sample(index)
+        shard = index // layout.samples_per_shard
+        path = layout.shard(shard) if index in packed else layout.sample(index)
         with open_shard(path) as file:
             return read_sample(file, path, index)
 
     tasks = [SampleTask(recipe, index, layout.sample(index)) for index in missing]
     results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.prepare()() for task in tasks)
-    for number in range(layout.shards):
-        pack(number)
+    for shard in range(layout.shards):
+        pack(shard)
     if progress:
         progress(recipe.count - len(waiting), recipe.count)
     for index in results:
@@ -218,23 +218,25 @@ Software: {software}; source of mitsuba_plenoptic {version}.
 """
 
 
-def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
+def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
     """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
-    for name, array in sorted(made[0].arrays.items()):
-        base, told = name.removeprefix("views_"), made[0].facts.get("arrays", {})
-        if name in told:
-            meaning = told[name]
+    for name, array in sorted(data_set[0].arrays.items()):
+        base = name.removeprefix("views_")
+        meanings = data_set[0].facts.get("arrays", {})
+        if name in meanings:
+            meaning = meanings[name]
         elif base != name:
             meaning = f"the same as `{base}`, of the samples of the views"
         elif name in _MEANINGS:
             meaning = _MEANINGS[name]
         else:
-            capture = max((each for each in _MEANINGS if name.startswith(f"{each}_")), key=len)
+            capture = max((model_array for model_array in _MEANINGS if name.startswith(f"{model_array}_")), key=len)
             meaning = f"sums of the pixels of `{capture}` below each lens that lie {name[len(capture) + 1 :]}"
         lines.append(f"| `{name}` | {' x '.join(map(str, np.shape(array)))} | {meaning} |")
-    software = dict(made.manifest["software"])
-    model, names = recipe.models[-1], made[0].arrays
+    software = dict(data_set.manifest["software"])
+    model = recipe.models[-1]
+    names = data_set[0].arrays
     pair = [name for name in names if name.startswith(f"{model}_") and "exposed" not in name]
     text = _TEXT.format(
         name=recipe.name,
@@ -245,42 +247,36 @@ def write_card(path: Path, recipe: Recipe, made: DataSet) -> None:
         folder=recipe.name,
         model=model,
         arrays=json.dumps([*pair, "lens_depth"] if "lens_depth" in names else [model, *({"depth"} & set(names))]),
-        recipe=yaml.safe_dump(made.manifest["recipe"], sort_keys=False, allow_unicode=True),
+        recipe=yaml.safe_dump(data_set.manifest["recipe"], sort_keys=False, allow_unicode=True),
         software=", ".join(f"{name} {version}" for name, version in sorted(software.items())),
     )
     write_text(path, text)
 
 
-_ROWS, _WIDTH = 8, 256
-
-
 def write_preview(path: Path, samples: DataSet) -> None:
     """Write a PNG with one row for each of the first eight samples: captures, and depth (near is white)."""
     rows = []
-    for index in range(min(_ROWS, len(samples))):
+    for index in range(min(8, len(samples))):
         arrays = samples[index].arrays
         depth = arrays.get("lens_depth", arrays.get("depth"))
         captures = [array for name, array in arrays.items() if name.startswith(("ray", "wave"))]
         if "lens_depth" in arrays:
             captures = [array for array in captures if array.shape[:2] == arrays["lens_depth"].shape]
         peak = max(float(np.percentile(capture, 99.5)) for capture in captures) or 1.0
-        pictures = [_grey(capture) / peak for capture in captures]
+        pictures = [(capture.mean(axis=2) if capture.ndim == 3 else capture) / peak for capture in captures]
         if depth is not None:
             pictures.append(inverse_distance(depth))
-        rows.append(np.concatenate([shrink(picture, _WIDTH) for picture in pictures], axis=1))
+        rows.append(np.concatenate([shrink(picture, 256) for picture in pictures], axis=1))
     width = min(row.shape[1] for row in rows)
     write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
-    return image.mean(axis=2) if image.ndim == 3 else image
-
-
 def inverse_distance(depth: np.ndarray) -> np.ndarray:
     """Return inverse depth scaled to the range 0.1 (farthest) to 1 (nearest), and 0 where depth is unknown."""
-    known = np.isfinite(depth)
-    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=known & (depth > 0))
-    if not known.any():
+    finite = np.isfinite(depth)
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=finite & (depth > 0))
+    if not finite.any():
         return inverse
-    low, high = inverse[known].min(), inverse[known].max()
-    return np.asarray(np.where(known, 0.1 + 0.9 * (inverse - low) / max(high - low, 1e-12), 0), np.float32)
+    low = inverse[finite].min()
+    high = inverse[finite].max()
+    return np.asarray(np.where(finite, 0.1 + 0.9 * (inverse - low) / max(high - low, 1e-12), 0), np.float32)

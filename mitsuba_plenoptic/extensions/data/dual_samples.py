@@ -21,15 +21,12 @@ from ..onchip.photodiode_response import ACROSS
 _STOPPED = 32.0
 """Factor by which the main lens is stopped down for pictures that are all in focus."""
 
-_FILLED = 0.95
-"""Diameter of a micro-image over the pitch, then."""
-
 
 def pictures_of(capture: Capture, layout: tuple[int, int], name: str) -> dict[str, np.ndarray]:
     """Return the pictures of a capture's photodiodes, named like ``ray_left``."""
     halves = dual_pixel(capture, layout)
     names = photodiode_names(halves)
-    return {f"{name}_{which}": halves.values[place] for place, which in np.ndenumerate(names)}
+    return {f"{name}_{name_of_photodiode}": halves.values[index] for index, name_of_photodiode in np.ndenumerate(names)}
 
 
 def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
@@ -41,7 +38,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     sensor = plenoptic_sensor(scene)
     camera = PlenopticCamera.from_sensor(sensor)
     rows, columns = (count // ACROSS for count in camera.shape)
-    x, y = (drjit_array(mi.Float, place) for place in camera.lattice.centre(*_lens_indices(camera)))
+    x, y = (drjit_array(mi.Float, coordinate) for coordinate in camera.lattice.centre(*_lens_indices(camera)))
     hits = FirstHits(scene, sensor, ["depth"])
 
     def of_lenses(index: Any) -> tuple[Any, Any]:
@@ -53,7 +50,7 @@ def truth_of_lenses(scene: Any, spp: int, seed: int) -> dict[str, np.ndarray]:
     sharp = render_capture(with_camera(scene, small), model="ray", spp=spp, seed=seed)
     total = photodiodes(sharp.image, 1, 1)[0, 0]
     # Pixels across a micro-image.
-    wide, narrow = (each.micro_image_diameter / each.pixel_size for each in (camera, small))
+    wide, narrow = (of_camera.micro_image_diameter / of_camera.pixel_size for of_camera in (camera, small))
     return {
         "sharp": ((wide / narrow) ** 2 * total).astype(np.float32),
         "lens_depth": depth,
@@ -77,10 +74,12 @@ def _stopped_down(camera: PlenopticCamera) -> PlenopticCamera:
 
     Lenses aligned to chief rays are placed with the smaller pitch that fits the recorded lenses best.
     """
-    b, index = camera.pupil_distance, _lens_indices(camera)
+    b = camera.pupil_distance
+    index = _lens_indices(camera)
     (x, y), (right, up) = camera.lattice.regular.centre(*index), camera.lattice.centre(*index)
     pitch = camera.mla_pitch * float((x * right + y * up).sum() / (x * x + y * y).sum())
-    z = _FILLED * pitch * b * _STOPPED / (2 * camera.pupil_radius)
+    # Micro-images are then 0.95 of the pitch wide.
+    z = 0.95 * pitch * b * _STOPPED / (2 * camera.pupil_radius)
     return camera.replace(
         aperture_radius=camera.aperture_radius / _STOPPED,
         mla_shape=None,

@@ -21,16 +21,11 @@ from ...extension import entries, missing, place
 from ...io.captures import Capture
 from ...runtime.backend import drjit_array
 
-_TEXELS = (64, 512)
-"""Texels along an edge, at least and at most."""
-
-_PER_LENS = 4
-"""Texels to a lens, where that many are allowed."""
-
 _DETAIL = (0.2, 2.0)
 """Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
 
-_DARKEST, _BRIGHTEST = 0.02, 0.95
+_DARKEST = 0.02
+_BRIGHTEST = 0.95
 """Bounds of a reflectance."""
 
 
@@ -40,11 +35,13 @@ def random_diffuse(random: np.random.Generator, plain: float, width: float) -> d
     The texture is band-limited noise or a checkerboard; in variants of three channels it mixes two random colours.
     """
     # All are drawn, whichever is used, so that what follows does not depend on it.
-    is_plain, is_noise = random.random() < plain, random.random() < 0.75
+    is_plain = random.random() < plain
+    is_noise = random.random() < 0.75
     level = random.uniform(0.1, 0.8)
     detail = math.exp(random.uniform(math.log(_DETAIL[0]), math.log(_DETAIL[1])))
     colours = random.uniform(_DARKEST, _BRIGHTEST, (2, 3)).astype(np.float32)
-    texels = int(np.clip(_PER_LENS * width, *_TEXELS))
+    # Four texels to a lens, where that many are allowed.
+    texels = int(np.clip(4 * width, 64, 512))
     field = random.normal(size=(texels, texels))
     if is_noise:
         field = gaussian_filter(field, min(detail * texels / width, texels / 4), mode="wrap")
@@ -61,15 +58,7 @@ def random_diffuse(random: np.random.Generator, plain: float, width: float) -> d
     return {"type": "twosided", "surface": {"type": "diffuse", "reflectance": texture}}
 
 
-MOST_OBJECTS = 1000
-
 KINDS = ("rectangle", "disk", "sphere", "cube", "cylinder")
-
-_FARTHEST = 10.0
-"""Distance, over that in focus, that counts as the end of a range without end."""
-
-_BEHIND = 1.02
-"""Distance of the wall over the farthest of the objects."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +132,7 @@ class Shapes:
     tilt: float = 50.0
 
     def __post_init__(self) -> None:
-        require_count("objects", self.objects, minimum=0, maximum=MOST_OBJECTS)
+        require_count("objects", self.objects, minimum=0, maximum=1000)
         for name in ("near", "far"):
             if getattr(self, name) is not None:
                 require_number(name, getattr(self, name), positive=True, maximum=1e9)
@@ -157,14 +146,15 @@ class Shapes:
 
     def between(self, camera: PlenopticCamera) -> tuple[float, float]:
         """Return the nearest and the farthest distance of objects before a camera."""
-        found = [limits for limits in depth_ranges(camera) if limits]
+        ranges = [limits for limits in depth_ranges(camera) if limits]
         refuse_if(
-            not found and None in (self.near, self.far),
+            not ranges and None in (self.near, self.far),
             "near, far: give both, as the camera resolves no distance by itself",
         )
-        near = min(limits[0] for limits in found) if self.near is None else self.near
-        far = max(limits[1] for limits in found) if self.far is None else self.far
-        far = min(far, _FARTHEST * max(near, camera.focal_length))
+        near = min(limits[0] for limits in ranges) if self.near is None else self.near
+        far = max(limits[1] for limits in ranges) if self.far is None else self.far
+        # Ten times the distance in focus counts as the end of a range without end.
+        far = min(far, 10.0 * max(near, camera.focal_length))
         refuse_if(
             not camera.focal_length < near < far,
             f"near = {near:g}, far = {far:g}: they must follow one another beyond the focal length "
@@ -176,7 +166,7 @@ class Shapes:
         """Return a scene without a sensor, for ``mi.load_dict``; the camera is at the origin and looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])
-        wall = _BEHIND * far
+        wall = 1.02 * far
         # Wide enough for all points of the pupil, tilts included.
         half = 2 * max(extent) * wall / camera.mla_distance + 4 * camera.aperture_radius
         lens = max(camera.mla_pitches) / camera.mla_distance
@@ -211,7 +201,8 @@ class Shapes:
         towards = mi.ScalarTransform4f().translate(position.tolist())
         # Mitsuba takes the axis of a rotation as it is: one that is not of length 1 shears.
         axis = random.normal(size=3)
-        angle, roll = random.uniform(0, tilt), random.uniform(0, 360)
+        angle = random.uniform(0, tilt)
+        roll = random.uniform(0, 360)
         if kind in ("rectangle", "disk"):
             # They face the camera, rolled and then tilted about an axis across its view.
             turned = (

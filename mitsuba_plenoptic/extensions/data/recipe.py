@@ -38,16 +38,10 @@ from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs
 from .generators import CaptureGenerator, Illumination, SceneGenerator, generator_called
 
-MOST_COUNT = 10**6
-
-_CHECKED = 1000
-"""Samples whose parameters are drawn and checked before the first is rendered."""
-
 _KEYS = (
     "name", "count", "seed", "models", "variant", "camera", "scenes", "light", "noise", "ray", "wave", "truth",
     "photodiodes", "samples_per_shard",
 )  # fmt: skip
-_WAVE = ("spp", "wavelength", "method", "accuracy")
 
 
 @dataclass(frozen=True)
@@ -148,43 +142,44 @@ class Recipe:
         chosen = int(
             np.searchsorted(shares, generator(self.seed, index, "scenes").uniform(0, shares[-1]), side="right")
         )
-        number = min(chosen, len(self.scenes) - 1)
-        source = self.scenes[number]
-        drawn = {
+        source_index = min(chosen, len(self.scenes) - 1)
+        source = self.scenes[source_index]
+        draws = {
             section: draw(getattr(self, section) or {}, self.seed, index, section)
             for section in ("camera", "light", "noise", *self.models)
         }
-        drawn["scene"] = draw(source.values, self.seed, index, f"scenes.{number}")
-        numbers = dict(drawn["camera"])
+        draws["scene"] = draw(source.values, self.seed, index, f"scenes.{source_index}")
+        numbers = dict(draws["camera"])
         with naming("camera"):
             camera = PlenopticCamera.from_json(json.dumps(PRESETS[numbers.pop("preset", "paper")] | numbers))
             if self.photodiodes:
                 require_pixel_pairs(camera)
             if self.truth:
                 camera.require_array("truth")
-        maker, parameters = None, {}
+        maker = None
+        parameters = {}
         if source.generator:
             with naming(f"scenes: generator {source.generator}"):
-                maker = generator_called("generator", source.generator)(**drawn["scene"])
+                maker = generator_called("generator", source.generator)(**draws["scene"])
             of_scenes = {"truth": self.truth, "photodiodes": self.photodiodes, "light": self.light}
             for name in (name for name, value in of_scenes.items() if value and isinstance(maker, CaptureGenerator)):
                 empty = "; give an empty list" if name == "truth" else "; leave it out"
                 raise InputError(f"{name}: scenes: generator {source.generator} makes no scenes{empty}")
         else:
-            parameters = {name: str(value) for name, value in drawn["scene"].items()}
+            parameters = {name: str(value) for name, value in draws["scene"].items()}
         detector = photons = None
         if self.noise is not None:
             with naming("noise"):
-                settings = dict(drawn["noise"])
+                settings = dict(draws["noise"])
                 photons = require_number("photons", settings.pop("photons"), minimum=1e-9, maximum=1e9)
                 detector = Detector(**settings)
-        options = {model: drawn[model] for model in self.models}
-        light = Illumination(**drawn["light"])
-        return SamplePlan(index, number, camera, light, maker, parameters, detector, photons, options, drawn)
+        options = {model: draws[model] for model in self.models}
+        light = Illumination(**draws["light"])
+        return SamplePlan(index, source_index, camera, light, maker, parameters, detector, photons, options, draws)
 
     def check(self) -> None:
         """Draw the first thousand samples, and refuse values out of range before anything is rendered."""
-        for index in range(min(self.count, _CHECKED)):
+        for index in range(min(self.count, 1000)):
             with naming(f"sample {index}"):
                 plan = self.plan(index)
             for model, options in plan.options.items():
@@ -259,9 +254,13 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         not isinstance(truth, list),
         f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(QUANTITIES)}",
     )
+    photodiodes = None
+    if "photodiodes" in content:
+        with naming("photodiodes"):
+            photodiodes = require_layout(content["photodiodes"])
     recipe = Recipe(
         name=str(content.get("name", "dataset")),
-        count=require_count("count", content["count"], maximum=MOST_COUNT),
+        count=require_count("count", content["count"], maximum=(10**6)),
         seed=require_count("seed", content.get("seed", 0), minimum=0, maximum=2**63),
         models=tuple(models),
         variant=str(content.get("variant", DEFAULT_VARIANT)),
@@ -270,9 +269,13 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
         light=_section("light", content, tuple(f.name for f in fields(Illumination))),
         noise=noise,
         ray={"spp": 16, **_section("ray", content, ("spp",))},
-        wave={"spp": 16, "method": "signed_rays", **_section("wave", content, _WAVE)},
+        wave={
+            "spp": 16,
+            "method": "signed_rays",
+            **_section("wave", content, ("spp", "wavelength", "method", "accuracy")),
+        },
         truth=require_quantities(truth) if truth else (),
-        photodiodes=_layout(content["photodiodes"]) if "photodiodes" in content else None,
+        photodiodes=photodiodes,
         samples_per_shard=require_count("samples_per_shard", content.get("samples_per_shard", 50), maximum=10000),
         content=dict(content),
     )
@@ -280,14 +283,9 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     return recipe
 
 
-def _layout(value: Any) -> tuple[int, int]:
-    with naming("photodiodes"):
-        return require_layout(value)
-
-
-def _source(number: int, entry: Any, folder: Path) -> Source:
+def _source(index: int, entry: Any, folder: Path) -> Source:
     """Return one scene source of a recipe from its plain values."""
-    name = f"scenes: entry {number + 1}"
+    name = f"scenes: entry {index + 1}"
     refuse_if(
         not isinstance(entry, Mapping) or ("generator" in entry) == ("scene" in entry),
         f"{name} = {short_repr(entry)}: it must have either 'generator' or 'scene'",
@@ -295,9 +293,9 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     share = require_number(f"{name}: share", entry.get("share", 1), positive=True, maximum=1e9)
     if "generator" in entry:
         kind = entry["generator"]
-        known = tuple(field.name for field in fields(generator_called(f"{name}: generator", kind)))
-        _require_names(name, entry, ("generator", "share", *known))
-        values = {key: value for key, value in entry.items() if key in known}
+        settings = tuple(field.name for field in fields(generator_called(f"{name}: generator", kind)))
+        _require_names(name, entry, ("generator", "share", *settings))
+        values = {key: value for key, value in entry.items() if key in settings}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
     _require_names(name, entry, ("scene", "share", "parameters", "unit"))
     values = entry.get("parameters", {})
@@ -312,21 +310,19 @@ def _source(number: int, entry: Any, folder: Path) -> Source:
     return Source(None, str(path.resolve()), share, parsed, unit)
 
 
-def _section(name: str, content: Mapping[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
+def _section(name: str, content: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     """Return the parsed values of a section of a recipe; refuse unknown names."""
     section = content.get(name, {})
     refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
-    _require_names(name, section, known)
+    _require_names(name, section, names)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
 
 
-def _require_names(name: str, values: Mapping[Any, Any], known: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
-    require_known(f"{name}: ", values, known)
+def _require_names(name: str, values: Mapping[Any, Any], names: tuple[str, ...], needed: tuple[str, ...] = ()) -> None:
+    require_known(f"{name}: ", values, names)
     for key in needed:
         refuse_if(key not in values, f"{name}: {key} is missing")
 
-
-_SCALES = ("linear", "log")
 
 _WIDEST = 2.0**53
 """Steps of a range, at most: as many as numbers have."""
@@ -387,7 +383,7 @@ def parse(name: str, value: Any) -> Any:
     )
     low, high = (require_number(f"{name}: {key}", value[key]) for key in ("from", "to"))
     refuse_if(not low < high, f"{name}: from = {low:g}, to = {high:g}: 'from' must be less than 'to'")
-    log = require_choice(f"{name}: scale", value.get("scale", "linear"), _SCALES) == "log"
+    log = require_choice(f"{name}: scale", value.get("scale", "linear"), ("linear", "log")) == "log"
     refuse_if(log and low <= 0, f"{name}: from = {low:g}: it must be greater than 0 on a scale of logarithms")
     step = require_number(f"{name}: step", value["step"], positive=True) if "step" in value else None
     if log and step is not None:

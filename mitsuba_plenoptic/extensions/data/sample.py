@@ -69,7 +69,8 @@ class Sample:
 
     def capture_called(self, name: str, model: str) -> Capture:
         """Return the capture of a name; wave captures of version 1.0 or earlier get the `lens_model` used then."""
-        about, camera = self.facts["captures"][name], self.camera
+        about = self.facts["captures"][name]
+        camera = self.camera
         if model == "wave" and is_of_1_0(self.facts):
             camera = camera_of_waves(camera, about["wavelength"], about["metadata"])
         return Capture(self.arrays[name], camera, about["wavelength"], model, about["metadata"])
@@ -130,19 +131,21 @@ def make_sample(recipe: Recipe, index: int) -> Sample:
         return int(generator(recipe.seed, index, f"seed.{name}").integers(2**32))
 
     if isinstance(plan.maker, CaptureGenerator):
-        made, arrays = plan.maker.captures(plan.camera, plan.options, random_of_scene(recipe, plan))
-        kind, meanings = recipe.scenes[plan.source].generator, plan.maker.meanings
+        captures, arrays = plan.maker.captures(plan.camera, plan.options, random_of_scene(recipe, plan))
+        kind = recipe.scenes[plan.source].generator
+        meanings = plan.maker.meanings
     else:
         options = plan.options
-        made = {
+        captures = {
             model: render_capture(scene, model=model, seed=seed(model), **options[model]) for model in recipe.models
         }
-        kind, meanings = scene.id(), {}
-    for name in list(made):
+        kind = scene.id()
+        meanings = {}
+    for name in list(captures):
         if plan.detector and plan.photons is not None:
             exposed = name + EXPOSED
-            made[exposed] = expose(made[name], plan.detector, photons=plan.photons, seed=seed(exposed))
-    for name, capture in sorted(made.items()):
+            captures[exposed] = expose(captures[name], plan.detector, photons=plan.photons, seed=seed(exposed))
+    for name, capture in sorted(captures.items()):
         arrays[name] = capture.image
         if recipe.photodiodes:
             arrays |= pictures_of(capture, recipe.photodiodes, name)

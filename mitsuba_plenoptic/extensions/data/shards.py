@@ -26,14 +26,11 @@ from ...runtime.limits import require_memory, software
 from .recipe import Recipe
 from .sample import Sample
 
-MANIFEST, CARD, PREVIEW = "dataset.json", "README.md", "preview.png"
-
-_LARGEST_MANIFEST = 2**27
+MANIFEST = "dataset.json"
+CARD = "README.md"
+PREVIEW = "preview.png"
 
 LOCK = ".lock"
-
-_FREE = {"count", "name"}
-"""Entries of a recipe that may differ: the count may grow, and the name, which is that of the file, changes no bits."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +46,13 @@ class DataFolder:
         """Number of shards, the files that hold several samples each."""
         return -(-self.count // self.samples_per_shard)
 
-    def shard(self, number: int) -> Path:
+    def shard(self, index: int) -> Path:
         """Return the path of a shard."""
-        return self.folder / "shards" / f"shard-{number:05d}.h5"
+        return self.folder / "shards" / f"shard-{index:05d}.h5"
 
-    def members(self, number: int) -> range:
+    def members(self, index: int) -> range:
         """Return the range of indices of a shard's samples."""
-        first = number * self.samples_per_shard
+        first = index * self.samples_per_shard
         return range(first, min(first + self.samples_per_shard, self.count))
 
     def sample(self, index: int) -> Path:
@@ -77,14 +74,14 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
-    text = read_text(path, _LARGEST_MANIFEST)
+    text = read_text(path, (2**27))
     with refusing(f"{path}: it is not the manifest of a data set", *NO_RECORD):
         content = json.loads(text)
-        numbers = [content["count"], content["samples_per_shard"]]
+        counts = [content["count"], content["samples_per_shard"]]
         content["recipe"] = dict(content["recipe"])
     refuse_if(
-        not all(isinstance(number, int) and number > 0 for number in numbers),
-        f"{path}: count, samples_per_shard = {short_repr(numbers)}: they must be whole numbers above 0",
+        not all(isinstance(count, int) and count > 0 for count in counts),
+        f"{path}: count, samples_per_shard = {short_repr(counts)}: they must be whole numbers above 0",
     )
     return dict(content)
 
@@ -93,7 +90,9 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
     """Return the folder of a data set after writing its manifest; refuse a folder of another recipe or software."""
 
     def fixed(record: dict[str, Any]) -> dict[str, Any]:
-        entries = {name: value for name, value in record["recipe"].items() if name not in _FREE}
+        # Entries of a recipe that may differ: the count may grow, and the name, which is that of the file, changes no
+        # bits.
+        entries = {name: value for name, value in record["recipe"].items() if name not in {"count", "name"}}
         return {**{name: record[name] for name in facts if name in record}, "recipe": entries}
 
     facts = facts_of(recipe)
@@ -115,7 +114,8 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
     return layout
 
 
-_FACTS, _DIGESTS = "facts", "digests"
+_FACTS = "facts"
+_DIGESTS = "digests"
 """Names of arrays that no sample has; files up to version 1.0 have both."""
 
 _MOST_OPEN = 32
@@ -234,12 +234,12 @@ class DataSet:
     def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
         """Return the sample with an index, or the samples of a slice."""
         if isinstance(index, slice):
-            return [self[number] for number in range(*index.indices(len(self)))]
+            return [self[shard] for shard in range(*index.indices(len(self)))]
         if index >= len(self):
             raise IndexError(f"sample {index}: there are {len(self)}")
         index = require_count("sample", index, minimum=0)
-        number = index // self._layout.samples_per_shard
-        return read_sample(self._open(number), self._layout.shard(number), index, self.fields)
+        shard = index // self._layout.samples_per_shard
+        return read_sample(self._open(shard), self._layout.shard(shard), index, self.fields)
 
     def __iter__(self) -> Iterator[Sample]:
         for index in range(len(self)):
@@ -248,13 +248,14 @@ class DataSet:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_files": {}}
 
-    def _open(self, number: int) -> Any:
+    def _open(self, shard: int) -> Any:
         if self._process != os.getpid():
             # HDF5's handles are those of the process that opened them.
-            self._files, self._process = {}, os.getpid()
-        if number not in self._files:
+            self._files = {}
+            self._process = os.getpid()
+        if shard not in self._files:
             if len(self._files) >= _MOST_OPEN:
                 # It is closed once no other thread reads it.
                 del self._files[next(iter(self._files))]
-            self._files[number] = open_shard(self._layout.shard(number))
-        return self._files[number]
+            self._files[shard] = open_shard(self._layout.shard(shard))
+        return self._files[shard]

@@ -25,12 +25,10 @@ _OF_A_SURFACE = "SLB SPH CON ASP CCY THC THM CUM GLC KC AC BC CC DC EC FC GC HC 
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
-_DECENTRES = ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE", "ADX", "ADY", "ARO")
-
 _TERMS = "ABCDEFGHJ"
 """Coefficients of the fourth, sixth, ... power of the distance from the axis."""
 
-_TEMPERATURES, _PRESSURE = (20.0, 25.0), 760.0
+_PRESSURE = 760.0
 """Degrees and millimetres of mercury at which catalogues' indices hold."""
 
 
@@ -57,10 +55,10 @@ def read_codev(path: str | Path) -> Prescription:
 
 def _commands(path: Path, text: str) -> list[Line]:
     """Return the commands of a file: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
-    found: list[Line] = []
+    commands: list[Line] = []
     words: list[str] = []
     continued = False
-    for number, line in enumerate(text.splitlines(), start=1):
+    for line_number, line in enumerate(text.splitlines(), start=1):
         if not continued:
             words = []
         continued = False
@@ -68,19 +66,15 @@ def _commands(path: Path, text: str) -> list[Line]:
             if word == "!":
                 break
             if word == ";":
-                found += [Line(path, number, tuple(words))] if words else []
+                commands += [Line(path, line_number, tuple(words))] if words else []
                 words = []
             elif word == "&":
                 continued = True
             else:
                 words.append(word)
         if words and not continued:
-            found.append(Line(path, number, tuple(words)))
-    return found
-
-
-_ONCE = {"DIM", "RDM", "WL", "REF"}
-"""Commands of the whole lens, of which a second one would silently replace the first."""
+            commands.append(Line(path, line_number, tuple(words)))
+    return commands
 
 
 class _CodevReader:
@@ -115,7 +109,7 @@ class _CodevReader:
             return
         if keyword in _WITHOUT_EFFECT:
             return
-        if keyword in _ONCE:
+        if keyword in {"DIM", "RDM", "WL", "REF"}:
             line.refuse_if(keyword in self.given, f"{keyword} is given twice")
             self.given.add(keyword)
         match keyword:
@@ -134,7 +128,8 @@ class _CodevReader:
             case "REF":
                 self.primary = int(line.value(1))
             case "TEM":
-                low, high = _TEMPERATURES
+                low = 20.0
+                high = 25.0
                 line.refuse_if(not low <= line.value(1) <= high, f"indices are those at {low:g} to {high:g} degrees")
             case "PRE":
                 line.refuse_if(line.value(1) != _PRESSURE, f"indices are those at {_PRESSURE:g} mm of mercury")
@@ -171,7 +166,7 @@ class _CodevReader:
                 self.solved[len(self.surfaces) - 1] = line
             case "CUF" | "DAR":
                 line.require_zero("only surfaces around one axis are read")
-            case _ if keyword in _DECENTRES:
+            case _ if keyword in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE", "ADX", "ADY", "ARO"):
                 line.require_zero("decentred and tilted surfaces are not read")
             case _ if keyword in _TERMS and len(keyword) == 1:
                 self._surface(line).asphere[_TERMS.index(keyword)] = self._only_value(line)
@@ -189,16 +184,16 @@ class _CodevReader:
             self.primary = 1
         if self.primary is None or not 1 <= self.primary <= len(self.wavelengths):
             raise InputError(f"{self.path}: the primary wavelength is missing: there must be WL, and REF of several")
-        for number, line in self.solved.items():
+        for index, line in self.solved.items():
             line.refuse_if(
-                number != len(self.surfaces) - 2, "only the last thickness, up to the image, may be found by a solve"
+                index != len(self.surfaces) - 2, "only the last thickness, up to the image, may be found by a solve"
             )
         if self.stop is not None:
-            number = int(self.stop.word(1)[1:])
+            index = int(self.stop.word(1)[1:])
             self.stop.refuse_if(
-                not 0 < number < len(self.surfaces) - 1, "there is no such surface between object and image"
+                not 0 < index < len(self.surfaces) - 1, "there is no such surface between object and image"
             )
-            self.surfaces[number].stop = True
+            self.surfaces[index].stop = True
         wavelength = self.wavelengths[self.primary - 1]
         return to_prescription(self.path, self.name, wavelength, self.unit, self.surfaces[1:-1])
 

@@ -14,9 +14,6 @@ from ...errors import InputError, refuse_if, require_count, require_number, shor
 from ...prescription import Prescription, paraxial
 from ...prescription.lens_data import vergence
 
-_STEPS = 256
-"""Positions of the group at which a change of sign is looked for."""
-
 _CLOSEST = 1e-3
 """Distance between vertices, over the gaps before and behind the group, that is left at least."""
 
@@ -62,9 +59,11 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
 
     def moved(shift: float) -> Prescription:
         surfaces = list(lens.surfaces)
-        for number, change in ((first - 1, shift), (last, -shift)):
-            if 0 <= number < len(surfaces) - 1:
-                surfaces[number] = replace(surfaces[number], thickness=surfaces[number].thickness + change)
+        for surface_number, change in ((first - 1, shift), (last, -shift)):
+            if 0 <= surface_number < len(surfaces) - 1:
+                surfaces[surface_number] = replace(
+                    surfaces[surface_number], thickness=surfaces[surface_number].thickness + change
+                )
         return replace(lens, surfaces=tuple(surfaces))
 
     def behind(shift: float) -> tuple[float, float]:
@@ -80,7 +79,7 @@ def focus_by_group(camera: PlenopticCamera, group: Sequence[int], distance: floa
     # The group can move towards the array and towards the scene, up to the next surfaces.
     room = lens.surfaces[last].thickness if last < len(lens.surfaces) - 1 else array - before.length
     ahead = lens.surfaces[first - 1].thickness if first > 0 else room
-    shifts = np.linspace(-(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room, _STEPS)
+    shifts = np.linspace(-(1 - _CLOSEST) * ahead, (1 - _CLOSEST) * room, 256)
     values = np.array([missed(shift) for shift in shifts])
     crossings = np.flatnonzero(values[:-1] * values[1:] <= 0)
     refuse_if(
@@ -107,15 +106,15 @@ def _require_group(lens: Prescription, group: Any) -> tuple[int, int]:
         not isinstance(group, (tuple, list, np.ndarray)) or len(group) != 2,
         f"group = {short_repr(group)}: it must be the numbers of its first and its last surface",
     )
-    first, last = (require_count("group", number, maximum=count) - 1 for number in group)
+    first, last = (require_count("group", surface_number, maximum=count) - 1 for surface_number in group)
     refuse_if(first > last, f"group = {short_repr(group)}: the first surface must not follow the last")
     refuse_if(
         first == 0 and last == count - 1,
         f"group = {short_repr(group)}: it is the whole lens; focus_distance moves the array instead",
     )
-    for number in (first - 1, last):
+    for surface_number in (first - 1, last):
         refuse_if(
-            0 <= number < count and lens.surfaces[number].glass is not None,
-            f"group = {short_repr(group)}: glass follows surface {number + 1}: a group moves in air",
+            0 <= surface_number < count and lens.surfaces[surface_number].glass is not None,
+            f"group = {short_repr(group)}: glass follows surface {surface_number + 1}: a group moves in air",
         )
     return first, last

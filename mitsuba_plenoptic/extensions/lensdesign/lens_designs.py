@@ -21,8 +21,6 @@ from ...runtime.files import require_size
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""
 
-_LARGEST = 2**22
-
 _log = logging.getLogger(__name__)
 
 
@@ -56,7 +54,8 @@ class Line:
         """Return a word of the command as a finite number, or `default` if the word is missing."""
         if index >= len(self.words) and default is not None:
             return default
-        word, value = self.word(index), math.nan
+        word = self.word(index)
+        value = math.nan
         with contextlib.suppress(ValueError):
             value = float(word)
         self.refuse_if(not math.isfinite(value), f"value {index} must be a number")
@@ -83,7 +82,7 @@ class DesignSurface:
 
 def read_text(path: str | Path) -> tuple[Path, str]:
     """Return a lens file's path and text, in UTF-16, UTF-8 or, as older programs write, Latin-1."""
-    path = require_size(path, _LARGEST)
+    path = require_size(path, (2**22))
     raw = path.read_bytes()
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return path, raw.decode("utf-16", errors="replace")
@@ -100,36 +99,40 @@ def _open(path: Path, surfaces: list[DesignSurface]) -> list[DesignSurface]:
 
     A surface within the lens without an aperture has the wider of its neighbours'.
     """
-    kept: list[tuple[int, DesignSurface]] = []
+    optical: list[tuple[int, DesignSurface]] = []
     before = None
-    for number, surface in enumerate(surfaces, start=1):
+    for surface_number, surface in enumerate(surfaces, start=1):
         bends = surface.curvature or any(surface.asphere) or surface.glass is not None or before is not None
         if bends or surface.stop or surface.semi_aperture > 0:
-            kept.append((number, surface))
-        elif kept:
-            kept[-1][1].thickness += surface.thickness
+            optical.append((surface_number, surface))
+        elif optical:
+            optical[-1][1].thickness += surface.thickness
         before = surface.glass
-    for place, (number, surface) in enumerate(kept):
+    for position, (surface_number, surface) in enumerate(optical):
         if not surface.semi_aperture > 0:
-            sides = [one.semi_aperture for _, one in (*kept[max(0, place - 1) : place], *kept[place + 1 : place + 2])]
+            sides = [
+                neighbour.semi_aperture
+                for _, neighbour in (*optical[max(0, position - 1) : position], *optical[position + 1 : position + 2])
+            ]
             refuse_if(
                 surface.stop or len(sides) < 2 or not min(sides) > 0,
-                f"{path}: surface {number} has no semi-aperture: the file must give up to where light passes",
+                f"{path}: surface {surface_number} has no semi-aperture: the file must give up to where light passes",
             )
             surface.semi_aperture = max(sides)
-            _log.info("%s: surface %d has no aperture: the wider of its neighbours' is taken", path, number)
-    return [surface for _, surface in kept]
+            _log.info("%s: surface %d has no aperture: the wider of its neighbours' is taken", path, surface_number)
+    return [surface for _, surface in optical]
 
 
 def to_prescription(
     path: Path, name: str, wavelength: float, unit: float, surfaces: list[DesignSurface]
 ) -> Prescription:
     """Return the prescription of a file's surfaces, without object and image."""
-    plain, surfaces = [], _open(path, surfaces)
-    for number, surface in enumerate(surfaces, start=1):
+    plain = []
+    surfaces = _open(path, surfaces)
+    for surface_number, surface in enumerate(surfaces, start=1):
         terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(surface.asphere)]
         entry = {
-            "thickness": 0.0 if number == len(surfaces) else surface.thickness * unit,
+            "thickness": 0.0 if surface_number == len(surfaces) else surface.thickness * unit,
             "semi_aperture": surface.semi_aperture * unit,
             "conic": surface.conic,
             # Without the zeros at their end.

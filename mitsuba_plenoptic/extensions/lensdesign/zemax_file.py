@@ -25,9 +25,6 @@ _OF_A_SURFACE = "COMM HIDE MIRR SLAB POPS FIMP COAT MEMA OEMA SSID SCOL MAZH PZU
 
 _WITHOUT_EFFECT = frozenset(f"{_OF_THE_FILE} {_OF_A_SURFACE}".split())
 
-_FOUND = re.compile("[VPZ](CUR|CON|DSZ|PAR|XDA|GLA)")
-"""Keywords of newer versions on how a value of a surface, which is given, was found: variable, picked up or solved."""
-
 _HEADERS = frozenset(["MODE", "NAME", "UNIT", "GCAT", "ENVD", "WAVM", "WAVL", "WAVN", "PWAV", "MNUM", "SURF"])
 """Keywords of the whole file, and the one that begins a surface."""
 
@@ -56,7 +53,9 @@ def read_zemax(path: str | Path) -> Prescription:
     path, text = read_text(path)
     reader = _ZemaxReader(path)
     rows = text.splitlines()
-    lines = [Line(path, number, tuple(row.split())) for number, row in enumerate(rows, start=1) if row.split()]
+    lines = [
+        Line(path, line_number, tuple(row.split())) for line_number, row in enumerate(rows, start=1) if row.split()
+    ]
     last = max((line.number for line in lines if line.words[0].upper() == "SURF"), default=0)
     for line in lines:
         # The lines of a surface are indented, those of what follows the last one are not.
@@ -87,15 +86,17 @@ class _ZemaxReader:
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
             return
-        if _FOUND.fullmatch(keyword):
+        # Keywords of newer versions on how a value of a surface, which is given, was found: variable, picked up or
+        # solved.
+        if re.fullmatch("[VPZ](CUR|CON|DSZ|PAR|XDA|GLA)", keyword):
             line.remark("it bends no ray, and is skipped")
             return
         if keyword not in _HEADERS and (keyword not in _OF_SURFACES or not self.surfaces):
             line.refuse_if(not closing, f"{keyword} is not understood, and leaving it out could change the lens")
             return
-        own = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
-        line.refuse_if(own in self.taken, f"{' '.join(own)} is given twice")
-        self.taken.add(own)
+        entry = keyword, *(line.words[1:2] if keyword in ("PARM", "WAVM") else ())
+        line.refuse_if(entry in self.taken, f"{' '.join(entry)} is given twice")
+        self.taken.add(entry)
         match keyword:
             case "MODE":
                 line.refuse_if(line.words[1:] != ("SEQ",), "only sequential lenses are read")
@@ -172,7 +173,8 @@ class _ZemaxReader:
             # Other types leave values behind that the type STANDARD does not use.
             surface.asphere = [0.0] * 7 if kind == "EVENASPH" else []
             for line in lines if surface.asphere else ():
-                order, term = int(line.value(1)), line.value(2)
+                order = int(line.value(1))
+                term = line.value(2)
                 if term:
                     rule = "there must be no term of the second power: put it into the curvature"
                     line.refuse_if(order == 1, rule)
@@ -186,7 +188,8 @@ class _ZemaxReader:
 
     def _glass(self, surface: int) -> Glass:
         line = self.glasses[surface]
-        name, kind = line.word(1), int(line.value(2, _FIXED))
+        name = line.word(1)
+        kind = int(line.value(2, _FIXED))
         if kind == _PICKED_UP and name == "___BLANK":
             source = int(line.value(3))
             line.refuse_if(
@@ -200,7 +203,8 @@ class _ZemaxReader:
                 line.value(6, 0.0),
                 "a model glass's deviation of the partial dispersion must be 0; name a glass instead",
             )
-            index, abbe = line.value(4), line.value(5)
+            index = line.value(4)
+            abbe = line.value(5)
             return Glass("abbe", (index, abbe), "model") if abbe else Glass("index", (index,), "model")
         line.refuse_if(
             kind not in (_FIXED, _PICKED_UP, _SUBSTITUTE),

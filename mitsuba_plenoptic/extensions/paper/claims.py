@@ -14,7 +14,9 @@ from ...report.experiment import TITLES, Experiment
 from ...report.metrics import image_metrics, ssim_text
 from ...report.pages import Section, Table, prose
 
-CONFIRMED, PARTLY, DIFFERS = "confirmed", "partly", "differs"
+CONFIRMED = "confirmed"
+PARTLY = "partly"
+DIFFERS = "differs"
 BY_CONSTRUCTION = "by construction"
 
 # Seconds on one core of about 2012, for 4096 x 4096 pixels.
@@ -31,7 +33,9 @@ _STRONGLY = 0.5
 _ENOUGH = 0.01
 
 # Nearly equal images, and by how much, in dB, the partially coherent one must be nearer than the coherent one.
-_NEAR_PSNR, _NEAR_SSIM, _NEARER = 30.0, 0.95, 3.0
+_NEAR_PSNR = 30.0
+_NEAR_SSIM = 0.95
+_NEARER = 3.0
 
 # Four subsets by their column of the readings, with the lenses in them, and a remark.
 _FOUR = {
@@ -96,7 +100,8 @@ def check_claims(
 
     Near and far are the ids of the nearest letter and of the farthest; each is out of focus where the other is sharp.
     """
-    first, last = experiment.settings.distances[0], experiment.settings.distances[-1]
+    first = experiment.settings.distances[0]
+    last = experiment.settings.distances[-1]
     blurred = [
         find(measured["interference"], shape=shape, distance=distance)
         | find(measured["readings"], shape=shape, distance=distance)
@@ -185,7 +190,8 @@ def verdict(holds: list[bool]) -> str:
 
 
 def _similarity_to_rays(experiment: Experiment, distances: tuple[float, ...]) -> Claim:
-    texts, near = [], []
+    texts = []
+    near = []
     for distance in distances:
         partial, coherent = (
             image_metrics(experiment.images[method, distance], experiment.images["ray", distance])
@@ -218,7 +224,8 @@ def _four_suffice(blurred: list[dict[str, Any]], reading: str) -> Claim:
 
 
 def _separate(experiment: Experiment, blurred: list[dict[str, Any]]) -> Claim:
-    camera, last = experiment.camera, blurred[0]["distance"]
+    camera = experiment.camera
+    last = blurred[0]["distance"]
     needed = math.ceil(camera.blur_diameter(last) / camera.mla_pitch)
     subsets = " and ".join(f"{row['colours']} subsets at {row['distance']:g} mm" for row in blurred)
     return Claim(
@@ -232,11 +239,11 @@ def _separate(experiment: Experiment, blurred: list[dict[str, Any]]) -> Claim:
 
 def _literal(blurred: list[dict[str, Any]]) -> Claim:
     left = [row["literal_partial"] / max(row["literal_coherent"], 1e-9) for row in blurred]
-    seen = [row["literal_coherent"] > _VISIBLE for row in blurred]
+    visible_before = [row["literal_coherent"] > _VISIBLE for row in blurred]
     return Claim(
         "With a phase at the detector alone, as the paper writes it, interference and its reduction are as described.",
         f"{_in_letters(blurred, 'literal_coherent')} Left of it by every second lens: {_both(left, '.0%')}.",
-        verdict([visible and fraction < _STRONGLY for visible, fraction in zip(seen, left, strict=True)]),
+        verdict([visible and fraction < _STRONGLY for visible, fraction in zip(visible_before, left, strict=True)]),
         "Relative to the limit without interference of the same procedure. All other verdicts let the microlenses act "
         "a second time on the way back.",
     )
@@ -244,7 +251,8 @@ def _literal(blurred: list[dict[str, Any]]) -> Claim:
 
 def _times(seconds: dict[str, float]) -> list[Claim]:
     texts = {name: f"{value:.2g} s" if value < 10 else f"{value:.0f} s" for name, value in seconds.items()}
-    slower, longer = seconds["coherent"] / seconds["ray"], seconds["partial"] / seconds["coherent"]
+    slower = seconds["coherent"] / seconds["ray"]
+    longer = seconds["partial"] / seconds["coherent"]
     ratio = f"rays are {slower:.0f} times faster" if slower > 1 else f"waves are {1 / slower:.1f} times faster"
     return [
         Claim(

@@ -20,19 +20,11 @@ from ...prescription.lens_data import image_distance
 from ...refocus.ray_sums import pupil_radius, ray_sums
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
-VIRTUAL_DEPTHS = (3.0, 4.0, 6.0, 8.0)
-"""Distances of the main lens's image before the array of focused cameras, over that of the detector behind it."""
-
-_ALMOST, _HALF = 0.8, 0.5
+_ALMOST = 0.8
 """Fraction of the sensor's resolution that is almost all of it, and that counts for a part."""
 
 _OLD = 5.0
 """Times as long as today that a core of about 2012 takes."""
-
-_RUNS = 3
-
-_SAME = 1e-3
-"""Relative difference of sums that are the same: a pixel on the border of two bins may go to either."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +49,22 @@ def focused_cameras(camera: PlenopticCamera, wavelength: float) -> list[FocusedC
     All have the same main lens, pixels and plane in focus, where their samples are finest. Within their range lenses
     are sharp (`design.depth_ranges`) and give at least half as many. The unfocused one has a sample per lens.
     """
-    focus, z = camera.focus_distance, camera.detector_distance
-    image, found = image_distance(camera.focal_length, focus), []
-    for depth in VIRTUAL_DEPTHS:
+    focus = camera.focus_distance
+    z = camera.detector_distance
+    image = image_distance(camera.focal_length, focus)
+    cameras = []
+    for depth in (3.0, 4.0, 6.0, 8.0):
         a = depth * z
-        each = camera.replace(mla_distance=image + a, mla_focal_length=1 / (1 / a + 1 / z))
-        pixels = design.effective_resolution(each, focus, wavelength).columns
-        ends = design.depth_ranges(each, wavelength)[0]
+        focused = camera.replace(mla_distance=image + a, mla_focal_length=1 / (1 / a + 1 / z))
+        pixels = design.effective_resolution(focused, focus, wavelength).columns
+        ends = design.depth_ranges(focused, wavelength)[0]
         if ends is not None:
             inverse = np.linspace(1 / ends[0], 1 / ends[1], 400)
             sharp = (1 / inverse[inverse > 0]).tolist()
-            fine = [g for g in sharp if design.effective_resolution(each, g, wavelength).columns >= pixels / 2]
-            found.append(FocusedCamera(each, depth, pixels, fine[0], fine[-1]))
+            fine = [g for g in sharp if design.effective_resolution(focused, g, wavelength).columns >= pixels / 2]
+            cameras.append(FocusedCamera(focused, depth, pixels, fine[0], fine[-1]))
     lenses = float(camera.bin_count[0])
-    return [*found, FocusedCamera(camera, math.inf, lenses, *design.refocus_range(camera, wavelength))]
+    return [*cameras, FocusedCamera(camera, math.inf, lenses, *design.refocus_range(camera, wavelength))]
 
 
 def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: float, ray_seconds: float) -> list[Claim]:
@@ -84,7 +78,7 @@ def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: floa
             "Out of focus, deconvolution brings back almost the resolution of the sensor.",
             f"At best {fraction:.0%} of it, at {distance:.0f} mm. In focus {1 / camera.pixels_per_lens:.0%}, one "
             "sample per lens.",
-            CONFIRMED if fraction >= _ALMOST else PARTLY if fraction >= _HALF else DIFFERS,
+            CONFIRMED if fraction >= _ALMOST else PARTLY if fraction >= 0.5 else DIFFERS,
             f"Almost is at least {_ALMOST:.0%} of the lines that the pixels would resolve without microlenses. In "
             "focus a lens sums the light of one bin, whose details cannot be separated. Between the stated plane and "
             "focus lenses see nearly the same; beyond it, diffraction by the microlenses and the pixels limit what is "
@@ -104,14 +98,14 @@ def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: floa
 
 def pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
     """Return the verdict on the price of more pixels, from cameras in the order of their pixels."""
-    ends = ["infinity" if math.isinf(each.far) else f"{each.far:.0f} mm" for each in cameras]
-    reached = [f"{each.pixels:.0f} from {each.near:.0f} to {end}" for each, end in zip(cameras, ends, strict=True)]
+    ends = ["infinity" if math.isinf(finer.far) else f"{finer.far:.0f} mm" for finer in cameras]
+    reached = [f"{finer.pixels:.0f} from {finer.near:.0f} to {end}" for finer, end in zip(cameras, ends, strict=True)]
     return Claim(
         "Focused cameras refocus to more pixels than lenses, at the price of the range of distances.",
         f"Pixels across, and where they are reached: {'; '.join(reached)}.",
         verdict([fine.range < coarse.range for fine, coarse in itertools.pairwise(cameras)]),
         "Cameras of this main lens, array and detector, focused on the same plane, with virtual depths of "
-        f"{', '.join(f'{each.virtual_depth:g}' for each in cameras[:-1])}; the last is the unfocused one, with a "
+        f"{', '.join(f'{finer.virtual_depth:g}' for finer in cameras[:-1])}; the last is the unfocused one, with a "
         "pixel per lens. The price is paid if each finer camera has the narrower range, in dioptres.",
     )
 
@@ -134,15 +128,16 @@ def plain_seconds(camera: PlenopticCamera, distance: float) -> float:
     """
     columns, rows = camera.resolution
     count = min(rows, round(2 * camera.pixels_per_lens))
-    part = camera.replace(crop_offset=(0, (rows - count) // 2), crop_size=(columns, count))
+    cut = camera.replace(crop_offset=(0, (rows - count) // 2), crop_size=(columns, count))
     image = np.random.default_rng(0).random((count, columns), np.float32)
     seconds = []
-    for _ in range(_RUNS):
+    for _ in range(3):
         start = time.process_time()
-        sums = run_plain_sums(image, part, distance)
+        sums = run_plain_sums(image, cut, distance)
         seconds.append(time.process_time() - start)
-    ours = ray_sums(image[..., None], part, distance, pupil_radius(part), "point", 1)[..., 0]
-    if np.abs(sums - ours).sum() > _SAME * ours.sum():
+    ours = ray_sums(image[..., None], cut, distance, pupil_radius(cut), "point", 1)[..., 0]
+    # Relative difference of sums that are the same: a pixel on the border of two bins may go to either.
+    if np.abs(sums - ours).sum() > 1e-3 * ours.sum():
         raise RuntimeError("the plain loop and our reconstruction give different sums")
     return min(seconds) * math.prod(PAPER_RESOLUTION) / image.size
 
@@ -168,8 +163,10 @@ def plain_sums(
             # The corner of four lenses lies on the axis.
             lens_x = (math.floor(x[c] * b / (b + z) / pitch) + 0.5) * pitch
             lens_y = (math.floor(y[r] * b / (b + z) / pitch) + 0.5) * pitch
-            slope_x, slope_y = (lens_x - x[c]) / z, (lens_y - y[r]) / z
-            pupil_x, pupil_y = lens_x + b * slope_x, lens_y + b * slope_y
+            slope_x = (lens_x - x[c]) / z
+            slope_y = (lens_y - y[r]) / z
+            pupil_x = lens_x + b * slope_x
+            pupil_y = lens_y + b * slope_y
             if pupil_x * pupil_x + pupil_y * pupil_y > radius * radius:
                 continue
             i = math.floor(-b * (pupil_x / g + slope_x - pupil_x / f1) / pitch + across / 2)

@@ -63,22 +63,23 @@ def micro_image(camera: PlenopticCamera, lens: float) -> np.ndarray:
 @styled
 def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) -> None:
     """Draw the paper's figure 1: the setup, with rays from a point of each object to the array."""
-    far, b = max(objects.values()), camera.mla_distance
+    far = max(objects.values())
+    b = camera.mla_distance
     plot = Plot(10.5, 4.7)
     axes = plot.subplots()
     _axis(axes, (-1.12 * far, 1.25 * b), 2.0 * camera.aperture_radius)
     axes.set_title("Setup; heights are enlarged", size=10, color=INK, loc="left", pad=6)
     pupil = np.linspace(-1, 1, _RAYS) * camera.aperture_radius
-    for number, (name, distance) in enumerate(objects.items()):
-        height = 0.4 * camera.aperture_radius * (1 - number)
+    for index, (name, distance) in enumerate(objects.items()):
+        height = 0.4 * camera.aperture_radius * (1 - index)
         for path_ in light_path(camera, (height, distance), pupil):
-            axes.plot(*path_.T, color=f"C{number}", linewidth=0.7, alpha=0.8)
-        top = (1 + 0.3 * number) * camera.aperture_radius
+            axes.plot(*path_.T, color=f"C{index}", linewidth=0.7, alpha=0.8)
+        top = (1 + 0.3 * index) * camera.aperture_radius
         axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=FAINT, linewidth=1)
         image = image_distance(camera.focal_length, distance)
         axes.annotate(
             f"{name}, g = {distance:g} mm\nimage at {image:.4g} mm", (-distance, top), (0, 4),
-            textcoords="offset points", ha="center", va="bottom", size=7, color=f"C{number}",
+            textcoords="offset points", ha="center", va="bottom", size=7, color=f"C{index}",
         )  # fmt: skip
     _main_lens(axes, camera)
     _array(axes, camera)
@@ -95,10 +96,10 @@ def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
     axes, steps = plot.subplots(2, 1, height_ratios=(3.2, 1.3))
     _axis(axes, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius)
     axes.set_title(f"(a)  By rays: each pixel through the centre of its lens, to {distance:g} mm", size=10, loc="left")
-    for number, lens in enumerate((-3.0, 0.0, 3.0)):
+    for index, lens in enumerate((-3.0, 0.0, 3.0)):
         centre = lens * camera.mla_pitch
         for path_ in back_path(camera, centre, micro_image(camera, centre), distance):
-            axes.plot(*_stretched(path_, camera).T, color=f"C{number}", linewidth=0.7)
+            axes.plot(*_stretched(path_, camera).T, color=f"C{index}", linewidth=0.7)
     axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=FAINT, linewidth=1)
     _main_lens(axes, camera)
     _array(axes, camera)
@@ -156,7 +157,8 @@ def _main_lens(axes: Axes, camera: PlenopticCamera) -> None:
 
 
 def _array(axes: Axes, camera: PlenopticCamera) -> None:
-    b, half = camera.mla_distance, camera.detector_width / 2
+    b = camera.mla_distance
+    half = camera.detector_width / 2
     axes.plot([b, b], [-half, half], color=INK, linewidth=2.5)
     detector = (1 + _BEHIND) * b
     axes.plot([detector] * 2, [-half, half], color=INK, linewidth=1)

@@ -25,15 +25,6 @@ from ...refocus import reconstruct
 from ...report.experiment import Experiment
 from ...report.metrics import interference, shape_window
 
-_OVERLAP = 0.01
-"""Overlap of two lenses' light (the coefficient of Bhattacharyya) up to which their images count as separate."""
-
-_LIT = 1e-3
-"""Light of a lens over that of the brightest from which on it is coloured."""
-
-_AROUND = 4
-"""Lenses around a letter whose light its blurred image needs besides half the blur, for diffraction."""
-
 
 def quarters(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
     """Return the quarter of the array, counted from 0, of the lenses with given indices."""
@@ -75,7 +66,8 @@ def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
     def literal(method: str, **options: Any) -> NDArray[Any]:
         return reconstruct(capture, distance, method=method, relay=False, **options).image
 
-    rays_alone, limit = experiment.images["ray", distance], experiment.images["limit", distance]
+    rays_alone = experiment.images["ray", distance]
+    limit = experiment.images["limit", distance]
     literal_limit = literal("partial", interleave="auto")
     compared = {
         "quarters": (of_subsets(capture, distance, quarters), limit),
@@ -91,8 +83,10 @@ def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
 
 def surroundings(capture: Capture, window: tuple[slice, slice], distance: float) -> Capture:
     """Return a capture with the light of those lenses alone that reaches a window of bins at a distance."""
-    camera, cut = capture.camera, np.zeros_like(capture.image)
-    margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + _AROUND
+    camera = capture.camera
+    cut = np.zeros_like(capture.image)
+    # Lenses around a letter whose light its blurred image needs besides half the blur, for diffraction.
+    margin = math.ceil(camera.blur_diameter(distance) / camera.mla_pitch / 2) + 4
     pixels = []
     for bins, indices, count in zip(window, _lens_indices(camera), camera.bin_count[::-1], strict=True):
         first, end = (index - count // 2 for index in (bins.start - margin, bins.stop + margin))
@@ -123,7 +117,8 @@ def colour_count(capture: Capture, distance: float) -> int:
     (row, v, down), (column, u, across) = (_followed(camera, axis, distance) for axis in (1, 0))
     passes = down[:, None] ** 2 + across**2 <= camera.lit_radius**2
     y, x = np.nonzero(passes & (capture.image > 0))
-    lenses, width = int(column.max()) + 1, int(u.max()) + 2
+    lenses = int(column.max()) + 1
+    width = int(u.max()) + 2
     shape = (int(row.max()) + 1) * lenses, (int(v.max()) + 2) * width
     light = csr_matrix(
         (capture.image[y, x].astype(np.float64), (row[y] * lenses + column[x], v[y] * width + u[x])), shape
@@ -132,17 +127,20 @@ def colour_count(capture: Capture, distance: float) -> int:
     around = [dv * width + du for dv in (-1, 0, 1) for du in (-1, 0, 1)]
     bins = np.concatenate([narrow.col + step for step in around])
     root = csr_matrix((np.tile(narrow.data / 9, 9), (np.tile(narrow.row, 9), bins)), shape).sqrt()
-    common, scale = (root @ root.T).tocsr(), np.sqrt(np.asarray(light.sum(1)).ravel())
-    lit = np.flatnonzero(scale**2 >= max(_LIT * float(scale.max()) ** 2, np.finfo(float).tiny))
+    common = (root @ root.T).tocsr()
+    scale = np.sqrt(np.asarray(light.sum(1)).ravel())
+    # Light of a lens over that of the brightest from which on it is coloured.
+    lit = np.flatnonzero(scale**2 >= max(1e-3 * float(scale.max()) ** 2, np.finfo(float).tiny))
     position = np.stack([lit // lenses, lit % lenses])
     away = np.hypot(*(position - position.mean(axis=1, keepdims=True)))
     colours = np.full(len(scale), -1)
     for lens in lit[np.argsort(away, kind="stable")]:
         entries = slice(*common.indptr[lens : lens + 2])
         others = common.indices[entries]
-        overlapping = common.data[entries] > _OVERLAP * scale[lens] * scale[others]
-        taken = set(colours[others[overlapping]].tolist())
-        colours[lens] = next(colour for colour in itertools.count() if colour not in taken)
+        # Overlap of two lenses' light (the coefficient of Bhattacharyya) up to which their images count as separate.
+        overlapping = common.data[entries] > 0.01 * scale[lens] * scale[others]
+        neighbour_colours = set(colours[others[overlapping]].tolist())
+        colours[lens] = next(colour for colour in itertools.count() if colour not in neighbour_colours)
     return int(colours.max()) + 1
 
 

@@ -76,14 +76,15 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
 
     def first(camera: PlenopticCamera, images: Images) -> None:
-        shown = [
+        results_shown = [
             Reconstruction(images[name, distance], distance, camera.bin_size(distance), model, camera)
             for name, model in (("ray_of_ray", "rays"), ("partial", "waves"))
             for distance in settings.distances
             if (name, distance) in images
         ]
-        sheet, there = contact_sheet(shown), ["first.png"]
-        if len(shown) == len(settings.distances):
+        sheet = contact_sheet(results_shown)
+        there = ["first.png"]
+        if len(results_shown) == len(settings.distances):
             # That of the waves replaces it.
             sheet.save(output / "first.png")
         else:
@@ -93,7 +94,8 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
         write_growing(output, {name: _PLATES[name] for name in there})
 
     experiment = run_experiment(settings, store, first=first)
-    zooms, last = _letter_zooms(experiment, _LETTERS), settings.distances[-1]
+    zooms = _letter_zooms(experiment, _LETTERS)
+    last = settings.distances[-1]
     figure_2(output / "fig2.png", experiment, _LETTERS)
     figure_3(output / "fig3.png", experiment.camera, last)
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
@@ -160,7 +162,8 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
 
     The micro-images belong to three shapes, given by ids and titles.
     """
-    camera, wave = experiment.camera, experiment.wave.image
+    camera = experiment.camera
+    wave = experiment.wave.image
     window = lit_window([experiment.pinhole, *experiment.truths.values()])
     zooms = _letter_zooms(experiment, letters)
     plot = Plot(10.9, 5.4 * window.aspect + 4.4)

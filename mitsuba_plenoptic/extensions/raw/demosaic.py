@@ -27,15 +27,6 @@ from ...views.white_image import recorded_white, white_image
 
 METHODS = ("micro-images", "plain")
 
-_REACH = 2
-"""Pixels around that are asked; next to the border of a micro-image the nearest of a colour may be that far away."""
-
-_WIDTH = 0.7
-"""Of the bell of weights, in pixels: neighbours two pixels away count only where there are no nearer ones."""
-
-_LIT = 1e-3
-"""Part of the weight of the brightest pixel of white below which a colour is not known."""
-
 
 @suggest_keywords
 def demosaic(
@@ -75,16 +66,17 @@ def demosaic(
     require_choice("method", method, METHODS)
     if capture.image.ndim != 2:
         raise InputError(f"capture of {capture.image.shape[2]} channels: a mosaic has one")
-    known = mosaic_of(capture)
+    stated = mosaic_of(capture)
     refuse_if(
-        mosaic is None and known is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
+        mosaic is None and stated is None, f"mosaic = None: the capture does not state it; give {argument('mosaic')}"
     )
     refuse_if(
-        known is not None and known not in MOSAICS,
-        f"mosaic = {known}: each lens has one colour; dual_pixel gives pictures that are Bayer mosaics",
+        stated is not None and stated not in MOSAICS,
+        f"mosaic = {stated}: each lens has one colour; dual_pixel gives pictures that are Bayer mosaics",
     )
-    mosaic = require_choice("mosaic", known if mosaic is None else mosaic, MOSAICS)
-    camera, own = capture.camera, filters(capture.camera, mosaic)
+    mosaic = require_choice("mosaic", stated if mosaic is None else mosaic, MOSAICS)
+    camera = capture.camera
+    filter_channels = filters(capture.camera, mosaic)
     if not camera.has_array:
         method = "plain"
     if method == "plain":
@@ -93,24 +85,28 @@ def demosaic(
         lenses = np.zeros(camera.shape, np.int64)
     else:
         camera.require_resolved()
-        certainty, lenses = _certainty(capture, white), lens_numbers(camera)
-    image = _interpolate(capture.image, own, certainty, lenses, 1 if method == "plain" else _REACH)
+        certainty = _certainty(capture, white)
+        lenses = lens_numbers(camera)
+    image = _interpolate(capture.image, filter_channels, certainty, lenses, 1 if method == "plain" else 2)
     metadata = dict(capture.metadata)
     wavelength: Any = capture.wavelength
-    if known is not None:
+    if stated is not None:
         recording = {**recording_of(capture), "mosaic": None, "demosaiced": mosaic}
-        given = recording.pop("wavelength", None)
+        stated_wavelength = recording.pop("wavelength", None)
         metadata[EXPOSED if EXPOSED in metadata else RECORDED] = recording
-        wavelength = tuple(given) if isinstance(given, (list, tuple)) else given
+        wavelength = tuple(stated_wavelength) if isinstance(stated_wavelength, (list, tuple)) else stated_wavelength
     return replace(capture, image=image, wavelength=wavelength, noise=None, metadata=metadata)
 
 
 def balanced(white: Capture, mosaic: str) -> NDArray[np.float32]:
     """Return a white capture's mosaic, with each pixel divided by the mean over pixels of the same filter."""
-    own, image = filters(white.camera, mosaic), white.image
-    means = np.bincount(own.ravel(), image.ravel(), minlength=3) / np.bincount(own.ravel(), minlength=3)
+    filter_channels = filters(white.camera, mosaic)
+    image = white.image
+    means = np.bincount(filter_channels.ravel(), image.ravel(), minlength=3) / np.bincount(
+        filter_channels.ravel(), minlength=3
+    )
     refuse_if(not means.min() > 0, "white: the pixels of a filter are black")
-    return np.asarray(image / means[own], np.float32)
+    return np.asarray(image / means[filter_channels], np.float32)
 
 
 def _certainty(capture: Capture, white: Capture | None) -> NDArray[np.float32]:
@@ -129,12 +125,14 @@ def _shifts(reach: int) -> Iterator[tuple[int, int, float]]:
             if reach == 1:
                 yield across, down, (2.0 - abs(across)) * (2.0 - abs(down))
             else:
-                yield across, down, float(np.exp(-(across**2 + down**2) / (2 * _WIDTH**2)))
+                # Of the bell of weights, in pixels: neighbours two pixels away count only where there are no nearer
+                # ones.
+                yield across, down, float(np.exp(-(across**2 + down**2) / (2 * 0.7**2)))
 
 
 def _interpolate(
     image: NDArray[np.float32],
-    own: NDArray[np.int64],
+    filter_channels: NDArray[np.int64],
     certainty: NDArray[np.float32],
     lenses: NDArray[np.int64],
     reach: int,
@@ -147,12 +145,13 @@ def _interpolate(
         there = _window(rows, down), _window(columns, across)
         same = kernel * (lenses[here] == lenses[there])
         for channel in range(3):
-            seen = same * (own[there] == channel)
-            light[(*here, channel)] += seen * image[there]
-            weight[(*here, channel)] += seen * certainty[(*there, channel)]
-    known = weight > _LIT * certainty.max(initial=0)
-    result = np.where(known, certainty * light / np.where(known, weight, 1), 0)
-    return np.asarray(np.where(own[..., None] == np.arange(3), image[..., None], result), np.float32)
+            same_channel = same * (filter_channels[there] == channel)
+            light[(*here, channel)] += same_channel * image[there]
+            weight[(*here, channel)] += same_channel * certainty[(*there, channel)]
+    # Part of the weight of the brightest pixel of white below which a colour is not known.
+    covered = weight > 1e-3 * certainty.max(initial=0)
+    result = np.where(covered, certainty * light / np.where(covered, weight, 1), 0)
+    return np.asarray(np.where(filter_channels[..., None] == np.arange(3), image[..., None], result), np.float32)
 
 
 def _window(size: int, step: int) -> slice:

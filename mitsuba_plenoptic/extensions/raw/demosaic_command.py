@@ -66,26 +66,27 @@ def demosaic(
     from .demosaic import demosaic as interpolate
 
     require_linear(linear, capture, white)
-    known = named_camera(camera)
+    camera_of_option = named_camera(camera)
     refuse_if(
-        black_level and not (linear and known),
+        black_level and not (linear and camera_of_option),
         f"--black-level {black_level:g}: it is for raw pictures with --linear and --camera",
     )
-    recorded, reference = read_capture(capture, camera=known, linear=linear, black_level=black_level), None
+    recorded = read_capture(capture, camera=camera_of_option, linear=linear, black_level=black_level)
+    reference = None
     if white is not None:
         if white.is_dir():
             white = nearest_white(white, recorded)
             typer.echo(f"{white}: the white picture of the nearest zoom and focus")
-        reference = read_capture(white, camera=known, linear=linear)
+        reference = read_capture(white, camera=camera_of_option, linear=linear)
         if (tile := mosaic_of(reference)) is not None:
             camera_seen = recorded.camera
-            if known is None:
+            if camera_of_option is None:
                 # Brings libraries that take a while to load.
                 from ..inverse.fitting import lattice_from_white
 
                 camera_seen = lattice_from_white(camera_seen, balanced(reference, tile))
             recorded = replace(recorded, camera=camera_seen)
             reference = interpolate(replace(reference, camera=camera_seen))
-    found = interpolate(recorded, mosaic=mosaic, white=reference)
-    write_capture(output, found)
-    typer.echo(f"{output}: {found.camera.shape[1]} x {found.camera.shape[0]} pixels of three colours")
+    result = interpolate(recorded, mosaic=mosaic, white=reference)
+    write_capture(output, result)
+    typer.echo(f"{output}: {result.camera.shape[1]} x {result.camera.shape[0]} pixels of three colours")

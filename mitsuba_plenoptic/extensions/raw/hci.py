@@ -26,14 +26,10 @@ from ...views import disparity
 from ...views.coordinates import camera_of, light_field
 from ...views.lens_grid import bin_grid
 
-PARAMETERS, SECTION = "parameters.cfg", "mitsuba_plenoptic"
-
-_LARGEST, _MOST_VIEWS = 2**20, 1000
+PARAMETERS = "parameters.cfg"
+SECTION = "mitsuba_plenoptic"
 
 _GEOMETRY = ("focal_length_mm", "sensor_size_mm", "baseline_mm", "focus_distance_m")
-
-# Bytes of a value of three channels while views are gathered and checked.
-_NUMBER_BYTES = 3 * (4 + 4)
 
 
 def read_hci(folder: str | Path) -> xr.DataArray:
@@ -57,17 +53,16 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     """
     folder = Path(folder)
     parser = configparser.ConfigParser(interpolation=None)
-    text = read_text(folder / PARAMETERS, _LARGEST)
+    text = read_text(folder / PARAMETERS, (2**20))
     with naming(folder / PARAMETERS), refusing("it cannot be read as the parameters of a light field:"):
         parser.read_string(text)
         columns, rows = (
-            require_count(name, int(parser["extrinsics"][name]), maximum=_MOST_VIEWS)
-            for name in ("num_cams_x", "num_cams_y")
+            require_count(name, int(parser["extrinsics"][name]), maximum=1000) for name in ("num_cams_x", "num_cams_y")
         )
         ours = parser[SECTION] if parser.has_section(SECTION) else None
         camera = None if ours is None else PlenopticCamera.from_dict(json.loads(ours["camera"]))
         white = 1.0 if ours is None else require_number("white", float(ours["white"]), positive=True)
-        stated = {name: text for part in parser.sections() for name, text in parser[part].items()}
+        stated = {name: text for section in parser.sections() for name, text in parser[section].items()}
         geometry = [
             require_number(name, float(stated[name]), positive=True, finite=name != _GEOMETRY[-1])
             for name in _GEOMETRY
@@ -75,11 +70,12 @@ def read_hci(folder: str | Path) -> xr.DataArray:
         ]
         grey = ours is not None and ours["channels"] == "1"
     views: list[np.ndarray] = []
-    for number in range(rows * columns):
-        path = folder / f"input_Cam{number:03d}.png"
+    for index in range(rows * columns):
+        path = folder / f"input_Cam{index:03d}.png"
         picture = read_picture(path)
         if not views:
-            require_memory(float(_NUMBER_BYTES) * rows * columns * picture[..., :1].size, f"{folder}: a light field")
+            # Bytes of a value of three channels while views are gathered and checked.
+            require_memory(24.0 * rows * columns * picture[..., :1].size, f"{folder}: a light field")
         refuse_if(
             bool(views) and picture.shape != views[0].shape,
             f"{path}: it has the shape {picture.shape}, the views before {views[0].shape if views else ()}",
@@ -101,7 +97,8 @@ def read_hci(folder: str | Path) -> xr.DataArray:
 def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> PlenopticCamera:
     """Return the plenoptic camera that sees views (v, u, t, s) as a rectified array of pinhole cameras does."""
     focal_length, sensor, baseline, focus = geometry
-    views, most = max(shape[:2]), max(shape[2:4])
+    views = max(shape[:2])
+    most = max(shape[2:4])
     # Only the ratio of the focal length and the sensor counts. Lenses this small have micro-images centred behind them.
     pitch = min(sensor, views * baseline / 8) / most
     b = focal_length * pitch * most / sensor
@@ -126,15 +123,16 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name:
     """
     camera = camera_of(lf)
     refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
-    views, middle = f"{lf.sizes['u']} x {lf.sizes['v']}", lf.sizes["v"] // 2
+    views = f"{lf.sizes['u']} x {lf.sizes['v']}"
+    middle = lf.sizes["v"] // 2
     refuse_if(lf.sizes["u"] != lf.sizes["v"], f"light field of {views} views: a folder has as many down as across")
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
     white = Brightness().peak([lf.values])
     folder.mkdir(parents=True, exist_ok=True)
-    for number, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
+    for index, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
         colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
-        write_png(folder / f"input_Cam{number:03d}.png", colours, peak=white)
+        write_png(folder / f"input_Cam{index:03d}.png", colours, peak=white)
     shifts = (0.0, 0.0)
     if depth is not None:
         shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)
@@ -142,7 +140,8 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name:
             _write_pfm(folder / f"{kind}.pfm", values)
         shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
     ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
-    columns, rows = lf.sizes["s"], lf.sizes["t"]
+    columns = lf.sizes["s"]
+    rows = lf.sizes["t"]
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)
     parser["intrinsics"] = {

@@ -27,9 +27,6 @@ from ...runtime.limits import require_memory
 from ...views.coordinates import grid_of, light_field, require_light_field
 from ...views.lens_grid import LensGrid, bin_grid
 
-# Bytes of a value of a light field while it is read: as stored (at most 8), and twice in single precision.
-_NUMBER_BYTES = 8 + 4 + 4
-
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
 
@@ -116,8 +113,8 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
         return _from_variables(_read_hdf5(path) if is_hdf5 else _read_version_5(path))
 
 
-def _from_variables(found: dict[str, Any]) -> xr.DataArray:
-    stored = found["LF"]
+def _from_variables(variables: dict[str, Any]) -> xr.DataArray:
+    stored = variables["LF"]
     if stored.ndim == 4:
         # MATLAB drops a last dimension of 1.
         stored = stored[..., None]
@@ -127,9 +124,10 @@ def _from_variables(found: dict[str, Any]) -> xr.DataArray:
     weight = None
     if values.shape[4] in (2, 4):
         values, weight = values[..., :-1], np.ascontiguousarray(values[..., -1])
-    values = values * np.float32(require_number("MaxLum", found.get("MaxLum", 1.0), positive=True))
+    values = values * np.float32(require_number("MaxLum", variables.get("MaxLum", 1.0), positive=True))
     values = np.ascontiguousarray(values if values.shape[4] == 3 else values[..., 0])
-    model, text = found.get("LensletGridModel"), found.get("Camera")
+    model = variables.get("LensletGridModel")
+    text = variables.get("Camera")
     lenses = None if model is None else grid_of_model(model)
     camera = None if text is None else PlenopticCamera.from_dict(json.loads(text))
     bins = None if camera is None else bin_grid(camera)
@@ -143,7 +141,8 @@ def _check(shape: tuple[int, ...]) -> None:
         len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1,
         f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels",
     )
-    require_memory(_NUMBER_BYTES * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
+    # Bytes of a value of a light field while it is read: as stored (at most 8), and twice in single precision.
+    require_memory(16.0 * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
 
 
 def _read_version_5(path: Path) -> dict[str, Any]:

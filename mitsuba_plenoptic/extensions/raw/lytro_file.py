@@ -38,21 +38,14 @@ CONTAINERS = (".lfp", ".lfr")
 SUFFIXES = (*CONTAINERS, ".raw")
 """Of raw pictures; a file ``.raw`` has its metadata in a text file of the same name."""
 
-_LARGEST_FILE, _LARGEST_TEXT = 2**28, 2**24
+_LARGEST_TEXT = 2**24
 
 _MAGIC = b"\x89LF%c\r\n\x1a\n"
-_HEADER, _NAME, _DIGEST = 16, 80, 45
-
-# Bytes of a pixel while it is read: as a number and, in double precision, as a value.
-_PIXEL_BYTES = 2 + 2 * 8 + 4
+_HEADER = 16
 
 _TILINGS = {"hexUniformRowMajor": "hexagonal", "squareUniform": "square"}
 
 _FILTERS = ("r", "gr", "gb", "b")
-
-_MILLIMETRES = 1e3
-
-_MOST_SATURATED = 0.01
 
 
 @dataclass(frozen=True)
@@ -157,12 +150,12 @@ def _brightness(path: Path) -> tuple[bool, float]:
     """Return the sort key of a white picture: unsaturated before saturated, then by brightness."""
     capture = read_lytro(path)
     saturated = recording_of(capture)["saturated_pixels"] / capture.image.size
-    return saturated <= _MOST_SATURATED, float(capture.image.mean())
+    return saturated <= 0.01, float(capture.image.mean())
 
 
 def _read(path: Path) -> _Picture:
     suffix = require_choice("suffix", path.suffix.lower(), SUFFIXES)
-    content = require_size(path, _LARGEST_FILE).read_bytes()
+    content = require_size(path, (2**28)).read_bytes()
     with naming(path):
         if suffix in CONTAINERS:
             return _unpack_container(content)
@@ -184,10 +177,10 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
             f"byte {position}: no section begins there, as it should: the file is damaged or cut off",
         )
         length = struct.unpack(">I", head[12:])[0]
-        start = position + _HEADER + _NAME
+        start = position + _HEADER + 80
         data = content[start : start + length]
         refuse_if(len(data) < length, f"byte {position}: a section of {length} bytes is cut off")
-        name = content[position + _HEADER : start][:_DIGEST].decode("ascii", "replace")
+        name = content[position + _HEADER : start][:45].decode("ascii", "replace")
         refuse_if(
             name != f"sha1-{hashlib.sha1(data, usedforsecurity=False).hexdigest()}",
             f"byte {position}: the data of a section are damaged: their digest is another",
@@ -222,14 +215,14 @@ def _json(data: bytes) -> dict[str, Any]:
     return dict(found)
 
 
-def _within(found: Any, *names: str | int) -> Any:
+def _within(value: Any, *names: str | int) -> Any:
     """Return the value at a path of names in nested mappings and lists, None if the path does not exist."""
     for name in names:
         try:
-            found = found[name]
+            value = value[name]
         except (KeyError, IndexError, TypeError):
             return None
-    return found
+    return value
 
 
 def _frame(contents: Any) -> Any:
@@ -240,7 +233,8 @@ def _frame(contents: Any) -> Any:
 
 def _capture_of(picture: _Picture) -> Capture:
     columns, rows = (require_count(f"image.{name}", picture.entry(f"image.{name}")) for name in ("width", "height"))
-    require_memory(float(_PIXEL_BYTES) * columns * rows, f"{columns} x {rows} pixels")
+    # Of a pixel: its number of 2 bytes, two values in double precision and one in single.
+    require_memory(22.0 * columns * rows, f"{columns} x {rows} pixels")
     numbers = _numbers(picture, columns, rows)
     tile = _tile(picture)
     black, white = (_levels(picture, name, tile) for name in ("black", "white"))
@@ -264,14 +258,16 @@ def _capture_of(picture: _Picture) -> Capture:
 def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
     """Return the digital numbers of the pixels, unpacked."""
     packing = f"{picture.details}.pixelPacking"
-    bits, order = picture.entry(f"{packing}.bitsPerPixel"), picture.entry(f"{packing}.endianness")
+    bits = picture.entry(f"{packing}.bitsPerPixel")
+    order = picture.entry(f"{packing}.endianness")
     refuse_if(
         (bits, order) not in ((12, "big"), (10, "little")),
         f"{packing}: {short_repr(bits)} bits, {short_repr(order)}-endian: known are 12 bits, big, and 10 bits, little",
     )
     shift = picture.number(f"{picture.details}.pixelFormat.rightShift")
     refuse_if(shift != 0, f"{picture.details}.pixelFormat.rightShift = {shift:g}: only 0 is known")
-    pixels, data = columns * rows, np.frombuffer(picture.pixels, np.uint8)
+    pixels = columns * rows
+    data = np.frombuffer(picture.pixels, np.uint8)
     refuse_if(
         len(data) * 8 != pixels * bits or pixels % (2 if bits == 12 else 4),
         f"image: {len(data)} bytes for {columns} x {rows} pixels of {bits} bits",
@@ -279,7 +275,8 @@ def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
     numbers = np.empty(pixels, np.uint16)
     if bits == 12:
         first, second, third = data.reshape(-1, 3).T.astype(np.uint16)
-        numbers[0::2], numbers[1::2] = first << 4 | second >> 4, (second & 15) << 8 | third
+        numbers[0::2] = first << 4 | second >> 4
+        numbers[1::2] = (second & 15) << 8 | third
     else:
         *upper, lower = data.reshape(-1, 5).T.astype(np.uint16)
         for k, eight in enumerate(upper):
@@ -290,7 +287,8 @@ def _numbers(picture: _Picture, columns: int, rows: int) -> NDArray[np.uint16]:
 def _tile(picture: _Picture) -> NDArray[np.str_]:
     """Return the colour filters of the first two pixels of the first two rows, (2, 2)."""
     name = f"{picture.details}.mosaic"
-    text, first = picture.entry(f"{name}.tile"), picture.entry(f"{name}.upperLeftPixel")
+    text = picture.entry(f"{name}.tile")
+    first = picture.entry(f"{name}.upperLeftPixel")
     refuse_if(text != "r,gr:gb,b", f"{name}.tile = {short_repr(text)}: only r,gr:gb,b is known")
     tile = np.array(_FILTERS).reshape(2, 2)
     j, i = divmod(_FILTERS.index(require_choice(f"{name}.upperLeftPixel", first, _FILTERS)), 2)
@@ -307,11 +305,12 @@ def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
     """Return the camera described by metadata in metres, with lengths in millimetres."""
 
     def length(name: str, **rules: Any) -> float:
-        return picture.number(f"devices.{name}", **rules) * _MILLIMETRES
+        return picture.number(f"devices.{name}", **rules) * 1e3
 
     tiling = picture.entry("devices.mla.tiling")
     require_choice("devices.mla.tiling", tiling, _TILINGS)
-    focal_length, gap = length("lens.focalLength", positive=True), length("mla.sensorOffset.z", positive=True)
+    focal_length = length("lens.focalLength", positive=True)
+    gap = length("mla.sensorOffset.z", positive=True)
     exit_pupil = length("lens.exitPupilOffset.z") or math.inf
     # Micro-images are (e + z) / e times as far from the axis as their lenses, and here (b + z) / b times.
     ours = focal_length / (focal_length + gap)
@@ -322,7 +321,8 @@ def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
     offset = np.array([length("mla.sensorOffset.x"), length("mla.sensorOffset.y")]) * ours
     if _TILINGS[tiling] == "square":
         # Our lattice has the corner of four lenses there, theirs a lens.
-        cosine, sine = math.cos(rotation), math.sin(rotation)
+        cosine = math.cos(rotation)
+        sine = math.sin(rotation)
         offset += np.array([[cosine, -sine], [sine, cosine]]) @ (np.array(pitches) / 2)
     return PlenopticCamera(
         focal_length=focal_length,

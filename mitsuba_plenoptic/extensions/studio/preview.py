@@ -21,13 +21,12 @@ from .preview_views import LensView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
 # objective, which takes more.
-_COLUMNS, _SPP, _OBJECTIVE_SPP = 320, 16, 128
+_COLUMNS = 320
+_SPP = 16
+_OBJECTIVE_SPP = 128
 
-# Fractions of the picture's width that a scene spans and of what is seen that can be refocused, below which a user is
-# warned.
-_LITTLE_FILLED, _LITTLE_SHARP = 0.4, 0.5
-
-_SHARP, _FOCUS, _TINT = "#3fb4ff", "#ffb000", 0.35
+_SHARP = "#3fb4ff"
+_FOCUS = "#ffb000"
 """Colours of what refocusing makes sharp and of what is in focus, and how opaque the tint of the latter is."""
 
 
@@ -58,11 +57,11 @@ class Preview:
     @property
     def filled(self) -> float:
         """Fraction of the picture's width or height that the scene spans, whichever is larger."""
-        known = np.isfinite(self.distance)
-        spans = [np.flatnonzero(known.any(axis=axis)) for axis in (0, 1)]
+        finite = np.isfinite(self.distance)
+        spans = [np.flatnonzero(finite.any(axis=axis)) for axis in (0, 1)]
         return max(
             float(np.ptp(span) + 1) / size if span.size else 0.0
-            for span, size in zip(spans, known.shape[::-1], strict=True)
+            for span, size in zip(spans, finite.shape[::-1], strict=True)
         )
 
 
@@ -81,28 +80,29 @@ def preview_of(scene: Any, camera: PlenopticCamera) -> Preview:
     return Preview(picture, points, view)
 
 
-def framing_warnings(seen: Preview) -> list[str]:
+def framing_warnings(preview: Preview) -> list[str]:
     """Return warnings about the position of a scene in the picture, with fractions of the picture."""
-    view, distance = seen.view, seen.distance[np.isfinite(seen.distance)]
+    view = preview.view
+    distance = preview.distance[np.isfinite(preview.distance)]
     if not distance.size:
         return ["nothing of the scene is in the picture"]
-    found = []
-    if seen.filled < _LITTLE_FILLED:
-        found.append(f"the scene spans {seen.filled:.2%} of the picture")
+    warnings = []
+    if preview.filled < 0.4:
+        warnings.append(f"the scene spans {preview.filled:.2%} of the picture")
     near = float((distance <= view.camera.focal_length).mean())
     if near > 0 and view.camera.objective is None:
-        found.append(
+        warnings.append(
             f"{near:.0%} of what is seen is within the focal length of {view.camera.focal_length:g} mm, where nothing "
             "is in focus"
         )
     ends = view.sharp_range()
     sharp = float(((distance >= ends[0]) & (distance <= ends[1])).mean())
-    if sharp < _LITTLE_SHARP:
-        found.append(
+    if sharp < 0.5:
+        warnings.append(
             f"only {sharp:.0%} of what is seen is from {view.between(*ends)}, which refocusing makes sharp; it is from "
             f"{view.between(distance.min(), distance.max())}"
         )
-    return found
+    return warnings
 
 
 _LONGEST_TITLE = 30
@@ -110,43 +110,44 @@ _LONGEST_TITLE = 30
 
 
 @styled
-def draw_preview(path: str | Path, title: str, seen: Preview) -> None:
+def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
     """Draw a preview with the region in focus tinted, that within reach of refocusing outlined, and from above."""
     plot = Plot(9.8, 4.9)
     ((axes, from_above),) = plot.panels(1, 2)
-    rows, columns = seen.picture.shape[:2]
+    rows, columns = preview.picture.shape[:2]
     # One line of the picture's width.
     named = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 3]}..."
-    heading = f"{named or 'What the main lens sees'}, {seen.view.focus_label}"
-    show(axes, seen.picture, heading, peak=Brightness().peak([seen.picture]))
-    if seen.view.in_units(seen.view.focus) != seen.view.in_units(math.inf):
-        scale_bar(axes, seen.view.field(seen.view.focus)[0], IN_FOCUS)
+    heading = f"{named or 'What the main lens sees'}, {preview.view.focus_label}"
+    show(axes, preview.picture, heading, peak=Brightness().peak([preview.picture]))
+    if preview.view.in_units(preview.view.focus) != preview.view.in_units(math.inf):
+        scale_bar(axes, preview.view.field(preview.view.focus)[0], IN_FOCUS)
     axes.set(frame_on=True, box_aspect=rows / columns, anchor="NW")
-    _outline(axes, seen)
-    _draw_from_above(from_above, seen)
+    _outline(axes, preview)
+    _draw_from_above(from_above, preview)
     plot.save(path)
 
 
-def _outline(axes: Axes, seen: Preview) -> None:
+def _outline(axes: Axes, preview: Preview) -> None:
     """Tint the region in focus, and draw outlines around it and around regions that refocusing makes sharp."""
-    distance = seen.distance
-    near, far = seen.view.sharp_range()
-    in_focus = seen.view.is_focused(distance)
-    for part, colour in (((distance >= near) & (distance <= far), _SHARP), (in_focus, _FOCUS)):
-        if part.any() and not part.all():
-            axes.contour(part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
-    axes.imshow(np.where(in_focus[..., None], to_rgba(_FOCUS, _TINT), 0.0), interpolation="nearest", aspect="auto")
+    distance = preview.distance
+    near, far = preview.view.sharp_range()
+    in_focus = preview.view.is_focused(distance)
+    for shown_part, colour in (((distance >= near) & (distance <= far), _SHARP), (in_focus, _FOCUS)):
+        if shown_part.any() and not shown_part.all():
+            axes.contour(shown_part.astype(float), levels=[0.5], colors=[colour], linewidths=1.2)
+    axes.imshow(np.where(in_focus[..., None], to_rgba(_FOCUS, 0.35), 0.0), interpolation="nearest", aspect="auto")
 
 
-def _draw_from_above(axes: Axes, seen: Preview) -> None:
+def _draw_from_above(axes: Axes, preview: Preview) -> None:
     """Draw the visible points as seen from above, with the borders of the field."""
-    view, focus = seen.view, seen.view.focus
-    points = seen.points[np.isfinite(seen.distance)][::7]
+    view = preview.view
+    focus = preview.view.focus
+    points = preview.points[np.isfinite(preview.distance)][::7]
     near, far = view.sharp_range()
     start, reach = view.drawn_range(points[:, 2])
     if near < reach:
-        drawn = max(near, start), min(far, reach)
-        axes.axvspan(*drawn, color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
+        visible = max(near, start), min(far, reach)
+        axes.axvspan(*visible, color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
     axes.axvline(focus, color=_FOCUS, label=view.focus_label)
     for side in (-0.5, 0.5):
         border = [side * view.field(end)[0] for end in (start, reach)]

@@ -56,12 +56,12 @@ def preview(
         # Brings Matplotlib, which takes a while to load.
         from .preview import draw_preview, framing_warnings, preview_of
 
-        seen = preview_of(loaded, seen_by)
+        shown_preview = preview_of(loaded, seen_by)
         progress(2, 4)
-        view = seen.view
+        view = shown_preview.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
         progress(3, 4)
-        draw_preview(target, Path(scene).name, seen)
+        draw_preview(target, Path(scene).name, shown_preview)
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
@@ -73,5 +73,5 @@ def preview(
             typer.echo(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
         except (InputError, PhysicsError) as error:
             typer.echo(f"{model} capture: refused: {error}")
-    for text in framing_warnings(seen):
+    for text in framing_warnings(shown_preview):
         typer.echo(f"framing: {text}")

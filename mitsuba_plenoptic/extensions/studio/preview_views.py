@@ -17,8 +17,6 @@ from ...lenses.telecentric import TelecentricLens
 from ...prescription.lens_data import defocus_factor, image_distance
 from ...report.experiment import photograph, photographic_sensor
 
-_RAYS_PER_PASS = 2**22
-
 _FAR = 1e5
 """Distance in focal lengths that represents infinity."""
 
@@ -142,12 +140,13 @@ class MicroscopeView(LensView):
         channels = 3 if mi.is_rgb else 1
         total = np.zeros((channels, *size[::-1]))
         # Samples of a pixel side by side, in passes of bounded size.
-        together = max(1, min(spp, _RAYS_PER_PASS // total[0].size))
+        together = max(1, min(spp, (2**22) // total[0].size))
         passes = -(-spp // together)
         x, y = (dr.repeat(middle, together) for middle in _pixel_centres(size))
         for index in range(passes):
             sampler.seed(index, dr.width(x))
-            jitter, stop = sampler.next_2d(), mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
+            jitter = sampler.next_2d()
+            stop = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
             place = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
             radius = self.camera.aperture_radius
             rays, _ = self._rays(scene, place, (radius * stop.x, radius * stop.y))

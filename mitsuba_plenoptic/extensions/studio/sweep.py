@@ -43,7 +43,8 @@ from ...scene_files import scene_path
 __all__ = ["check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]
 
 # Names that are not parameters of the scene.
-WAVELENGTH, DISTANCE = "wavelength", "distance"
+WAVELENGTH = "wavelength"
+DISTANCE = "distance"
 
 Grid = Mapping[str, Sequence[float]]
 
@@ -66,7 +67,7 @@ def parse_grid(texts: Iterable[str]) -> dict[str, list[Any]]:
     for text in texts:
         name, equals, values = text.partition("=")
         refuse_if(not name or not equals, f"--vary {text}: write it as --vary NAME=VALUE,VALUE,...")
-        grids.append({name: [part.strip() for part in values.split(",")] if values.strip() else []})
+        grids.append({name: [value.strip() for value in values.split(",")] if values.strip() else []})
     return merge_grids(*grids)
 
 
@@ -109,7 +110,9 @@ class Points:
     """The points of a grid, each with a capture and its reconstructions."""
 
     def __init__(self, spec: CaptureSpec, grid: Grid, method: str, store: Cache) -> None:
-        self._spec, self._method, self._store = spec, method, store
+        self._spec = spec
+        self._method = method
+        self._store = store
         self._base: PlenopticCamera | None = None
         self.distances = grid.get(DISTANCE, ())
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
@@ -258,9 +261,9 @@ class SweepFile:
         at = () if self._scalar else tuple(int(i) for i in index)
         self.variables["capture"][(*at, ...)] = capture.image
         self.variables["pixel_size"][at] = capture.camera.pixel_size
-        for number, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
-            self.variables["reconstruction"][(*at, number, ...)] = image
-            self.variables["bin_size"][(*at, number)] = capture.camera.bin_size(distance)
+        for plane, (distance, image) in enumerate(zip(self.distances, images, strict=True)):
+            self.variables["reconstruction"][(*at, plane, ...)] = image
+            self.variables["bin_size"][(*at, plane)] = capture.camera.bin_size(distance)
 
 
 def sweep(

@@ -76,9 +76,9 @@ def sweep(
     from ...runtime.backend import DEFAULT_VARIANT
     from .sweep import check_grid, merge_grids, parse_grid, prepare, read_grid
 
-    wanted = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
+    checked = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))
     refuse_if(
-        method is not None and "distance" not in wanted,
+        method is not None and "distance" not in checked,
         "--method: nothing is refocused without a 'distance' in the grid; leave it out",
     )
     parameters = parse_definitions(define)
@@ -90,7 +90,7 @@ def sweep(
             camera,
             scene,
             parameters,
-            {name: f"{values[0]:g}" for name, values in wanted.items() if name not in (*PARAMETERS, *MATCHED)},
+            {name: f"{values[0]:g}" for name, values in checked.items() if name not in (*PARAMETERS, *MATCHED)},
         ),
         model=model,
         spp=spp,
@@ -98,8 +98,8 @@ def sweep(
         variant=variant or DEFAULT_VARIANT,
     )
     with stage_lines(resume) as stages:
-        compute = prepare(spec, wanted, output, method or "ray", stages, workers=workers, scheduler=scheduler)
+        compute = prepare(spec, checked, output, method or "ray", stages, workers=workers, scheduler=scheduler)
         with batches_on(workers, scheduler) as batch_map:
             dataset = compute(batch_map)
-    axes = " x ".join(f"{len(values)} {name}" for name, values in wanted.items())
+    axes = " x ".join(f"{len(values)} {name}" for name, values in checked.items())
     typer.echo(f"{output}: {', '.join(str(name) for name in dataset.data_vars)} over {axes}")

@@ -14,7 +14,8 @@ from ...report.design_sheet import design_sheet
 from ...report.images import Brightness, encode, shrink
 
 # Longest side of a picture in pixels, and the size at which it is shown.
-_LONGEST, _SHOWN = 512, 256
+_LONGEST = 512
+_SHOWN = 256
 
 
 def show_capture(capture: Capture) -> str:

@@ -54,11 +54,16 @@ def view(
     refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
     target = require_writable(output or sources[0].with_suffix(".html"))
     require_apart(target, *sources, white)
-    known = named_camera(camera)
+    camera_of_option = named_camera(camera)
     with progress_bar("Making the page"):
-        shown = [read_source(source, white=white, views=view_count, linear=linear, camera=known) for source in sources]
-        used = any(isinstance(one, Recording) for one in shown)
+        inputs = [
+            read_source(source, white=white, views=view_count, linear=linear, camera=camera_of_option)
+            for source in sources
+        ]
+        has_recording = any(isinstance(item, Recording) for item in inputs)
         for name, value in {"white": white, "view-count": view_count, "camera": camera}.items():
-            refuse_if(value is not None and not used, f"--{name} {value}: of no use without a capture or light field")
-        make_page(*shown).save(target)
+            refuse_if(
+                value is not None and not has_recording, f"--{name} {value}: of no use without a capture or light field"
+            )
+        make_page(*inputs).save(target)
     typer.echo(f"{target}: {target.stat().st_size / 2**20:.1f} MiB; open it in a browser")

@@ -23,21 +23,15 @@ from ...views.coordinates import DIMS, light_field, require_light_field, view_st
 from ...views.lens_grid import bin_grid
 
 # Bytes before compression of all raw pictures, and of the views of all light fields.
-_RAW_BYTES, _VIEW_BYTES = 2**24, 2**26
+_RAW_BYTES = 2**24
+_VIEW_BYTES = 2**26
 
 # Views along each axis that are shown at least, however large they are, and at most, however small. Odd numbers of
 # views have a central one.
-_FEWEST_VIEWS, _MOST_VIEWS = 3, 11
-
-# Steps of the focus slider. It reaches to where points move by a lens from view to view, and by so many at least from
-# the first view to the last.
-_STEPS, _REACH = 161, 16.0
+_MOST_VIEWS = 11
 
 # Brightest value over white from which 8 bits would show bands where the exposure is changed.
 _WIDE = 4.0
-
-# Confidence above which a depth is shown.
-_SURE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +50,7 @@ class Recording:
     def of(cls, capture: Capture, name: str, lf: xr.DataArray) -> Recording:
         """Return the recording of a capture with its light field."""
         scene = scene_name(str(capture.metadata.get("scene", "")))
-        title = ", ".join(part for part in (scene, _through(capture.camera)) if part)
+        title = ", ".join(words for words in (scene, _through(capture.camera)) if words)
         return cls(name, lf, capture.image, capture.model, title)
 
 
@@ -68,10 +62,6 @@ def _through(camera: PlenopticCamera) -> str:
     return f"{lens}, {columns} x {rows} {lattice}microlenses"
 
 
-# Distance of a pupil that stands for one infinitely far, in focal lengths.
-_FAR = 1e5
-
-
 def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.DataArray:
     """Return a capture decoded for display.
 
@@ -79,15 +69,20 @@ def decoded(capture: Capture, white: Capture | np.ndarray | None = None) -> xr.D
     pupil: near the axis it gives the same micro-images. Positions and distances are then left out, as they would be
     those of the thin lens.
     """
-    camera, lens = capture.camera, capture.camera.lens_data
+    camera = capture.camera
+    lens = capture.camera.lens_data
     if lens.is_thin or lens.images_stop:
         return decode(capture, white=white)
-    further = 1.0 if lens.converges else _FAR
-    distance, radius = further * camera.pupil_distance, further * camera.pupil_radius
+    # Distance of a pupil that stands for one infinitely far, in focal lengths.
+    further = 1.0 if lens.converges else 1e5
+    distance = further * camera.pupil_distance
+    radius = further * camera.pupil_radius
     pupil = camera.replace(main_lens=None, focal_length=distance / 2, aperture_radius=radius, mla_distance=distance)
     by = white.image if isinstance(white, Capture) else white
-    found = decode(replace(capture, camera=pupil), white=by)
-    return light_field(found.values, found["weight"].values, lenses=grid_of(found))
+    light_field_of_pupil = decode(replace(capture, camera=pupil), white=by)
+    return light_field(
+        light_field_of_pupil.values, light_field_of_pupil["weight"].values, lenses=grid_of(light_field_of_pupil)
+    )
 
 
 @dataclass(frozen=True)
@@ -151,15 +146,15 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     recordings, planes, depths = _sorted(sources)
     refuse_if(len(recordings) > 2, f"sources: {len(recordings)} captures or light fields: a page compares two at most")
     refuse_if(len(depths) > 1, f"sources: {len(depths)} depth maps: a page shows one")
-    shapes = [one.light_field.shape for one in recordings]
+    shapes = [recording.light_field.shape for recording in recordings]
     refuse_if(
         len(set(shapes)) > 1,
         f"sources: light fields of the shapes {' and '.join(map(str, shapes))} cannot be compared: they must be alike",
     )
-    for one in recordings[1:]:
+    for recording in recordings[1:]:
         for axis in DIMS:
             refuse_if(
-                not np.allclose(one.light_field[axis], recordings[0].light_field[axis], rtol=1e-6, atol=1e-9),
+                not np.allclose(recording.light_field[axis], recordings[0].light_field[axis], rtol=1e-6, atol=1e-9),
                 f"sources: light fields whose {axis} differ cannot be compared: they must be of the same camera",
             )
     if depths and recordings:
@@ -170,14 +165,16 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     refuse_if(
         len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
     )
-    shown = [one.light_field.values for one in recordings] or [image for _, image, _ in planes]
-    white = Brightness().peak(shown or [np.asarray(depths[0]["image"])])
+    images = [recording.light_field.values for recording in recordings] or [image for _, image, _ in planes]
+    white = Brightness().peak(images or [np.asarray(depths[0]["image"])])
     # Alike for both, so that they have the same views.
-    wide = any(float(one.light_field.max()) > _WIDE * white for one in recordings)
-    thinned = [_thinned(one.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for one in recordings]
+    wide = any(float(recording.light_field.max()) > _WIDE * white for recording in recordings)
+    thinned = [
+        _thinned(recording.light_field, _VIEW_BYTES // len(recordings) // (1 + wide)) for recording in recordings
+    ]
     recorded = [
-        _recording(one, name, lf, white, 16 if wide else 8, len(recordings))
-        for one, name, lf in zip(recordings, _names(recordings), thinned, strict=True)
+        _recording(recording, name, lf, white, 16 if wide else 8, len(recordings))
+        for recording, name, lf in zip(recordings, _names(recordings), thinned, strict=True)
     ]
     data = {
         "white": white,
@@ -191,7 +188,11 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         ("White", f"the radiance {white:.3g} at an exposure of 0; colours are sRGB"),
     ]
     # Scene and camera are mostly those of both.
-    headline = title or " and ".join(dict.fromkeys(one.title for one in recordings if one.title)) or "Light field"
+    headline = (
+        title
+        or " and ".join(dict.fromkeys(recording.title for recording in recordings if recording.title))
+        or "Light field"
+    )
     page = template("view.html", Path(__file__).parent / "templates")
     return Viewer(page.render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
 
@@ -227,17 +228,17 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
 
 def _names(recordings: list[Recording]) -> list[str]:
     """Return different names for light fields."""
-    names = [one.name for one in recordings]
+    names = [recording.name for recording in recordings]
     return [f"{name} {index}" if names.count(name) > 1 else name for index, name in enumerate(names, 1)]
 
 
 def _recording(
-    one: Recording, name: str, lf: xr.DataArray, white: float, bits: int, count: int
+    recording: Recording, name: str, lf: xr.DataArray, white: float, bits: int, count: int
 ) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """Return views, raw picture and geometry of a light field for the page, with sentences about them."""
-    whole = one.light_field
+    all_views = recording.light_field
     full = max(float(lf.max()), white)
-    left_out = "" if lf is whole else f" of {whole.sizes['u']} x {whole.sizes['v']}, the others left out"
+    left_out = "" if lf is all_views else f" of {all_views.sizes['u']} x {all_views.sizes['v']}, the others left out"
     # Noise has a mean; without what is negative it would be too bright, which is to be stated.
     negative = float((lf.values < 0).mean())
     below = f"; {negative:.2%} of the samples are negative, and 0 in this page" if negative else ""
@@ -250,20 +251,20 @@ def _recording(
         "raw": None,
         **_geometry(lf),
     }
-    if one.image is not None:
-        content["raw"], fact = _raw(one.image, whole, white, count)
-        facts.append((f"Raw picture, {name}", f"{one.model} model; {fact}" if one.model else fact))
+    if recording.image is not None:
+        content["raw"], fact = _raw(recording.image, all_views, white, count)
+        facts.append((f"Raw picture, {name}", f"{recording.model} model; {fact}" if recording.model else fact))
     return content, facts
 
 
 def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
     """Return a light field reduced to as many views as a limit of samples allows."""
     count = min(lf.sizes["v"], lf.sizes["u"])
-    each = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
+    view_size = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
     if count <= _MOST_VIEWS and lf.size <= samples:
         return lf
     count = min(count - 1 + count % 2, _MOST_VIEWS)
-    while count > _FEWEST_VIEWS and count**2 * each > samples:
+    while count > 3 and count**2 * view_size > samples:
         count -= 2
     return pick_views(lf, count)
 
@@ -272,15 +273,18 @@ def _geometry(lf: xr.DataArray) -> dict[str, Any]:
     """Return the positions of the views on the pupil, and the disparities and distances of the focus slider."""
     try:
         steps = [view_steps(lf, axis).tolist() for axis in "vu"]
-        reach = max(1.0, _REACH / (1 + np.ptp(steps[0])))
-        ends, reason = (-reach, reach), ""
+        reach = max(1.0, 16.0 / (1 + np.ptp(steps[0])))
+        ends = (-reach, reach)
+        reason = ""
         if lf.attrs.get("camera"):
             ends = (-reach, min(reach, disparity(lf, math.inf)))
     except InputError as error:
-        steps, ends, reason = [[0.0] * lf.sizes[axis] for axis in "vu"], (0.0, 0.0), str(error)
-    disparities = np.linspace(*ends, _STEPS) if ends[1] > ends[0] else np.zeros(1)
-    known = bool(lf.attrs.get("camera")) and not reason
-    distances = distance_of(lf, disparities) if known else np.full(len(disparities), np.nan)
+        steps = [[0.0] * lf.sizes[axis] for axis in "vu"]
+        ends = (0.0, 0.0)
+        reason = str(error)
+    disparities = np.linspace(*ends, 161) if ends[1] > ends[0] else np.zeros(1)
+    has_distances = bool(lf.attrs.get("camera")) and not reason
+    distances = distance_of(lf, disparities) if has_distances else np.full(len(disparities), np.nan)
     return {
         "v": steps[0],
         "u": steps[1],
@@ -299,7 +303,8 @@ def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple
     full = min(max(float(small.max()), white), _WIDE * white)
     rows, columns = small.shape[:2]
     averaged = f", averaged over {factor} x {factor} pixels" if factor > 1 else ""
-    grid, bins = grid_of(lf), _bins(lf)
+    grid = grid_of(lf)
+    bins = _bins(lf)
     content = {
         "picture": encode(small, 8, full),
         "rows": rows,
@@ -344,12 +349,13 @@ def _plane_facts(planes: list[tuple[float, np.ndarray, str]]) -> list[tuple[str,
     return [("Images of the stack", f"{len(planes)} of {image.shape[1]} x {image.shape[0]} bins ({methods})")]
 
 
-def _depth(found: xr.Dataset) -> dict[str, Any]:
+def _depth(estimate: xr.Dataset) -> dict[str, Any]:
     """Return a depth map as inverse distances, without depths of low confidence."""
-    depth = np.asarray(found["depth"], dtype=np.float64)
-    inverse = np.where(np.asarray(found["confidence"]) > _SURE, 1 / depth, np.nan)
-    known = inverse[np.isfinite(inverse)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    depth = np.asarray(estimate["depth"], dtype=np.float64)
+    # Confidence above which a depth is shown.
+    inverse = np.where(np.asarray(estimate["confidence"]) > 0.5, 1 / depth, np.nan)
+    finite = inverse[np.isfinite(inverse)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     return {"picture": encode(inverse, 16, high or 1.0), "low": low, "high": high}
 
 

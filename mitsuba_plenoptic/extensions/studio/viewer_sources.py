@@ -29,18 +29,8 @@ def read_source(
 ) -> Recording | xr.DataArray | xr.Dataset:
     """Return the recording, focal stack or depth map that a source file of the viewer contains.
 
-    Parameters
-    ----------
-    path : path
-        ``.exr``: a capture, a focal stack, a reconstruction or a depth map of this package. Other suffixes: what
-        `open_light_field` reads.
-    white, views, linear, camera
-        As for `open_light_field`; refused for results computed from light fields.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or holds something else.
+    OpenEXR holds a capture, a focal stack, a reconstruction or a depth map of this package, other files what
+    `open_light_field` reads, whose options these are.
     """
     path = Path(path)
     kind = read_attributes(path).get("kind") if path.suffix.lower() == ".exr" else None
