@@ -79,7 +79,7 @@ class Cache:
         """Return a dictionary of plain JSON values."""
 
         def read(path: Path) -> dict[str, Any]:
-            return dict(json.loads(read_text(path, (2**26))))
+            return dict(json.loads(read_text(path, 2**26)))
 
         return self._get(f"{name}.json", inputs, make, write_json, read)[0]
 
@@ -99,7 +99,7 @@ class Cache:
         value = None
         seconds = "0"
         try:
-            stored, seconds = read_text(beside, (2**10)).split()
+            stored, seconds = read_text(beside, 2**10).split()
             if stored == key:
                 value = read(path)
         except (InputError, ValueError):

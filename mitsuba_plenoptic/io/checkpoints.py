@@ -44,8 +44,6 @@ INTERVAL = 10.0
 FRACTION = 0.05
 """Fraction of the time that writing them may take."""
 
-_DIFFERENCES_SHOWN = 3
-
 _State = TypeVar("_State")
 
 _log = logging.getLogger(__name__)
@@ -298,8 +296,8 @@ def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]],
     except Exception as error:
         # ZIP, JSON and NumPy report damage by many types of exception; all mean the same to the user.
         raise InputError(f"{path}: it is not a checkpoint of this version, or is damaged: {error}") from None
-    shown_changes = "; ".join(changed[:_DIFFERENCES_SHOWN])
-    more = len(changed) - _DIFFERENCES_SHOWN
+    shown_changes = "; ".join(changed[:3])
+    more = len(changed) - 3
     raise InputError(
         f"{path}: the checkpoint of another run: {shown_changes}" + (f", and {more} more" if more > 0 else "")
     )

@@ -14,9 +14,6 @@ from ..errors import argument, refuse_if, require_number
 from ..runtime.files import atomic_output
 from .images import enlarge, enlargement, to_bytes
 
-_SWEEP = 24
-"""Distances of a focal sweep."""
-
 
 def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[float]:
     """Return the distances of a focal sweep between two, in even steps of their reciprocals, or of disparities."""
@@ -26,9 +23,9 @@ def sweep_distances(distances: Sequence[float], by: str = "distance") -> list[fl
     )
     first, last = distances
     if by == "disparity":
-        return [float(step) for step in np.linspace(first, last, _SWEEP)]
+        return [float(step) for step in np.linspace(first, last, 24)]
     first, last = (1 / require_number("distance", value, positive=True, finite=False) for value in distances)
-    return [float(1 / step) if step else math.inf for step in np.linspace(first, last, _SWEEP)]
+    return [float(1 / step) if step else math.inf for step in np.linspace(first, last, 24)]
 
 
 def write_animation(

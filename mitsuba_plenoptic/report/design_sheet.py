@@ -39,9 +39,6 @@ class Row(NamedTuple):
     note: str
 
 
-_FIELDS = (0.0, 0.7, 1.0)
-"""Distances from the axis, over that of the detector's corner, at which a real main lens is evaluated."""
-
 # A row without its group: quantity, value, unit and note.
 _Line = tuple[str, str, str, str]
 
@@ -129,7 +126,7 @@ def _surfaces(camera: PlenopticCamera, lens: Prescription) -> list[_Line]:
     corner = math.hypot(camera.detector_width, camera.detector_height) / 2
     reaches = [surface.glass.reach for surface in lens.surfaces if surface.glass is not None]
     in_colour = camera.is_dispersive and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
-    for figures in field_figures(camera, tuple(fraction * corner for fraction in _FIELDS)):
+    for figures in field_figures(camera, tuple(fraction * corner for fraction in (0.0, 0.7, 1.0))):
         at = f"{_four(figures.height)} mm from the axis"
         rows += [
             ("spot", _four(1e3 * figures.spot), "um", f"root mean square radius in the image, {at}"),

@@ -17,10 +17,6 @@ from scipy.ndimage import gaussian_filter
 from ..errors import refuse_if, refusing
 from ..runtime.backend import as_array
 
-_LEAST_TILT = 1.0
-_MOST_TILT = 20.0
-"""Angles in degrees between edge and pixels, between which the pixels sample an edge finely and evenly."""
-
 _REACH = 16
 """Pixels on each side of an edge, at most, that are looked at."""
 
@@ -152,10 +148,10 @@ def _measure(image: NDArray[np.float64]) -> EdgeSharpness:
         extent = max(extent, _half_width(across[index], line))
     angle = math.degrees(math.atan(tilt))
     _refuse_others(slope, tilt, start, index, extent)
+    # Between these angles the pixels sample an edge finely and evenly.
     refuse_if(
-        not _LEAST_TILT <= abs(angle) <= _MOST_TILT,
-        f"image: its edge is turned by {abs(angle):.1f} degrees from the pixels: it must be {_LEAST_TILT:g} to "
-        f"{_MOST_TILT:g}",
+        not 1.0 <= abs(angle) <= 20.0,
+        f"image: its edge is turned by {abs(angle):.1f} degrees from the pixels: it must be 1 to 20",
     )
     # Without a whole pixel of slant, some distances from the line have no pixel.
     refuse_if(

@@ -26,8 +26,6 @@ from ..refocus import Reconstruction, reconstruct
 from ..refocus.methods import require_distances
 from .images import luminance
 
-_RAYS_PER_PASS = 2**24
-
 
 def thin_lens_image(
     scene: Any,
@@ -105,7 +103,7 @@ def photograph(scene: Any, sensor: Any, spp: int) -> np.ndarray:
     # A wave integrator's child sees the scene by rays.
     integrator = getattr(integrator, "child", integrator)
     total = np.zeros((rows, columns, sensor.film().base_channels_count()))
-    counts = pass_counts(sensor, spp, max(1, _RAYS_PER_PASS // (columns * rows)))
+    counts = pass_counts(sensor, spp, max(1, 2**24 // (columns * rows)))
     for index, count in enumerate(counts):
         image = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
         total += count / sum(counts) * np.array(image, dtype=np.float64)

@@ -105,9 +105,6 @@ def srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-_MOST_STOPS = 100.0
-
-
 @dataclass(frozen=True)
 class Brightness:
     """Rule for the value drawn as white; brighter values are white, too.
@@ -129,7 +126,7 @@ class Brightness:
         if self.exposure is not None and self.percentile is not None:
             raise InputError(f"exposure = {self.exposure:g}, percentile = {self.percentile:g}: give one of the two")
         if self.exposure is not None:
-            require_number("exposure", self.exposure, minimum=-_MOST_STOPS, maximum=_MOST_STOPS)
+            require_number("exposure", self.exposure, minimum=-100.0, maximum=100.0)
         if self.percentile is not None:
             require_number("percentile", self.percentile, positive=True, maximum=100)
 

@@ -34,15 +34,9 @@ from .backend import backend_of, drjit_array, on_cuda, quotient
 Field = NDArray[np.complex64]
 """A field or spectrum: NumPy's array, or with a CUDA variant CuPy's, which lies on the device."""
 
-_LONGEST = 2**31
-"""Largest number of samples of a field along an axis."""
-
 _rest_lock = threading.Lock()
 _resting = 0
 _busy_threads = 0
-
-_PATIENCE = 0.1
-"""Seconds after which threads of Dr.Jit that should have stopped are woken."""
 
 
 def worker_count() -> int:
@@ -110,7 +104,8 @@ def stop_threads() -> None:
         dr.set_thread_count(1)
         return
     request = _requests().submit(nanothread.pool_set_size, None, 1, 0)
-    while not wait([request], _PATIENCE).done:
+    # Threads of Dr.Jit that should have stopped are woken after a tenth of a second.
+    while not wait([request], 0.1).done:
         # Of two units, asynchronously, so that it is queued.
         nanothread.task_wait_and_release(nanothread.task_submit_dep(None, None, 0, 2, None, None, 0, None, 1, 0))
 
@@ -267,4 +262,4 @@ def fast_length(minimum: float, multiple: int = 1) -> int:
 def check_samples(count: float, where: str) -> None:
     """Refuse a field with more samples along an axis than memory can hold, before conversion to integers."""
     # Written so that NaN is refused.
-    refuse_if(not count <= _LONGEST, f"a field of {count:.3g} samples {where}: at most {_LONGEST} can be computed")
+    refuse_if(not count <= 2**31, f"a field of {count:.3g} samples {where}: at most {2**31} can be computed")

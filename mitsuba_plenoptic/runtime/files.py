@@ -197,9 +197,6 @@ def native_output_dropped() -> Iterator[None]:
                 os.close(copy)
 
 
-_LARGEST_JSON = 2**26
-
-
 class _Loader(yaml.SafeLoader):
     """Loader of YAML 1.2 and JSON that avoids common traps of YAML.
 
@@ -229,7 +226,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader
 
 def read_yaml(path: str | Path) -> Any:
     """Read a YAML or JSON file of at most 64 KiB."""
-    text = read_text(path, (2**16))
+    text = read_text(path, 2**16)
     with naming(path):
         return parse_yaml(text)
 
@@ -242,7 +239,7 @@ def parse_yaml(text: str) -> Any:
 
 def read_table(path: str | Path) -> NDArray[np.float64]:
     """Return all numbers of a CSV file of at most 4 MiB, (rows, columns); the first line may hold names."""
-    lines = [line for line in read_text(path, (2**22)).splitlines() if line.strip()]
+    lines = [line for line in read_text(path, 2**22).splitlines() if line.strip()]
     for cell in lines[0].split(",") if lines else ():
         with contextlib.suppress(ValueError):
             float(cell)
@@ -277,6 +274,6 @@ def read_json_value(value: Any, resolve: Callable[[str], str]) -> Any:
         return value
     text = str(value)
     if not text.lstrip().startswith("{"):
-        text = read_text(resolve(text), _LARGEST_JSON)
+        text = read_text(resolve(text), 2**26)
     with refusing("it must be a JSON object:", *NO_RECORD):
         return json.loads(text)

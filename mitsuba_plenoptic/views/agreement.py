@@ -12,18 +12,8 @@ from .refocusing import moved
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
 _WINDOW = 0.85
 
-# Views that have the noise of one: decoding interpolates them between the same pixels.
-_SHARED = 2.0
-
 # Steps between the nearest views without a common pixel. They differ by noise, and by little else near the right plane.
 _APART = 2
-
-# Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
-# coordinate says, which would pull depths towards the plane in focus.
-_OPEN = 0.9
-
-# Bins that show the texture of a bin: standard deviation of a Gaussian window.
-_PATCH = 3.0
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -46,7 +36,8 @@ def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.nd
     parts, means, squares = (moment / np.maximum(count_near, 1e-6) for moment in (parts, means, squares))
     # Fraction of the views that must see a bin: few agree by chance.
     parts[count < 0.25 * count.max((1, 2), keepdims=True)] = np.nan
-    independent = np.maximum(count_near / _SHARED, 1)
+    # Views that have the noise of one: decoding interpolates them between the same pixels.
+    independent = np.maximum(count_near / 2.0, 1)
     # Noise, too, leaves a variance in means.
     total_variance = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
     ratio = np.divide(parts, total_variance, out=np.ones_like(parts), where=~(total_variance <= 0))
@@ -78,11 +69,12 @@ def finer_stripes(image: np.ndarray, moved: np.ndarray) -> np.ndarray:
     bent = -scipy.ndimage.laplace(detail)
     # At the border the Laplacian is not known.
     inner = np.pad(np.ones((image.shape[0] - 2, image.shape[1] - 2)), 1)
+    # Bins that show the texture of a bin: standard deviation of a Gaussian window.
     power, bend, steepness, mean = (
-        scipy.ndimage.gaussian_filter(moment * inner, _PATCH, mode="constant")
+        scipy.ndimage.gaussian_filter(moment * inner, 3.0, mode="constant")
         for moment in (np.square(detail), detail * bent, np.square(bent), image)
     )
-    counted = scipy.ndimage.gaussian_filter(inner, _PATCH, mode="constant")
+    counted = scipy.ndimage.gaussian_filter(inner, 3.0, mode="constant")
     tiny = np.finfo(np.float64).tiny
     # Only of a single frequency is the Laplacian proportional to the image.
     single = bend / np.sqrt(power * steepness + tiny)
@@ -108,7 +100,9 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[np.ndarray, np.ndarray
     Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
     Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
     """
-    weight = (np.asarray(lf["weight"].values) >= _OPEN).astype(np.float32)
+    # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
+    # coordinate says, which would pull depths towards the plane in focus.
+    weight = (np.asarray(lf["weight"].values) >= 0.9).astype(np.float32)
     v = view_steps(lf, "v")
     u = view_steps(lf, "u")
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)

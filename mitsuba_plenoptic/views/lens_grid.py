@@ -19,9 +19,6 @@ from ..lattice.lens_shifts import WARP_POWERS, Displacement
 from ..optics import rays
 from ..runtime.limits import require_memory
 
-_BLOCK = 2**20
-"""Pixels whose lenses are found together."""
-
 
 @dataclass(frozen=True)
 class LensGrid:
@@ -234,7 +231,7 @@ def lens_numbers(camera: PlenopticCamera) -> NDArray[np.int64]:
         for axis in (0, 1)
     )
     index = np.empty((2, *camera.shape), np.int32)
-    height = max(1, _BLOCK // len(x))
+    height = max(1, 2**20 // len(x))
     for first in range(0, len(y), height):
         rows = slice(first, first + height)
         for indices, values in zip(index, camera.lattice.cell(*np.meshgrid(x, y[rows])), strict=True):

@@ -34,8 +34,7 @@ from .lens_grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_i
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
 MINIMUM_WEIGHT = 0.1
 
-# Samples of the table across what a pixel covers of the pupil plane; fewer where the table would get as wide as this.
-_SAMPLES = 16
+# Samples of a table of the pupil along a side, at most.
 _WIDEST = 4096
 
 # Points across a pixel for the area of what the pupil's edge leaves of it: exact to 0.2 % of the pixel.
@@ -59,7 +58,7 @@ class PupilFraction:
         smear = abs(camera.pupil_shift(camera.mla_focal_lengths[lens_type]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
-        samples = max(1, min(_SAMPLES, int(_WIDEST / pixels)))
+        samples = max(1, min(16, int(_WIDEST / pixels)))
         require_memory(
             100.0 * (samples * pixels) ** 2,
             f"white image of a lens, {2 * camera.aperture_radius / camera.pupil_step:.3g} pixels wide, smeared over "
@@ -122,15 +121,6 @@ def _square_in_disc(x: np.ndarray, y: np.ndarray, radius: float) -> np.ndarray:
 # Micro-images drawn at once.
 _BLOCK = 128
 
-# Pixels of micro-images, an hour.
-_MOST_WORK = 3e10
-
-# Lenses with less than this fraction of the computed light of the fullest are cut by the border too much to be judged.
-_WHOLE = 0.2
-
-# Part of a white capture's pixels that may be saturated.
-_MOST_SATURATED = 0.01
-
 # Light of a lens over that of the brightest: below three stops, more than main lenses vignette by, a white is refused.
 _DARKEST = 1 / 8
 _DIM = 1 / 2
@@ -188,9 +178,10 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> np.nda
         # Those whose micro-image reaches the detector.
         centres = centres[((centres > -half) & (centres < [columns + half, rows + half])).all(1)]
     work = float(len(centres)) * (2 * half + 1) ** 2
+    # So many pixels of micro-images take an hour.
     refuse_if(
-        not work <= _MOST_WORK,
-        f"camera: its white image takes {work:.2g} evaluations, at most {_MOST_WORK:.2g} are made: the images of "
+        not work <= 3e10,
+        f"camera: its white image takes {work:.2g} evaluations, at most 3e+10 are made: the images of "
         f"{len(centres)} lenses are up to {2 * half + 1} pixels wide",
     )
     image = np.zeros((rows + 2 * half, columns + 2 * half), dtype=np.float32)
@@ -264,8 +255,8 @@ def recorded_white(
         saturated = recording_of(white).get("saturated_pixels", 0)
         pixels = math.prod(white.camera.shape)
         refuse_if(
-            isinstance(saturated, (int, float)) and saturated > _MOST_SATURATED * pixels,
-            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most {_MOST_SATURATED:.0%}",
+            isinstance(saturated, (int, float)) and saturated > 0.01 * pixels,
+            f"white: {saturated} of its {pixels} pixels are saturated: they must be at most 1%",
         )
         if cameras and not any(are_alike(white.camera, camera) for camera in cameras):
             theirs = white.camera.to_dict()
@@ -290,7 +281,9 @@ def recorded_white(
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
     light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
     expected = np.bincount(numbers, model)
-    judged = (expected > 0) & (expected >= _WHOLE * expected.max(initial=0))
+    # Lenses with less than this fraction of the computed light of the fullest are cut by the border too much to be
+    # judged.
+    judged = (expected > 0) & (expected >= 0.2 * expected.max(initial=0))
     ratio = light[judged] / expected[judged, None]
     brightest = ratio.max(axis=0, initial=0)
     refuse_if(not (brightest > 0).all(), "white: it is dark: it must be a capture of something evenly white")

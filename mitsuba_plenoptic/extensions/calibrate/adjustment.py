@@ -21,8 +21,6 @@ from .board_model import NAMES, Observations, predict, predict_centres
 # errors one row in 60 million lies there.
 OUTLIER = 6.0
 
-_MOST_REPEATS = 30
-
 
 def deviation(distance: np.ndarray) -> float:
     """Return the standard deviation along one axis, estimated from the median of two-dimensional distances."""
@@ -58,14 +56,14 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 
     solution, distance = solve(np.ones(len(values)))
     last = np.inf
-    for _ in range(_MOST_REPEATS):
+    for _ in range(30):
         total = float(distance.sum())
         if not total < 0.999 * last:
             break
         last = total
         solution, distance = solve(1 / np.maximum(distance, 1e-3 * np.median(distance) + 1e-12))
     good = ~outlying(distance)
-    for _ in range(_MOST_REPEATS):
+    for _ in range(30):
         solution, distance = solve(good.astype(float))
         before = good
         good = ~outlying(distance)
@@ -77,9 +75,6 @@ def robust_lines(matrix: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np
 def both_axes(matrix: np.ndarray) -> np.ndarray:
     """Return the matrix (n, 2, 2 k) that applies a matrix (n, k) to x and to y, with coefficients for each axis."""
     return np.einsum("ab,nk->nabk", np.eye(2), matrix).reshape(len(matrix), 2, -1)
-
-
-_MOST_POSE_STEPS = 60
 
 
 @dataclass(frozen=True)
@@ -219,12 +214,12 @@ def adjust_poses(problem: Problem, numbers: np.ndarray, poses: np.ndarray, weigh
 
     A flat board looks much the same tilted to either side (Necker's reversal); both are tried for each pose.
     """
-    fitted = adjust(problem, numbers, poses, (), weights, most_steps=_MOST_POSE_STEPS).poses
+    fitted = adjust(problem, numbers, poses, (), weights, most_steps=60).poses
     flip = np.diag([1.0, 1.0, -1.0])
     mirrored = fitted.copy()
     for pose in mirrored:
         pose[:3] = Rotation.from_matrix(flip @ Rotation.from_rotvec(pose[:3]).as_matrix() @ flip).as_rotvec()
-    mirrored = adjust(problem, numbers, mirrored, (), weights, most_steps=_MOST_POSE_STEPS).poses
+    mirrored = adjust(problem, numbers, mirrored, (), weights, most_steps=60).poses
     squares = [
         np.bincount(problem.corners.pose, weights * (problem.residuals(numbers, candidate) ** 2).sum(1))
         for candidate in (fitted, mirrored)

@@ -121,7 +121,6 @@ def image_ratios(observed: Observations, numbers: np.ndarray, poses: np.ndarray)
 # Points of a lens along each axis, positions of a micro-image along each axis, and how far beyond its rim these reach.
 _POINTS = 42
 _SAMPLES = 65
-_BEYOND = 1.25
 
 
 class CutBlur:
@@ -136,7 +135,7 @@ class CutBlur:
         self._z = camera.detector_distance
         self._b = camera.mla_distance
         self._ratios = self._z / np.array(camera.mla_focal_lengths)
-        reach = _BEYOND * camera.micro_image_diameter / 2
+        reach = 1.25 * camera.micro_image_diameter / 2
         e = np.linspace(-reach, reach, _SAMPLES)
         unit = (np.arange(_POINTS) + 0.5) / _POINTS
         d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)

@@ -37,10 +37,6 @@ from .start import board_images, start_values, upright_poses
 # less.
 _CORRELATED = 16
 
-# Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can be
-# counted in shifted rows, too, but these have cells and types of lenses that it does not have.
-_MOST_UNLIKE = 1.1
-
 
 @suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
@@ -79,8 +75,10 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     middle = (size - 1) / 2
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
     along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
+    # Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can
+    # be counted in shifted rows, too, but these have cells and types of lenses that it does not have.
     refuse_if(
-        start.lattice.stagger == 2 and not 1 / _MOST_UNLIKE < across / along < _MOST_UNLIKE,
+        start.lattice.stagger == 2 and not 1 / 1.1 < across / along < 1.1,
         f"{(centres or corners).name}: a {start.mla_lattice} lattice would have pitches of {along:.4g} pixels "
         f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
         "hexagonal lattice by 90 degrees if its columns do",

@@ -24,9 +24,6 @@ _ENLARGED = 100
 # Parts of which the residuals by field and by depth are listed.
 _PARTS = 6
 
-_NAMED = 100
-"""Lines of outliers that are named."""
-
 
 def write_calibration_report(
     path: str | Path, calibration: Calibration, board: Board, corners: Corners, centres: Corners | None
@@ -55,7 +52,7 @@ def write_calibration_report(
         _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),
         _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
     ]
-    *lines, error = summary(calibration, _NAMED)
+    *lines, error = summary(calibration, 100)
     records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
     numbers = Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
     sections = [

@@ -26,9 +26,6 @@ _WIDEST = 512
 _PITCHES = 3
 """Pitches along the side of the model's window."""
 
-_LEAST_PIXELS = 4
-"""Pixels along a pitch that a fit needs."""
-
 
 @dataclass
 class PupilNumbers:
@@ -82,9 +79,7 @@ class MicroImageModel:
 
     def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
         pitch = camera.micro_image_pitch / camera.pixel_size
-        refuse_if(
-            pitch < _LEAST_PIXELS, f"camera: its micro-images are {pitch:.3g} pixels wide: at least {_LEAST_PIXELS}"
-        )
+        refuse_if(pitch < 4, f"camera: its micro-images are {pitch:.3g} pixels wide: at least 4")
         refuse_if(
             len(camera.mla_focal_lengths) > 1,
             "mla_focal_length: white pictures are fitted for arrays of one focal length",

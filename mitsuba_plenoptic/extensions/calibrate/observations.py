@@ -30,7 +30,6 @@ CENTRE_COLUMNS = ("k", "l", "u", "v")
 DOUBTFUL_COLUMN = "doubtful"
 
 _WHOLE = {"k", "l", "cluster", "frame", DOUBTFUL_COLUMN}
-_LARGEST = 2**20
 
 
 @dataclass(frozen=True)
@@ -146,14 +145,14 @@ def read_table(path: str | Path, names: tuple[str, ...], optional: tuple[str, ..
 def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
     """Return columns as a table if their values are valid; the first row stands in line 1 + `header` of the file."""
     for name, values in columns.items():
-        wrong = ~np.isfinite(values) | (np.abs(values) > _LARGEST)
+        wrong = ~np.isfinite(values) | (np.abs(values) > 2**20)
         if name in _WHOLE:
             wrong |= values != np.round(values)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             rule = "a whole number" if name in _WHOLE else "a finite number"
             raise InputError(
-                f"{path}, row {row + 1 + header}: {name} = {values[row]:g}: it must be {rule} within {_LARGEST}"
+                f"{path}, row {row + 1 + header}: {name} = {values[row]:g}: it must be {rule} within 1048576"
             )
     return Table(
         path.name, {name: values.astype(int) if name in _WHOLE else values for name, values in columns.items()}

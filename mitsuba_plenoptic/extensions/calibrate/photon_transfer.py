@@ -26,9 +26,6 @@ ones reach from narrow micro-images to their rims. Both add variance, so that th
 _BLOCKS = 16
 """Blocks along either side that are drawn with replacement for deviations."""
 
-_LEAST = 32
-"""Fewest rows and columns of a picture."""
-
 _ROUNDING = 1 / 12
 """Variance of rounding."""
 
@@ -242,8 +239,8 @@ def _frames(name: str, value: Any) -> NDArray[np.float64]:
     frames = as_array(name, value, np.float64, IMAGE[:2] if alone else ("frame", *IMAGE[:2]), rule=rule)
     frames = frames[None] if frames.ndim == 2 else frames
     refuse_if(
-        frames.ndim != 3 or min(frames.shape[1:], default=0) < _LEAST or not len(frames),
-        f"{name} of shape {frames.shape}: it must be (rows, columns) or (n, rows, columns), at least {_LEAST} of each",
+        frames.ndim != 3 or min(frames.shape[1:], default=0) < 32 or not len(frames),
+        f"{name} of shape {frames.shape}: it must be (rows, columns) or (n, rows, columns), at least 32 of each",
     )
     refuse_if(not np.isfinite(frames).all(), f"{name}: its numbers must be finite")
     return frames

@@ -22,14 +22,8 @@ from .board_model import AT, NAMES, Observations
 from .calibration_result import group_means
 from .observations import Board
 
-_FEWEST_POSES = 3
-_FEWEST_CORNERS = 6
-
 # Observations of each pose that the fit of the scale uses.
 _THINNED = 300
-
-# Magnifications that differ by less leave the distances in the camera open.
-_LEAST_SPREAD = 0.01
 
 # The part of a frame's rows that must agree with a board.
 _AGREEING = 0.7
@@ -45,13 +39,14 @@ def start_values(
     observed = problem.corners
     size = problem.pixel_size
     refuse_if(
-        observed.poses < _FEWEST_POSES,
-        f"corners: {observed.poses} poses of the board: at least {_FEWEST_POSES} are needed",
+        observed.poses < 3,
+        f"corners: {observed.poses} poses of the board: at least 3 are needed",
     )
     slopes, maps, good = board_images(problem, board, frames, grid, principal)
     magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
+    # Magnifications that differ by less leave the distances in the camera open.
     refuse_if(
-        np.ptp(magnification) < _LEAST_SPREAD * magnification.mean(),
+        np.ptp(magnification) < 0.01 * magnification.mean(),
         "corners: the board is at the same distance in all poses, which leaves the distances in the camera open: "
         "add poses nearer and farther",
     )
@@ -112,9 +107,8 @@ def board_images(
         corners, corner_index = np.unique(observed.board[rows], axis=0, return_inverse=True)
         corner_index = corner_index.ravel()
         refuse_if(
-            len(corners) < _FEWEST_CORNERS or np.linalg.matrix_rank(corners - corners[0]) < 2,
-            f"frame {frame}: {len(corners)} corners of the board are seen: {_FEWEST_CORNERS} are needed at least, "
-            "not all on one line",
+            len(corners) < 6 or np.linalg.matrix_rank(corners - corners[0]) < 2,
+            f"frame {frame}: {len(corners)} corners of the board are seen: 6 are needed at least, not all on one line",
         )
         centres = centre[rows]
         pixels = pixel[rows]

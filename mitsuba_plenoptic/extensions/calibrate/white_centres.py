@@ -25,9 +25,6 @@ from .adjustment import OUTLIER
 from .array_fit import lattice_index
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table
 
-# Micro-images fainter than this fraction of the median have no centre of their own.
-_FAINT = 0.1
-
 # Lenses on each side of one that it is compared with.
 _NEIGHBOURS = 4
 
@@ -107,7 +104,8 @@ def find_centres(*whites: np.ndarray) -> Centres:
         measured.append(tuple(np.concatenate(values) for values in zip(*centred, strict=True)))
     centre = np.mean([pair[0] for pair in measured], axis=0)
     light = np.mean([pair[1] for pair in measured], axis=0)
-    kept_lenses = np.all([pair[1] > _FAINT * np.median(pair[1]) for pair in measured], axis=0)
+    # Micro-images fainter than this fraction of the median have no centre of their own.
+    kept_lenses = np.all([pair[1] > 0.1 * np.median(pair[1]) for pair in measured], axis=0)
     kept_lenses &= np.hypot(*(centre - start).T) < radius / 2
     lens = lens[kept_lenses]
     centre = centre[kept_lenses]

@@ -18,16 +18,6 @@ from .micro_image import MicroImageModel, PupilNumbers
 from .white_centres import find_centres
 from .white_frames import WhiteFrame
 
-_FEWEST = 16
-"""Whole micro-images that a fit needs."""
-
-_WIDEST_BLUR = 0.1
-"""Blur over the lenses' distance from which on a fit has failed."""
-
-_MOST_STRUCTURE = 0.035
-_MOST_OUTLIERS = 0.05
-"""Structure of the residual, and part of the pixels off the model, above which a picture is not evenly white."""
-
 
 @dataclass(frozen=True)
 class WhiteFit:
@@ -144,9 +134,7 @@ def fit_white(
     complete = whole_lenses(recording, position)
     position = position[complete]
     lens = lens[complete]
-    refuse_if(
-        len(position) < _FEWEST, f"white: {len(position)} whole micro-images are seen: at least {_FEWEST} are needed"
-    )
+    refuse_if(len(position) < 16, f"white: {len(position)} whole micro-images are seen: at least 16 are needed")
     withheld = generator.random(len(position)) < (1 / 3)
     # First one pupil for all lenses, from a few of them, and even: a rim that falls off early resembles a wider one.
     start = PupilNumbers(camera.pupil_radius / camera.pupil_step, blur=0.7, stray=0.02)
@@ -169,17 +157,17 @@ def fit_white(
     tested = FieldZones(at_array, withheld)
     judgement = recording.judged(at_array, tested, field, lambda done, total: show(done + 3 * total, 4 * total))
     refuse_if(
-        judgement.structure > _MOST_STRUCTURE or judgement.outliers > _MOST_OUTLIERS,
+        judgement.structure > 0.035 or judgement.outliers > 0.05,
         f"white: its micro-images differ from those of something evenly white by {judgement.structure:.1%} of their "
-        f"light, apart from noise (at most {_MOST_STRUCTURE:.1%}), and by more at {judgement.outliers:.1%} of the "
-        f"pixels (at most {_MOST_OUTLIERS:.0%}): it is no white picture, or not by this camera",
+        f"light, apart from noise (at most 3.5%), and by more at {judgement.outliers:.1%} of the "
+        "pixels (at most 5%): it is no white picture, or not by this camera",
     )
     blur, stray = (float(field.coefficients[name][0]) for name in ("blur", "stray"))
     apart = camera.lattice.nearest_distance * camera.image_growth / camera.pixel_size
     refuse_if(
-        abs(blur) >= _WIDEST_BLUR * apart or stray < -0.01,
-        f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below {_WIDEST_BLUR:g} of a lens, "
-        f"{_WIDEST_BLUR * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the "
+        abs(blur) >= 0.1 * apart or stray < -0.01,
+        f"white: the fit failed, with a blur of {abs(blur):.3g} pixels (below 0.1 of a lens, "
+        f"{0.1 * apart:.3g}) and stray light of {stray:.2g} (not negative): the camera's numbers or the "
         "dark picture are wrong",
     )
     return WhiteFit(

@@ -9,9 +9,6 @@ import numpy as np
 from ...errors import refuse_if
 from ...runtime.backend import as_pixels
 
-_MOST_SATURATED = 0.1
-"""Part of the pixels that may be saturated."""
-
 
 @dataclass(frozen=True)
 class WhiteFrame:
@@ -48,9 +45,8 @@ class WhiteFrame:
         if saturated.mean() < 1e-4:
             saturated[:] = False
         refuse_if(
-            saturated.mean() > _MOST_SATURATED,
-            f"white: {saturated.mean():.0%} of its pixels have its largest value: at most {_MOST_SATURATED:.0%} may be "
-            "saturated",
+            saturated.mean() > 0.1,
+            f"white: {saturated.mean():.0%} of its pixels have its largest value: at most 10% may be saturated",
         )
         defective = np.zeros(light.shape, bool)
         if dark is not None:

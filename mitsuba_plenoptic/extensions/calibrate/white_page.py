@@ -23,9 +23,6 @@ _LENSES = 12
 _SAMPLES = 128
 """Samples per pixel of the simulated capture."""
 
-_LARGEST = 0.06
-"""Difference, over the light in the middle of micro-images, that has the strongest colour."""
-
 
 def write_white_report(path: Path, fit: WhiteFit, summary: list[str]) -> None:
     """Write the page, for which a part of the white picture is simulated through the fitted camera."""
@@ -71,14 +68,15 @@ def white_figure(fit: WhiteFit) -> Plot:
     upper, lower = plot.panels(2, 3, (recorded.shape[0] / recorded.shape[1], 1))
     show(upper[0], recorded, "Recorded", peak=peak)
     show(upper[1], simulated, "Simulated", peak=peak)
-    mesh = show_difference(upper[2], difference, _LARGEST)
+    # Difference, over the light in the middle of micro-images, that has the strongest colour.
+    mesh = show_difference(upper[2], difference, 0.06)
     annotate(upper[2], title=f"Difference, {np.sqrt((difference**2).mean()):.1%} RMS")
     plot.colour_bar(mesh, upper[2], "of the light in the middle")
     reach = fit.camera.micro_image_pitch / fit.camera.pixel_size
     middle = len(fit.judgement.difference) // 2
     half = round(reach)
     window = np.s_[middle - half : middle + half + 1, middle - half : middle + half + 1]
-    show_difference(lower[0], fit.judgement.difference[window], _LARGEST / 2)
+    show_difference(lower[0], fit.judgement.difference[window], 0.03)
     annotate(lower[0], title=f"Mean micro-image, {fit.judgement.mean_image:.2%} RMS", foot="colours twice as strong")
     _profile(lower[1], fit, recorded, simulated)
     rows, columns = fit.frame.light.shape

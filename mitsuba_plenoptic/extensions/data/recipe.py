@@ -324,10 +324,6 @@ def _require_names(name: str, values: Mapping[Any, Any], names: tuple[str, ...],
         refuse_if(key not in values, f"{name}: {key} is missing")
 
 
-_WIDEST = 2.0**53
-"""Steps of a range, at most: as many as numbers have."""
-
-
 def generator(seed: int, index: int, name: str) -> np.random.Generator:
     """Return the random generator of one named quantity in one sample."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, zlib.crc32(name.encode()))))
@@ -388,9 +384,10 @@ def parse(name: str, value: Any) -> Any:
     step = require_number(f"{name}: step", value["step"], positive=True) if "step" in value else None
     if log and step is not None:
         raise InputError(f"{name}: step = {step:g}: it is of no use on a scale of logarithms")
+    # Double precision counts to 2^53.
     refuse_if(
-        not high - low < (math.inf if step is None else _WIDEST * step),
-        f"{name}: from = {low:g}, to = {high:g}: a range must be finite and have at most {_WIDEST:.0e} steps",
+        not high - low < (math.inf if step is None else 2.0**53 * step),
+        f"{name}: from = {low:g}, to = {high:g}: a range must be finite and have at most 9e+15 steps",
     )
     return Between(low, high, log, step)
 

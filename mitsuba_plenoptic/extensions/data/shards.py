@@ -74,7 +74,7 @@ def facts_of(recipe: Recipe) -> dict[str, Any]:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
-    text = read_text(path, (2**27))
+    text = read_text(path, 2**27)
     with refusing(f"{path}: it is not the manifest of a data set", *NO_RECORD):
         content = json.loads(text)
         counts = [content["count"], content["samples_per_shard"]]
@@ -115,8 +115,6 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
 
 
 _FACTS = "facts"
-_DIGESTS = "digests"
-"""Names of arrays that no sample has; files up to version 1.0 have both."""
 
 _MOST_OPEN = 32
 """Files that a data set keeps open: systems allow a process a few hundred, and large data sets have thousands."""
@@ -171,7 +169,8 @@ def read_sample(file: Any, path: Path, index: int, names: Collection[str] | None
         refuse_if(group_name(index) not in file, f"it has no sample {index}")
         group = file[group_name(index)]
         arrays = {}
-        for name in sorted(set(group) - {_DIGESTS}) if names is None else [*names, _FACTS]:
+        # Files up to version 1.0 have this array, too, which no sample has.
+        for name in sorted(set(group) - {"digests"}) if names is None else [*names, _FACTS]:
             stored = stored_array(group, name)
             refuse_if(stored is None, f"sample {index}: it has no {name}; it has {', '.join(group)}")
             require_memory(float(stored.size) * stored.dtype.itemsize, f"{name} of sample {index}")

@@ -82,7 +82,7 @@ class DesignSurface:
 
 def read_text(path: str | Path) -> tuple[Path, str]:
     """Return a lens file's path and text, in UTF-16, UTF-8 or, as older programs write, Latin-1."""
-    path = require_size(path, (2**22))
+    path = require_size(path, 2**22)
     raw = path.read_bytes()
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return path, raw.decode("utf-16", errors="replace")

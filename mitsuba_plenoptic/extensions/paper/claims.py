@@ -29,14 +29,6 @@ _VISIBLE = 0.02
 # What is left of interference that is strongly reduced, at most.
 _STRONGLY = 0.5
 
-# Interference that remains where there are enough subsets.
-_ENOUGH = 0.01
-
-# Nearly equal images, and by how much, in dB, the partially coherent one must be nearer than the coherent one.
-_NEAR_PSNR = 30.0
-_NEAR_SSIM = 0.95
-_NEARER = 3.0
-
 # Four subsets by their column of the readings, with the lenses in them, and a remark.
 _FOUR = {
     "partial": (
@@ -200,13 +192,13 @@ def _similarity_to_rays(experiment: Experiment, distances: tuple[float, ...]) ->
         texts.append(
             f"{partial.psnr:.1f} dB, SSIM {ssim_text(partial.ssim)} at {distance:g} mm, coherent {coherent.psnr:.1f} dB"
         )
-        alike = partial.psnr > _NEAR_PSNR and (partial.ssim or 0) > _NEAR_SSIM
-        near.append(alike and partial.psnr - coherent.psnr > _NEARER)
+        alike = partial.psnr > 30.0 and (partial.ssim or 0) > 0.95
+        near.append(alike and partial.psnr - coherent.psnr > 3.0)
     return Claim(
         "The partially coherent image nearly equals that by rays.",
         f"PSNR {'; '.join(texts)}.",
         verdict(near),
-        f"Nearly means above {_NEAR_PSNR:g} dB and an SSIM of {_NEAR_SSIM:g}, and by more than {_NEARER:g} dB nearer "
+        "Nearly means above 30 dB and an SSIM of 0.95, and by more than 3 dB nearer "
         "than the coherent image, which is near, too: most of each image is in what all methods share. The rays spread "
         "over what their lens sees.",
     )
@@ -218,8 +210,8 @@ def _four_suffice(blurred: list[dict[str, Any]], reading: str) -> Claim:
         f"Four propagations, {lenses}, suffice.",
         f"{_in_letters(blurred, reading)} Without subsets: {_both([row['coherent'] for row in blurred])}.",
         # Where nothing stood before, nothing needed to be removed.
-        verdict([row[reading] < _ENOUGH and row["coherent"] > _VISIBLE for row in blurred]),
-        f"Enough is what brings it below {_ENOUGH:.0%}. {remark}",
+        verdict([row[reading] < 0.01 and row["coherent"] > _VISIBLE for row in blurred]),
+        f"Enough is what brings it below 1%. {remark}",
     )
 
 

@@ -20,12 +20,6 @@ from ...prescription.lens_data import image_distance
 from ...refocus.ray_sums import pupil_radius, ray_sums
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
-_ALMOST = 0.8
-"""Fraction of the sensor's resolution that is almost all of it, and that counts for a part."""
-
-_OLD = 5.0
-"""Times as long as today that a core of about 2012 takes."""
-
 
 @dataclass(frozen=True)
 class FocusedCamera:
@@ -78,8 +72,8 @@ def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: floa
             "Out of focus, deconvolution brings back almost the resolution of the sensor.",
             f"At best {fraction:.0%} of it, at {distance:.0f} mm. In focus {1 / camera.pixels_per_lens:.0%}, one "
             "sample per lens.",
-            CONFIRMED if fraction >= _ALMOST else PARTLY if fraction >= 0.5 else DIFFERS,
-            f"Almost is at least {_ALMOST:.0%} of the lines that the pixels would resolve without microlenses. In "
+            CONFIRMED if fraction >= 0.8 else PARTLY if fraction >= 0.5 else DIFFERS,
+            "Almost is at least 80% of the lines that the pixels would resolve without microlenses. In "
             "focus a lens sums the light of one bin, whose details cannot be separated. Between the stated plane and "
             "focus lenses see nearly the same; beyond it, diffraction by the microlenses and the pixels limit what is "
             "resolved.",
@@ -88,8 +82,8 @@ def check_limits(camera: PlenopticCamera, wavelength: float, plain_seconds: floa
             f"Without special optimization, reconstruction by rays takes {paper:.0f} s.",
             f"A loop over {theirs} pixels in Python takes {plain_seconds:.2g} s on one core. Our reconstruction of "
             f"{ours} pixels takes {ray_seconds:.2g} s.",
-            CONFIRMED if plain_seconds * _OLD >= paper else DIFFERS,
-            f"Confirmed if the loop, on a core of about 2012, which counts as {_OLD:g} times slower, takes as long. It "
+            CONFIRMED if plain_seconds * 5.0 >= paper else DIFFERS,
+            "Confirmed if the loop, on a core of about 2012, which counts as 5 times slower, takes as long. It "
             "follows one ray per pixel and gives the sums of our reconstruction. It is timed on the pixels of some "
             "rows.",
         ),

@@ -53,7 +53,7 @@ def read_hci(folder: str | Path) -> xr.DataArray:
     """
     folder = Path(folder)
     parser = configparser.ConfigParser(interpolation=None)
-    text = read_text(folder / PARAMETERS, (2**20))
+    text = read_text(folder / PARAMETERS, 2**20)
     with naming(folder / PARAMETERS), refusing("it cannot be read as the parameters of a light field:"):
         parser.read_string(text)
         columns, rows = (

@@ -33,9 +33,6 @@ _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "
 # Bytes of one variable, at most, in MATLAB's files of version 5.
 _MAX_BYTES = 2**31 - 1
 
-# MATLAB's names of the arrays that a light field may be.
-_NUMERIC = ("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
-
 _TYPES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32}
 
 
@@ -149,7 +146,8 @@ def _read_version_5(path: Path) -> dict[str, Any]:
     variables = scipy.io.whosmat(path)
     for name, shape, kind in variables:
         if name == "LF":
-            refuse_if(kind not in _NUMERIC, "LF is not an array of numbers")
+            integers = (f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+            refuse_if(kind not in ("double", "single", *integers), "LF is not an array of numbers")
             _check(shape)
     # One number, one structure, or one line of text.
     small = [

@@ -155,7 +155,7 @@ def _brightness(path: Path) -> tuple[bool, float]:
 
 def _read(path: Path) -> _Picture:
     suffix = require_choice("suffix", path.suffix.lower(), SUFFIXES)
-    content = require_size(path, (2**28)).read_bytes()
+    content = require_size(path, 2**28).read_bytes()
     with naming(path):
         if suffix in CONTAINERS:
             return _unpack_container(content)

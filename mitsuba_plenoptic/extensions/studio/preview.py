@@ -105,10 +105,6 @@ def framing_warnings(preview: Preview) -> list[str]:
     return warnings
 
 
-_LONGEST_TITLE = 30
-"""Letters of a picture's title, of which the plane in focus takes as many again."""
-
-
 @styled
 def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
     """Draw a preview with the region in focus tinted, that within reach of refocusing outlined, and from above."""
@@ -116,7 +112,7 @@ def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
     ((axes, from_above),) = plot.panels(1, 2)
     rows, columns = preview.picture.shape[:2]
     # One line of the picture's width.
-    named = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 3]}..."
+    named = title if len(title) <= 30 else f"{title[:27]}..."
     heading = f"{named or 'What the main lens sees'}, {preview.view.focus_label}"
     show(axes, preview.picture, heading, peak=Brightness().peak([preview.picture]))
     if preview.view.in_units(preview.view.focus) != preview.view.in_units(math.inf):

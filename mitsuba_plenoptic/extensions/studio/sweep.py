@@ -48,8 +48,6 @@ DISTANCE = "distance"
 
 Grid = Mapping[str, Sequence[float]]
 
-_MOST_POINTS = 100_000
-
 
 def read_grid(path: Path) -> dict[str, list[Any]]:
     """Return a grid read from YAML: names, each with a number or a list of numbers."""
@@ -92,7 +90,7 @@ def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
             refuse_if(count > 1, f"grid: {name} = {value:g} is given twice")
     refuse_if(not checked, "grid: it is empty; give at least one name with values")
     count = math.prod(len(values) for values in checked.values())
-    refuse_if(count > _MOST_POINTS, f"grid: it has {count} points; at most {_MOST_POINTS} are allowed")
+    refuse_if(count > 100_000, f"grid: it has {count} points; at most 100000 are allowed")
     return checked
 
 

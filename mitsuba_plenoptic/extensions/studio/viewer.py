@@ -26,10 +26,6 @@ from ...views.lens_grid import bin_grid
 _RAW_BYTES = 2**24
 _VIEW_BYTES = 2**26
 
-# Views along each axis that are shown at least, however large they are, and at most, however small. Odd numbers of
-# views have a central one.
-_MOST_VIEWS = 11
-
 # Brightest value over white from which 8 bits would show bands where the exposure is changed.
 _WIDE = 4.0
 
@@ -261,9 +257,10 @@ def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
     """Return a light field reduced to as many views as a limit of samples allows."""
     count = min(lf.sizes["v"], lf.sizes["u"])
     view_size = lf.sizes["t"] * lf.sizes["s"] * lf.sizes.get("c", 1)
-    if count <= _MOST_VIEWS and lf.size <= samples:
+    if count <= 11 and lf.size <= samples:
         return lf
-    count = min(count - 1 + count % 2, _MOST_VIEWS)
+    # Odd numbers of views have a central one.
+    count = min(count - 1 + count % 2, 11)
     while count > 3 and count**2 * view_size > samples:
         count -= 2
     return pick_views(lf, count)
