@@ -16,25 +16,16 @@ from mitsuba_plenoptic.points.point_spread import point_fields
 WAVELENGTH = 550.0
 HALVED = small_camera(2, **HALF)
 REAL = small_camera(2, main_lens="double_gauss", **HALF)
-_MICROSCOPE = {
-    "main_lens": mp.Objective(20, 0.5),
-    "mla_pitch": 0.15,
-    "mla_focal_length": 3.0,
-    "mla_offset": (0.075, 0.075),
-    "detector_width": 0.45,
-    "resolution": (45, 45),
-}
-MICROSCOPE = mp.PlenopticCamera(**_MICROSCOPE)
+MICROSCOPE = mp.PlenopticCamera(
+    main_lens=mp.Objective(20, 0.5), mla_pitch=0.15, mla_focal_length=3.0, mla_offset=(0.075, 0.075),
+    detector_width=0.45, resolution=(45, 45),
+)  # fmt: skip
 FOURIER = mp.PlenopticCamera(
-    main_lens=mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50),
-    mla_pitch=0.5,
-    mla_focal_length=20.0,
-    mla_offset=(0.25, 0.25),
-    detector_width=1.5,
-    resolution=(150, 150),
-)
+    main_lens=mp.Objective(20, 0.25, arrangement="fourier", fourier_focal_length=50), mla_pitch=0.5,
+    mla_focal_length=20.0, mla_offset=(0.25, 0.25), detector_width=1.5, resolution=(150, 150),
+)  # fmt: skip
 TABLE = np.random.default_rng(3).uniform(0.2, 1.3, (3, 3))
-POINT = (0.03, -0.02, 115.0)
+POINT, NEAR = (0.03, -0.02, 115.0), (0.001, 0.0, 0.02)
 POINTS = np.array([POINT, (-0.04, 0.01, 122.0)])
 COPIES = np.array([(0.064 * i, 0.064 * j, 120.0) for i in range(-13, 13) for j in range(-13, 13)])
 """Enough points for derivatives to share spreads."""
@@ -45,8 +36,12 @@ def image_of(camera):
     return np.random.default_rng(4).random(camera.shape, dtype=np.float32)
 
 
-def spread(camera, point=POINT, **options):
-    return [mp.point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field", **options)]
+def spread(camera, point=POINT):
+    return [mp.point_spread_function(camera, point, wavelength=WAVELENGTH, method="full_field")]
+
+
+def summed(camera, *points):
+    return [mp.CaptureOperator(camera, points, wavelength=WAVELENGTH).forward(np.arange(1.0, len(points) + 1))]
 
 
 def fields_of(camera, point):
@@ -54,16 +49,14 @@ def fields_of(camera, point):
     return [planes.pupil.samples, planes.mla.samples, planes.detector.samples]
 
 
-def refocused(camera, distance, method, **options):
-    image = options.pop("image", image_of(camera))
+def refocused(camera, method, distance=118.0, image=None, wavelength=WAVELENGTH, **options):
+    image, options = image_of(camera) if image is None else image, {"wavelength": wavelength} | options
     return [mp.reconstruct(image, distance, camera=camera, method=method, **options).image]
 
 
 def gradients(camera, names, points=POINTS, **options):
-    operator, weights = (
-        mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, **options),
-        np.linspace(1, 2, len(points)),
-    )
+    operator = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, **options)
+    weights = np.linspace(1, 2, len(points))
     found = operator.gradient(weights, image_of(camera), names)
     change = operator.derivative(weights, {name: np.ones_like(found[name]) * 1e-3 for name in found})
     return [change, *(np.atleast_1d(found[name]) / np.abs(found[name]).max() for name in found if found[name].any())]
@@ -104,72 +97,61 @@ def of_refocus(refocus):
     return [refocus.forward(image), found.jvp(image[::-1]), found.vjp(np.ones(refocus.shape)).astype(np.float32)]
 
 
+TURNED = HALVED.replace(mla_rotation=7.0)
+UNEQUAL = HALVED.replace(mla_transmissions=TABLE)
+OF_ARRAY = ("mla_pitch", "mla_offset", "mla_focal_length", "mla_fill")
+NEGATIVE = {"interleave": "auto", "oversample": 2, "image": image_of(HALVED) - np.float32(0.02)}
+WITH_WHITE = {
+    "image": mp.Capture(image_of(HALVED), HALVED),
+    "white": mp.Capture(0.5 + image_of(HALVED), HALVED),
+}
+
+
+def planes():
+    parts = mp.reconstruct(image_of(HALVED), [116.0, 124.0], camera=HALVED, method="deconvolved", iterations=2)
+    return [part.image for part in parts]
+
+
+def of_scene():
+    return [mp.render_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", method="points", spp=2).image]
+
+
+def estimated():
+    cost = mp.estimate_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", spp=2)
+    return [np.zeros(1, np.float32) * cost.seconds]
+
+
 WORKS = {
-    "microscope, full field": lambda: spread(MICROSCOPE, (0.001, 0.0, 0.02)),
-    "microscope, patches": lambda: [
-        mp.CaptureOperator(MICROSCOPE, [(0.001, 0.0, 0.02)], wavelength=WAVELENGTH).forward([1.0])
-    ],
-    "microscope, fields": lambda: fields_of(MICROSCOPE, (0.001, 0.0, 0.02)),
-    "Fourier microscope, full field": lambda: spread(FOURIER, (0.001, 0.0, 0.02)),
-    "Fourier microscope, incoherent": lambda: refocused(FOURIER, 0.0, "incoherent", wavelength=WAVELENGTH),
-    "Fourier microscope, deconvolved": lambda: refocused(
-        FOURIER, 0.01, "deconvolved", wavelength=WAVELENGTH, iterations=2
-    ),
+    "microscope, full field": lambda: spread(MICROSCOPE, NEAR),
+    "microscope, patches": lambda: summed(MICROSCOPE, NEAR),
+    "microscope, fields": lambda: fields_of(MICROSCOPE, NEAR),
+    "Fourier microscope, full field": lambda: spread(FOURIER, NEAR),
+    "Fourier microscope, incoherent": lambda: refocused(FOURIER, "incoherent", 0.0),
+    "Fourier microscope, deconvolved": lambda: refocused(FOURIER, "deconvolved", 0.01, iterations=2),
     "irregular lenses, full field": lambda: spread(HALVED.replace(mla_jitter=(1e-3, 1e-3))),
     "gaps, full field": lambda: spread(HALVED.replace(mla_fill=0.8)),
-    "unequal lenses, full field": lambda: spread(HALVED.replace(mla_transmissions=TABLE)),
-    "unequal lenses, patches": lambda: [
-        mp.CaptureOperator(HALVED.replace(mla_transmissions=TABLE), POINTS, wavelength=WAVELENGTH).forward([1.0, 2.0])
-    ],
+    "unequal lenses, full field": lambda: spread(UNEQUAL),
+    "unequal lenses, patches": lambda: summed(UNEQUAL, *POINTS),
     "vignetting, full field": lambda: spread(HALVED.replace(vignetting=mp.Vignetting(30.0, 4.0))),
     "real lens, full field": lambda: spread(REAL),
     "real lens, gradients": lambda: gradients(REAL, ("focal_length", "wavefront", "wavelength")),
+    "real lens, coherent": lambda: refocused(REAL, "coherent"),
     "gradients by all parameters": lambda: gradients(HALVED, None),
-    "gradients of a turned array": lambda: gradients(
-        HALVED.replace(mla_rotation=7.0), ("mla_pitch", "mla_offset", "mla_focal_length", "mla_fill")
-    ),
+    "gradients of a turned array": lambda: gradients(TURNED, OF_ARRAY),
     "gradients of copies": lambda: gradients(
         HALVED, ("mla_distance", "mla_rotation", "detector_width"), points=COPIES, accuracy=0.05
     ),
     "far light, full field": lambda: far_light(HALVED, 2.0),
     "far light, Fourier microscope": lambda: far_light(FOURIER, 2.0, 0.0),
     "coherent field": lambda: coherent_field(HALVED),
-    "turned array, coherent": lambda: refocused(
-        HALVED.replace(mla_rotation=7.0), 118.0, "coherent", wavelength=WAVELENGTH
-    ),
-    "coarse pixels, deconvolved": lambda: refocused(
-        HALVED.replace(resolution=(20, 20)), 118.0, "deconvolved", wavelength=WAVELENGTH, iterations=2
-    ),
+    "turned array, coherent": lambda: refocused(TURNED, "coherent"),
+    "coarse pixels, deconvolved": lambda: refocused(HALVED.replace(resolution=(20, 20)), "deconvolved", iterations=2),
+    "negative pixels, lens by lens": lambda: refocused(HALVED, "partial", **NEGATIVE),
+    "white capture, coherent": lambda: refocused(HALVED, "coherent", **WITH_WHITE),
+    "planes by rays, deconvolved": planes,
     "refocusing in Dr.Jit": lambda: in_drjit(CoherentRefocus(HALVED, 118.0, WAVELENGTH)),
-    "real lens, coherent": lambda: refocused(REAL, 118.0, "coherent", wavelength=WAVELENGTH),
-    "negative pixels, lens by lens": lambda: refocused(
-        HALVED,
-        118.0,
-        "partial",
-        wavelength=WAVELENGTH,
-        interleave="auto",
-        oversample=2,
-        image=image_of(HALVED) - np.float32(0.02),
-    ),
-    "white capture, coherent": lambda: refocused(
-        HALVED,
-        118.0,
-        "coherent",
-        wavelength=WAVELENGTH,
-        image=mp.Capture(image_of(HALVED), HALVED),
-        white=mp.Capture(0.5 + image_of(HALVED), HALVED),
-    ),
-    "estimate of signed rays": lambda: [
-        np.zeros(1, np.float32)
-        * mp.estimate_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", spp=2).seconds
-    ],
-    "points of a scene": lambda: [
-        mp.render_capture(scene_of(sensor(4, 8), **bars(240.0)), model="wave", method="points", spp=2).image
-    ],
-    "planes by rays, deconvolved": lambda: [
-        part.image
-        for part in mp.reconstruct(image_of(HALVED), [116.0, 124.0], camera=HALVED, method="deconvolved", iterations=2)
-    ],
     "derivatives of deconvolution": lambda: of_refocus(DeconvolvedRefocus(HALVED, 118.0, WAVELENGTH, iterations=2)),
     "derivatives of refocusing by rays": lambda: of_refocus(RayRefocus(HALVED, 118.0)),
+    "estimate of signed rays": estimated,
+    "points of a scene": of_scene,
 }

@@ -14,7 +14,7 @@ import pytest
 from cameras import HALF, capture, definitions, letters, scattered, small_camera
 from stopped_runs import CheckpointStore, start_command
 
-from mitsuba_plenoptic import CaptureOperator, Cluster, InputError, Job, load_scene, render_capture
+from mitsuba_plenoptic import CaptureOperator, Cluster, InputError, Job
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.runtime import batches as distributed
 
@@ -81,14 +81,6 @@ def test_a_sum_that_was_stopped_goes_on_elsewhere(cluster, tiny_groups):
     np.testing.assert_array_equal(shared, alone)
 
 
-def test_a_capture_on_workers_has_the_same_bits(cluster):
-    scene = load_scene("letters", parameters=letters(4))
-    options = {"model": "wave", "method": "points", "spp": 16}
-    alone, shared = (render_capture(scene, batch_map=batch_map, **options).image for batch_map in (None, cluster))
-    assert alone.any()
-    np.testing.assert_array_equal(shared, alone)
-
-
 def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_groups):
     """Memory stays flat: batches are made as their turn comes."""
     positions, weights = radiators(80)
@@ -111,12 +103,6 @@ def test_no_more_batches_are_under_way_than_keep_the_workers_busy(cluster, tiny_
     assert len(made) > 15
     assert max(behind) <= distributed._AHEAD * 2
     assert max(made) < 2**20
-
-
-def test_the_estimate_counts_workers(cluster):
-    positions, _ = radiators(30)
-    assert cluster.workers == 2
-    assert CaptureOperator(SMALL, positions, wavelength=633).estimate(Job(batch_map=cluster)).patterns == 30
 
 
 def test_a_mistake_in_a_batch_is_told_as_such(cluster, monkeypatch):
@@ -192,18 +178,8 @@ def test_mistakes(tmp_path, capfd, monkeypatch, words, message):
 
 @pytest.mark.parametrize("address", ["here", "tcp://127.0.0.1:1"])
 def test_dask_is_left_as_it_was(monkeypatch, address):
-    dask = pytest.importorskip("dask")
-    monkeypatch.setattr(distributed, "_PATIENCE", "1s")
-    before = dask.config.get("scheduler", None)
-    with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
-        pass
-    assert dask.config.get("scheduler", None) == before
-
-
-def test_a_client_that_never_connected_is_closed_at_once(monkeypatch):
-    """Python would do so anywhere, such as within the start of the next client, which then waits for itself."""
-    package = pytest.importorskip("distributed")
-    clients = []
+    """A client that never connected is closed at once: within the start of the next it would wait for itself."""
+    dask, package, clients = pytest.importorskip("dask"), pytest.importorskip("distributed"), []
 
     class Client(package.Client):
         def __init__(self, *arguments, **options):
@@ -212,15 +188,11 @@ def test_a_client_that_never_connected_is_closed_at_once(monkeypatch):
 
     monkeypatch.setattr(package, "Client", Client)
     monkeypatch.setattr(distributed, "_PATIENCE", "1s")
-    with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler="here"):
+    before = dask.config.get("scheduler", None)
+    with pytest.raises(InputError, match="no workers can be had"), Cluster(scheduler=address):
         pass
+    assert dask.config.get("scheduler", None) == before
     assert [client() for client in clients] == [None]
-
-
-def test_rays_need_no_workers(cluster):
-    scene = load_scene("letters", parameters={"resolution": "64"})
-    with pytest.raises(InputError, match=r"batch_map: a ray capture does not take it"):
-        render_capture(scene, spp=1, batch_map=cluster)
 
 
 def test_without_dask_the_error_tells_what_to_install(monkeypatch):

@@ -4,9 +4,16 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, Job, PlenopticCamera, load_scene, reconstruct, render_capture
+from mitsuba_plenoptic import (
+    CaptureOperator,
+    InputError,
+    PlenopticCamera,
+    Spectrum,
+    load_scene,
+    reconstruct,
+    render_capture,
+)
 from mitsuba_plenoptic.runtime import limits
-from mitsuba_plenoptic.runtime.batches import SumTask
 from mitsuba_plenoptic.runtime.limits import GIB, VARIABLE, check_memory, require_memory, work_limit
 
 CAMERA = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
@@ -64,18 +71,8 @@ def test_caches_are_emptied_before_a_refusal_and_only_then(device, flushed):
 
 
 def test_caches_are_emptied_between_the_sums_of_a_job(device, flushed):
-    class Nothing:
-        arrays, channels, items = device.backend.arrays, 1, np.zeros(0, np.int64)
-        box = type("Box", (), {"rows": 2, "columns": 2})
-
-        def batches(self, first):
-            yield from ()
-
-        def image(self, total):
-            return device.backend.to_host(total.sums).transpose(1, 2, 0)
-
-    tasks = [SumTask(0, Nothing, lambda image: image + 1) for _ in range(3)]
-    assert (Job().run(tasks, (2, 2, 1), 0) == 3).all() and len(flushed) == 3
+    operator = CaptureOperator(CAMERA, [(0, 0, 240)], spectrum=Spectrum.lines(633, 550, 500))
+    assert operator.forward([[1, 1, 1]]).any() and len(flushed) == 3
 
 
 def test_captures_and_reconstructions_name_the_device(device):

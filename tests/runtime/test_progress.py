@@ -3,12 +3,10 @@
 import re
 import threading
 import time
-from types import SimpleNamespace
 
 import pytest
 
 from mitsuba_plenoptic import progress_bar
-from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.runtime import progress
 
 
@@ -80,68 +78,6 @@ def test_what_is_quick_prints_nothing(capsys):
         bar(1, 1)
     assert capsys.readouterr().err == ""
     wait_for_threads(before)
-
-
-@pytest.fixture
-def every_label(often, monkeypatch):
-    """Let no work end before there was a line with its label, however quick it is."""
-    labels = set()
-
-    def note(line, **options):
-        labels.add(line.removeprefix("mitsuba-plenoptic: ").partition(":")[0])
-        print(line, **options)
-
-    def wait_for(label):
-        for _ in range(5000):
-            if label in labels:
-                return
-            time.sleep(0.01)
-        raise AssertionError(f"no line is labelled {label!r}, only {labels}")
-
-    class UnderWay(list):
-        def remove(self, line):
-            if len(self) > 1:  # the outermost has ended by now, but began with a line
-                wait_for(line.label.partition(":")[0])
-            super().remove(line)
-
-    class Printing(threading.Thread):
-        def start(self):
-            super().start()
-            wait_for(progress._under_way[-1].label)
-
-    monkeypatch.setattr(progress, "_under_way", UnderWay())
-    monkeypatch.setattr(progress, "threading", SimpleNamespace(Event=threading.Event, Thread=Printing))
-    monkeypatch.setattr(progress, "print", note, raising=False)
-
-
-@pytest.mark.parametrize(
-    ("line", "labels"),
-    [
-        ("render letters -D resolution=64 --estimate", ["Estimating"]),
-        ("render letters -D resolution=64 --spp 1 -o {out}.exr", ["Loading the scene", "Rendering"]),
-        pytest.param(
-            "sweep letters -D resolution=64 --spp 1 -o {out}.nc --vary aperture_radius=4,5",
-            [".*capture.*"],
-            marks=pytest.mark.needs_extension("studio"),
-        ),
-        ("info letters -D resolution=64", ["info"]),
-    ],
-)
-def test_commands_print_lines_where_there_is_no_terminal(line, labels, every_label, tmp_path, capsys):
-    assert main(line.format(out=tmp_path / "out").split()) == 0
-    said = capsys.readouterr().err
-    for label in labels:
-        assert re.search(rf"^mitsuba-plenoptic: {label}: ([\d.]+ %, )?\d+ s$", said, re.MULTILINE), said
-
-
-def test_a_command_loads_no_other(python):
-    code = """
-    import sys
-    from mitsuba_plenoptic.cli import main
-    status = main(["render", "nosuch", "-o", "x.exr"])
-    print(status, "xarray" in sys.modules, "mitsuba_plenoptic.cli.light_field" in sys.modules)
-    """
-    assert python(code).stdout == "2 False False\n"
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(4.0, []), (400.0, [pytest.approx(400)])])
