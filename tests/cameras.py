@@ -5,6 +5,7 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from cases import film, relative
 
 from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera, Vignetting, render_capture, scene_path
 from mitsuba_plenoptic.lenses.fitted_lens import FittedLens
@@ -49,18 +50,6 @@ def letters(lenses, **parameters):
 def definitions(parameters):
     """Return the words by which the command is given parameters of a scene."""
     return [word for name, value in parameters.items() for word in ("-D", f"{name}={value}")]
-
-
-def film(columns, rows):
-    """Describe a film of luminance that keeps every pixel to itself."""
-    return {
-        "type": "hdrfilm",
-        "width": columns,
-        "height": rows,
-        "rfilter": {"type": "box"},
-        "pixel_format": "luminance",
-        "component_format": "float32",
-    }
 
 
 def disk(position, radius):
@@ -148,9 +137,7 @@ def capture(camera, points, weights, *, wavelength=WAVELENGTH, job=None, **optio
     return CaptureOperator(camera, points, wavelength=wavelength, **options).forward(weights, job=job)
 
 
-def error(image, reference):
-    """Return the relative difference, in the L2 norm."""
-    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
+error = relative
 
 
 def thin_as_real(camera, field, nearness):

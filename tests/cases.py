@@ -23,17 +23,22 @@ THIN_FOG = {"type": "homogeneous", "sigma_t": 0.01, "albedo": 0.5}
 ABSORBING_FOG = {"type": "homogeneous", "sigma_t": math.log(2) / 240, "albedo": 0.0}
 
 
-def sensor(lenses: int = 32, pixels: int = 16, **parameters: Any) -> Scene:
-    """Describe the paper's camera with fewer lenses and coarser pixels."""
-    film = {
+def film(columns: int, rows: int) -> Scene:
+    """Describe a film of luminance that keeps every pixel to itself."""
+    return {
         "type": "hdrfilm",
-        "width": lenses * pixels,
-        "height": lenses * pixels,
+        "width": columns,
+        "height": rows,
         "rfilter": {"type": "box"},
         "pixel_format": "luminance",
         "component_format": "float32",
     }
-    return {"type": "plenoptic", "detector_width": 0.064 * lenses, "film": film, **parameters}
+
+
+def sensor(lenses: int = 32, pixels: int = 16, **parameters: Any) -> Scene:
+    """Describe the paper's camera with fewer lenses and coarser pixels."""
+    size = lenses * pixels
+    return {"type": "plenoptic", "detector_width": 0.064 * lenses, "film": film(size, size), **parameters}
 
 
 def scene_of(sensor: Scene, integrator: str | Scene = "path", **objects: Any) -> Any:
@@ -255,40 +260,33 @@ def polygon(count: int, angle: float = 15.0) -> tuple[dict[str, Any], Mask]:
     return {"aperture_blades": (count, angle)}, power
 
 
-def _within(count: int, limit: float = 1.0) -> np.ndarray:
-    """Return which cells have their centres within a part of the circle."""
+def _cells(count: int, is_open: Mask) -> np.ndarray:
+    """Return which cells, by their centres over the radius of the circle, are open."""
     centres = (2 * np.arange(count) + 1) / count - 1
-    return np.asarray(np.hypot(centres, centres[:, None]) <= limit)
+    return np.asarray(is_open(*np.meshgrid(centres, centres)) * 1.0)
+
+
+def opening(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the power that passes a round pupil at coordinates over its radius."""
+    return (np.hypot(x, y) <= 1) * 1.0
 
 
 def _random(count: int, chance: float, seed: int) -> np.ndarray:
     """Return cells that are open at random."""
-    return (np.random.default_rng(seed).random((count, count)) < chance) * _within(count) * 1.0
+    return (np.random.default_rng(seed).random((count, count)) < chance) * _cells(count, opening)
 
 
 def _some(count: int, number: int, seed: int) -> np.ndarray:
     """Return a number of open cells at random places."""
     values = np.zeros(count * count)
-    values[np.random.default_rng(seed).permutation(np.flatnonzero(_within(count)))[:number]] = 1
+    inside = np.flatnonzero(_cells(count, opening))
+    values[np.random.default_rng(seed).permutation(inside)[:number]] = 1
     return values.reshape(count, count)
 
 
 def _grey(count: int, seed: int) -> np.ndarray:
     """Return cells of random values, which files keep to four decimals."""
-    return np.asarray(np.random.default_rng(seed).random((count, count)).round(4) * _within(count))
-
-
-def _at(count: int, *cells: tuple[int, int]) -> np.ndarray:
-    """Return cells of which some, by row and column, are open."""
-    values = np.zeros((count, count))
-    values[tuple(np.transpose(cells))] = 1
-    return values
-
-
-def _hole(count: int, x: float, y: float, radius: float) -> np.ndarray:
-    """Return a round hole of small cells."""
-    centres = (2 * np.arange(count) + 1) / count - 1
-    return (np.hypot(centres - x, centres[:, None] - y) < radius) * 1.0
+    return np.asarray(np.random.default_rng(seed).random((count, count)).round(4) * _cells(count, opening))
 
 
 APERTURES = {
@@ -299,10 +297,10 @@ APERTURES = {
     "11 x 11": picture(_random(11, 0.5, 3)),
     "11 x 11 with 33 open": picture(_some(11, 33, 5)),
     "33 x 33 with 33 open": picture(_some(33, 33, 7)),
-    "two holes": picture(_at(9, (4, 1), (4, 7))),
-    "slit": picture(_at(9, *((row, 4) for row in range(1, 8)))),
-    "annulus": picture((_within(63) & ~_within(63, 0.7)) * 1.0),
-    "hole off centre": picture(_hole(63, 0.5, 0.3, 0.3)),
+    "two holes": picture(_cells(9, lambda x, y: (abs(abs(x) - 2 / 3) < 0.1) & (abs(y) < 0.1))),
+    "slit": picture(_cells(9, lambda x, y: (abs(x) < 0.1) & (abs(y) < 0.8))),
+    "annulus": picture(_cells(63, lambda x, y: (np.hypot(x, y) <= 1) & (np.hypot(x, y) > 0.7))),
+    "hole off centre": picture(_cells(63, lambda x, y: np.hypot(x - 0.5, y - 0.3) < 0.3)),
     "grey": picture(_grey(9, 4)),
 }
 """Parameters of the camera, and the same as a function, by name."""
@@ -349,11 +347,6 @@ def seen(camera: PlenopticCamera, picture: np.ndarray, side: float, blur: float,
     half = side / 2 * distance / camera.mla_distance
     square = facing(distance, half, emitter={"type": "area", "radiance": radiance})
     return scene_of(camera.to_sensor(), "direct", square=square, **others)
-
-
-def opening(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the power that passes a round pupil at coordinates over its radius."""
-    return (np.hypot(x, y) <= 1) * 1.0
 
 
 def point_spread(

@@ -4,7 +4,6 @@ import os
 import re
 import runpy
 import subprocess
-import sys
 import tarfile
 import tomllib
 import zipfile
@@ -123,40 +122,25 @@ def test_make_help_names_every_target():
     assert set(re.findall(r"^make ([\w-]+) ", result.stdout, flags=re.MULTILINE)) == set(targets) - {"llvm"}
 
 
-def test_large_libraries_wait_until_they_are_used():
-    """What takes most of a second to import, and what many programs never need."""
-    later = "distributed", "matplotlib", "scipy.fft", "scipy.signal", "scipy.sparse", "skimage", "xarray"
-    code = f"import mitsuba_plenoptic, sys; print(*sys.modules.keys() & {later})"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.split() == []
-    assert mitsuba_plenoptic.decode is mitsuba_plenoptic.views.decode
-    assert all(hasattr(mitsuba_plenoptic, name) for name in mitsuba_plenoptic.__all__)
-
-
-class TestFindPython:
-    """`tools/find_python.sh` with a PATH of scripts that stand for Pythons."""
-
-    def find(self, tmp_path, *programs):
-        for index, (name, text) in enumerate(programs):
-            # Each in a folder of its own, in this order on PATH.
-            program = tmp_path / str(index) / name
-            program.parent.mkdir()
-            program.write_text(f"#!/bin/sh\n{text}\n")
-            program.chmod(0o755)
-        path = os.pathsep.join(str(tmp_path / str(index)) for index in range(len(programs)))
-        script = ROOT / "tools" / "find_python.sh"
-        return subprocess.run(["/bin/sh", str(script)], capture_output=True, text=True, check=False, env={"PATH": path})
-
-    def test_newest_that_runs(self, tmp_path):
-        programs = (("python3", 0), ("python3.11", 0), ("python3.12", 0), ("python3.13", 1))
-        result = self.find(tmp_path, *((name, f"exit {status}") for name, status in programs))
-        assert result.stdout == f"{tmp_path}/2/python3.12\n"
-
-    def test_a_shim_that_fails_does_not_hide_the_real_one(self, tmp_path):
-        result = self.find(tmp_path, ("python3", "exit 127"), ("python3", "exit 0"))
-        assert result.stdout == f"{tmp_path}/1/python3\n"
-
-    def test_none(self, tmp_path):
-        result = self.find(tmp_path, ("python3", "exit 1"))
-        assert (result.returncode, result.stdout) == (1, "")
-        assert "Python 3.11" in result.stderr
+@pytest.mark.parametrize(
+    ("statuses", "found"),
+    [
+        ({"python3": 0, "python3.11": 0, "python3.12": 0, "python3.13": 1}, "2/python3.12"),
+        # A shim that fails does not hide the real one.
+        ({"python3": 127, "python3 ": 0}, "1/python3"),
+        ({"python3": 1}, None),
+    ],
+)
+def test_the_newest_python_that_runs_is_found(statuses, found, tmp_path):
+    """`tools/find_python.sh` with a PATH of scripts that stand for Pythons, each in a folder of its own."""
+    for index, (name, status) in enumerate(statuses.items()):
+        program = tmp_path / str(index) / name.strip()
+        program.parent.mkdir()
+        program.write_text(f"#!/bin/sh\nexit {status}\n")
+        program.chmod(0o755)
+    path = {"PATH": os.pathsep.join(str(tmp_path / str(index)) for index in range(len(statuses)))}
+    script = ["/bin/sh", str(ROOT / "tools" / "find_python.sh")]
+    result = subprocess.run(script, capture_output=True, text=True, check=False, env=path)
+    assert result.stdout == (f"{tmp_path}/{found}\n" if found else "")
+    if not found:
+        assert result.returncode == 1 and "Python 3.11" in result.stderr

@@ -64,11 +64,7 @@ def links(page):
 QUESTIONS = [
     ("How do I install it and take a first picture?", "start/index.md", None),
     ("Does it simulate the camera that I have: focused, with several focal lengths?", "guides/focused.md", None),
-    (
-        "How do I capture a scene of my own, and find good values for its camera?",
-        "start/own_scene.md",
-        "guides/index.md",
-    ),
+    ("How do I capture a scene of my own with good values?", "start/own_scene.md", "guides/index.md"),
     ("Is my scene right in the wave model: glass, mirrors, fog, a sky?", "reference/models.md", None),
     ("How accurate is it, and how is that known?", "reference/numbers.md", None),
     ("How long does a capture take, and how do I divide a long one?", "guides/long_runs.md", "guides/index.md"),

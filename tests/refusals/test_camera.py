@@ -65,10 +65,7 @@ PUPILS = [
     ({"aperture_image": np.ones((8, 8))}, "^aperture_image: transmission: 12 open cells are beyond a"),
     ({"aperture_image": "nowhere.png"}, "^aperture_image: nowhere.png: there is no such file"),
     ({"aperture_image": [[1]], "aperture_blades": 6}, "^aperture_blades, aperture_image: give one of them"),
-    (
-        {"aperture_blades": 6, "main_lens": "tessar", "mla_distance": 55.0},
-        "^aperture_blades = 6: a main_lens has a round stop",
-    ),
+    ({"aperture_blades": 6, "main_lens": "tessar", "mla_distance": 55.0}, "^aperture_blades = 6: a main_lens has a"),
     ({"pupil_apodisation": (0, 5)}, "pupil_apodisation = 5: it must be at most 4"),
     ({"pupil_apodisation": (-0.2, 0), "aperture_blades": 5}, "aperture_blades, pupil_apodisation: give one of them"),
     (
@@ -88,10 +85,7 @@ MICROLENSES = [
     ({"mla_shape": {"form": "conic"}}, "mla_shape: form conic: curvature_radius is missing"),
     ({"mla_shape": {"form": "conic", "curvature_radius": 0.2, "conc": 1}}, "did you mean conic"),
     ({"mla_shape": {"form": "conic", "curvature_radius": -0.2}}, "mla_shape: curvature_radius = -0.2"),
-    (
-        {"mla_shape": {"form": "conic", "curvature_radius": 0.03}},
-        "mla_shape: it must be defined all over a lens's aperture",
-    ),
+    ({"mla_shape": {"form": "conic", "curvature_radius": 0.03}}, "mla_shape: it must be defined all over a lens's"),
     ({"mla_shape": {"form": "conic", "curvature_radius": 0.2, "glass": 1.0}}, "its index must be greater than 1"),
     ({"mla_shape": {"form": "sampled", "height": [[0, 1], [1, 0]], "width": 0.064}}, "mla_shape: height of shape"),
     ({"mla_shape": {"form": "sampled", "height": (-bumpy(X, Y)).tolist(), "width": 0.066}}, "it must focus light"),
@@ -103,10 +97,7 @@ MICROLENSES = [
     ),
     ({"mla_shape": "lens.json"}, "mla_shape: lens.json"),
     ({"mla_shape": 3}, "mla_shape: 3: it must be a shape"),
-    (
-        {"mla_shape": SHAPES["sphere"], "mla_focal_length": 0.4},
-        "mla_focal_length = .0.4.*with this mla_shape it is 0.5; leave it out",
-    ),
+    ({"mla_shape": SHAPES["sphere"], "mla_focal_length": 0.4}, "mla_focal_length = .0.4.*with this mla_shape it is"),
     ({"mla_shape": SHAPES["sphere"], "mla_glass": 1.5}, "mla_glass: an mla_shape brings its own"),
 ]  # fmt: skip
 
@@ -129,10 +120,7 @@ OBJECTIVES = [
     ({"main_lens": AIR, "focal_length": 12}, "focal_length = 12: with this main_lens it is 10"),
     ({"main_lens": AIR, "aperture_radius": 4}, "aperture_radius = 4: with this main_lens it is 5"),
     ({"main_lens": AIR, "mla_distance": 190}, "mla_distance = 190: with this main_lens it is 200"),
-    (
-        {"main_lens": AIR, "focus_distance": 10},
-        "focus_distance = 10: an objective is focused on its native object plane",
-    ),
+    ({"main_lens": AIR, "focus_distance": 10}, "focus_distance = 10: an objective is focused on its native object"),
     ({"main_lens": AIR, "wavefront": (0, 0, 0, 0.1)}, "a main_lens brings its own"),
 ]
 
@@ -163,15 +151,9 @@ PRESCRIPTIONS = [
     (singlet(thickness=0.01), "surfaces 1 and 2 cross 0.76"),
     (singlet(thickness=0), "main_lens: surfaces 1 and 2 cross 0 mm from the axis: they must"),
     (singlet(radii=(-50.0, 50.0)), "main_lens: its focal length is -"),
-    (
-        {"main_lens": "triplet"},
-        "there is no such file, and the bundled lenses are cooke_triplet, double_gauss, double_gauss_f2",
-    ),
+    ({"main_lens": "triplet"}, "there is no such file, and the bundled lenses are cooke_triplet, double_gauss"),
     (GAUSS | {"aperture_radius": 20}, "aperture_radius = 20: the main_lens opens to 13.3"),
-    (
-        GAUSS | {"mla_distance": 20},
-        "mla_distance = 20: the array would stand within the main_lens or its exit pupil",
-    ),
+    (GAUSS | {"mla_distance": 20}, "mla_distance = 20: the array would stand within the main_lens or its exit pupil"),
     (GAUSS | {"wavefront": (0, 0, 0, 0.1)}, "a main_lens brings its own; leave it out"),
     (GAUSS | {"distortion": (0.001, 0, 0, 0, 0)}, "a main_lens brings its own; leave it out"),
 ]

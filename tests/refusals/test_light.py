@@ -31,57 +31,27 @@ def derived(names, by_points=False, **parameters):
     [
         (lambda: by_waves(sensor(4, 8, detector_distance=1.0)), "detector_distance = .*: for signed rays it must be"),
         (lambda: by_waves(STEEP_LENSES.to_sensor()), "mla_shape = .*closer to a parabola"),
-        (
-            lambda: by_waves(HUGE_PUPIL.to_sensor()),
-            r"aperture_radius = 2000: \d{4,} lenses may light a pixel; waves of scenes",
-        ),
-        (
-            lambda: PhaseSpace(PlenopticCamera(detector_distance=1.0), 633.0),
-            "detector_distance = .*: for signed rays it must be closer to the micro",
-        ),
-        (
-            lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.08))),
-            r"mla_jitter = .* a wave capture would need \d+ kinds of microlenses",
-        ),
-        (
-            lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.03), mla_tilt=(0.3, 0.3))),
-            r"mla_tilt = .* a wave capture would need \d+ kinds of microlenses",
-        ),
-        (
-            lambda: derived(["aperture_radius"]),
-            "aperture_radius: captures by signed rays have derivatives by focal_length, ",
-        ),
-        (
-            lambda: derived(["mla_pitch"], mla_pitch=(0.064, 0.07)),
-            "mla_pitch: .* no derivative by one of two pitches",
-        ),
-        (
-            lambda: derived(["mla_offset"], main_lens="double_gauss"),
-            "mla_offset: .* no derivative by it with main_lens",
-        ),
+        (lambda: by_waves(HUGE_PUPIL.to_sensor()), r"aperture_radius = 2000: \d{4,} lenses may light a pixel; waves"),
+        (lambda: PhaseSpace(PlenopticCamera(detector_distance=1.0), 633.0), "detector_distance = .*: for signed rays"),
+        (lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.08))), r"mla_jitter = .* a wave capture would need \d+"),
+        (lambda: LensKinds(PlenopticCamera(mla_jitter=(0.0, 0.03), mla_tilt=(0.3, 0.3))), r"mla_tilt = .* kinds of"),
+        (lambda: derived(["aperture_radius"]), "aperture_radius: captures by signed rays have derivatives by"),
+        (lambda: derived(["mla_pitch"], mla_pitch=(0.064, 0.07)), "mla_pitch: .* no derivative by one of two pitches"),
+        (lambda: derived(["mla_offset"], main_lens="double_gauss"), "mla_offset: .* it with main_lens"),
         (lambda: derived(["focal_length"], distortion=(1e-4, 0, 0, 0, 0)), "focal_length: .* with distortion"),
         (lambda: derived(["mla_pitch"], mla_jitter=(1e-3, 0)), "mla_pitch: .* with mla_jitter"),
         (lambda: derived(["mla_pitch"], mla_tilt=(1, 0)), "mla_pitch: .* with mla_tilt"),
         (lambda: derived(["mla_pitch"], pixel_response=(0, 1, 3, 0.5)), "mla_pitch: .* with pixel_response"),
-        (
-            lambda: derived(["focal_length"], mla_warp=(0.00005,) * 14),
-            "focal_length: captures by signed rays have no derivative by it with mla_warp",
-        ),
+        (lambda: derived(["focal_length"], mla_warp=(0.00005,) * 14), "focal_length: .* with mla_warp"),
         (lambda: derived(["focal_length"], glass=1.5), "focal_length: .* with glass"),
-        (
-            lambda: derived(["focal_length"], True, detector_distance=0.3),
-            "focal_length: .*detector_distance = 0.3 is far from it",
-        ),
+        (lambda: derived(["focal_length"], True, detector_distance=0.3), "focal_length: .*detector_distance = 0.3 is"),
         (
             lambda: estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(())),
             "batch_map: a ray capture does not take it",
         ),
         (lambda: estimate_capture(load_scene("letters"), spp=0), "spp = 0"),
-        (
-            lambda: load_scene("white", parameters={"widht": "4"}),
-            r"parameter widht: the scene .* has none of that name \(.*resolution.*\)",
-        ),
-        (lambda: load_scene("letters", unit="km"), "^unit = 'km': it must be one of 'mm', 'cm', 'm'|^unit = "),
+        (lambda: load_scene("white", parameters={"widht": "4"}), r"widht: the scene .* has none .*resolution"),
+        (lambda: load_scene("letters", unit="km"), "^unit = 'km': it must be one of"),
     ],
 )
 def test_refused(call, words):
@@ -140,11 +110,7 @@ def lit(bsdf, lamp, child="path"):
     [
         ("path", "wall.to_world", "wall.to_world: it has no gradient"),
         ("path", "camera.to_world", "camera.to_world: it has no gradient"),
-        (
-            "path",
-            "camera.aperture_radius",
-            "aperture_radius: captures by signed rays have derivatives by focal_length,",
-        ),
+        ("path", "camera.aperture_radius", "aperture_radius: captures by signed rays have derivatives by"),
         ("direct", ROUGHNESS, "nested DirectIntegrator: scene parameters have no gradients through it; use path"),
         ("prbvolpath", ROUGHNESS, "nested PRBVolpathIntegrator: Mitsuba differentiates it in reverse alone"),
     ],

@@ -14,21 +14,13 @@ from mitsuba_plenoptic.views.white_image import white_image
         ({"focal_length": -80.0}, "plenoptic: focal_length = -80: it must be greater than 0"),
         ({"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty': it must be a number"),
         ({"aperture_radius": True}, "plenoptic: aperture_radius = True: it must be a number"),
-        ({"mla_pitch": float("inf")}, "plenoptic: mla_pitch = inf: it must be finite"),
-        ({"focus_distance": 79.0}, "plenoptic: focus_distance = 79: it must be greater than the focal length 80"),
         ({"focus_distance": 240.0, "mla_distance": 120.0}, "give one of the two"),
         ({"near_clip": 1.0}, "plenoptic: near_clip = 1: this camera has no clipping planes"),
-        ({"lens_model": "thick"}, "lens_model = 'thick': it must be one of ideal, parabolic"),
-        ({"focal_lenght": 80.0}, r"plenoptic: focal_lenght: it has no such parameter; did you mean focal_length\?"),
         ({"mla_pich": 3.0}, r"plenoptic: mla_pich: it has no such parameter; did you mean mla_pitch\?"),
         ({"mla_offset": "a, b"}, "plenoptic: mla_offset = 'a, b': it must be a number, or several with commas"),
         ({"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\): it must be a pair"),
-        ({"mla_offset": 0.1}, r"plenoptic: mla_offset = \(0.1,\): it must be a pair"),
-        ({"mla_rotation": "steep"}, "plenoptic: mla_rotation = 'steep': it must be a number"),
-        ({"mla_lattice": 3}, "plenoptic: mla_lattice = 3: it must be one of hexagonal, square"),
         ({"mla_focal_length": "0.5, 0.6, 0.7"}, "several need mla_lattice = hexagonal"),
         ({"mla_focal_length": "0.5;0.6"}, "plenoptic: mla_focal_length = '0.5;0.6': it must be a number, or several"),
-        ({"mla_focal_length": -0.5}, "plenoptic: mla_focal_length = -0.5: it must be greater than 0"),
         ({"film": {"rfilter": {"type": "gaussian"}}}, 'GaussianFilter smears .*; add the line <rfilter type="box"/>'),
     ],
 )
@@ -43,7 +35,6 @@ def test_parameters_of_the_sensor(camera_dict, parameters, words):
     ("parameters", "words"),
     [
         ({"wavelength": -633.0}, "plenoptic_wave: wavelength = -633: it must be greater than 0"),
-        ({"wavelength": "red"}, "plenoptic_wave: wavelength = 'red'"),
         ({"wavelength": "600, 500, 400"}, "variant llvm_ad_mono has 1 channel"),
         ({"wavelenght": 3.0}, r"plenoptic_wave: wavelenght: it has no such parameter; did you mean wavelength\?"),
         ({"radiators_per_lens": 8}, "radiators_per_lens: there are no radiators now; leave it out, and give spp"),
@@ -52,7 +43,6 @@ def test_parameters_of_the_sensor(camera_dict, parameters, words):
         ({"method": "magic"}, "method = 'magic': it must be one of signed_rays, points"),
         ({"accuracy": -0.01}, "accuracy = -0.01: it must be from 0"),
         ({"child": {"type": "ptracer"}}, "it cannot tell the radiance along a ray"),
-        ({"radiators": 3}, "it has no such parameter"),
     ],
 )
 def test_parameters_of_the_integrator(parameters, words):
@@ -101,53 +91,25 @@ def test_films_whose_channels_are_not_those_of_a_capture_are_refused(camera_dict
             mi.load_dict({"type": "plenoptic_wave"}).render(scene, spp=1)
 
 
-DEPTHS = {"type": "aov", "aovs": "d:depth", "of": {"type": "path"}}
-
-
 def scene_before(sensor, **objects):
     return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor} | objects)
 
 
-def micrometres(camera_dict):
-    """Describe a camera of lengths a thousand times those of the paper's, as a scene in micrometres has it."""
-    lengths = {"focal_length": 80, "aperture_radius": 5, "mla_distance": 120, "mla_focal_length": 0.512}
-    lengths = {name: 1e3 * value for name, value in lengths.items()}
-    return camera_dict(resolution=16, detector_width=128, mla_pitch=64.0, **lengths)
+MICROMETRES = {"focal_length": 80e3, "aperture_radius": 5e3, "mla_distance": 120e3, "mla_focal_length": 512.0}
+"""Lengths of the paper's camera, as a scene in micrometres has them."""
 
 
-@pytest.mark.parametrize(
-    ("capture", "error", "words"),
-    [
-        (
-            lambda sensor: mp.render_capture(scene_before(sensor(resolution=64), integrator=DEPTHS)),
-            mp.InputError,
-            r"the extra outputs .*d\.T; .* ground_truth\(scene\) returns depth",
-        ),
-        (
-            lambda sensor: mp.render_capture(
-                scene_before(micrometres(sensor), lamp=disk((0.0, 0.0, 240e3), 2e3)), model="wave", spp=1
-            ),
-            mp.InputError,
-            "^detector_width = 128: pixels of 8 mm.*kernels of .* samples: it would need",
-        ),
-        (
-            lambda sensor: mp.render_capture(
-                scene_before(sensor(resolution=64), sky={"type": "constant"}), model="wave", passes=2
-            ),
-            ValueError,
-            "passes: there are no radiators now",
-        ),
-        (
-            lambda sensor: mi.load_dict({"type": "plenoptic_wave"}).render(scene_before({"type": "perspective"}), 0),
-            ValueError,
-            "needs a sensor of type 'plenoptic'",
-        ),
-    ],
-    ids=["extra outputs", "micrometres", "radiators", "another sensor"],
-)  # fmt: skip
-def test_scenes_that_are_not_captured(camera_dict, capture, error, words):
-    with pytest.raises(error, match=words):
-        capture(camera_dict)
+def test_scenes_that_are_not_captured(camera_dict):
+    depths = {"type": "aov", "aovs": "d:depth", "of": {"type": "path"}}
+    with pytest.raises(mp.InputError, match=r"the extra outputs .*d\.T; .* ground_truth\(scene\) returns depth"):
+        mp.render_capture(scene_before(camera_dict(resolution=64), integrator=depths))
+    sensor = camera_dict(resolution=16, detector_width=128, mla_pitch=64.0, **MICROMETRES)
+    with pytest.raises(mp.InputError, match=r"^detector_width = 128: pixels of 8 mm.*kernels of .* samples: it would"):
+        mp.render_capture(scene_before(sensor, lamp=disk((0.0, 0.0, 240e3), 2e3)), model="wave", spp=1)
+    with pytest.raises(ValueError, match="passes: there are no radiators now"):
+        mp.render_capture(scene_before(camera_dict(resolution=64), sky={"type": "constant"}), model="wave", passes=2)
+    with pytest.raises(ValueError, match="needs a sensor of type 'plenoptic'"):
+        mi.load_dict({"type": "plenoptic_wave"}).render(scene_before({"type": "perspective"}), 0)
 
 
 def test_a_sensor_that_scales_is_refused(tmp_path):

@@ -35,6 +35,14 @@ FOCUSED = PlenopticCamera.preset("paper").replace(
 CORNER = PlenopticCamera(crop_offset=(2075, 2075), crop_size=(4, 4))
 
 
+WITHOUT_LATTICE = [
+    np.ones((100, 100)), np.zeros((100, 100)), np.random.default_rng(0).random((200, 200)), np.ones((4, 4)),
+    np.ones(100), np.full((100, 100), np.nan),
+    white_image(PlenopticCamera(detector_width=0.128, resolution=(64, 64))),
+]  # fmt: skip
+"""Of four lenses a lattice is not known."""
+
+
 @functools.cache
 def even(camera=SMALL):
     """Return the light field of even light."""
@@ -66,10 +74,7 @@ def patched(**changes):
     [
         (lambda: even(FOURIER.replace(mla_rotation=3.0)), "mla_rotation = 3: views of a Fourier microscope"),
         (lambda: even(FOURIER.replace(resolution=(10, 10))), "a view needs three pixels"),
-        (
-            lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))),
-            "leave main_lens out, or reconstruct a wave capture with method deconvolved",
-        ),
+        (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "leave main_lens out, or"),
         (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "for thin main lenses only"),
         *(
             (lambda find=find: find(even(FOURIER)), "an even parallax between views is not defined behind an objective")
@@ -81,16 +86,10 @@ def patched(**changes):
             )
         ),
         (lambda: lens_grid(CORNER), "no micro-image is centred in the recorded window"),
-        (
-            lambda: lens_grid(CORNER.replace(mla_lattice="hexagonal")),
-            "no micro-image is centred in the recorded window",
-        ),
+        (lambda: lens_grid(CORNER.replace(mla_lattice="hexagonal")), "no micro-image is centred in the recorded"),
         (lambda: patched(), r"micro_images = None: .* give micro_images\(capture\)$"),
         (lambda: patched(mla_rotation=7.0, mla_offset=(0.03, -0.02)), "another camera"),
-        (
-            lambda: depth_map(even(FOCUSED).isel(u=slice(None, None, 2)), 232, 245, planes=3),
-            "takes all of its views, along u some lack",
-        ),
+        (lambda: depth_map(even(FOCUSED).isel(u=slice(None, None, 2)), 232, 245, planes=3), "takes all of its views"),
         (
             lambda: micro_images(np.ones((384, 480)), grid=lens_grid(MULTI_FOCUS), white=np.ones((384, 480))),
             "camera = None",
@@ -102,29 +101,12 @@ def patched(**changes):
             "another camera",
         ),
         (lambda: epipolar_image(even(), "?"), "axis = "),
+        *((lambda image=image: estimate_lens_grid(image), "white") for image in WITHOUT_LATTICE),
     ],
 )
 def test_refused(call, words):
     with pytest.raises(InputError, match=words):
         call()
-
-
-@pytest.mark.parametrize(
-    "image",
-    [
-        lambda: np.ones((100, 100)),
-        lambda: np.zeros((100, 100)),
-        lambda: np.random.default_rng(0).random((200, 200)),
-        lambda: np.ones((4, 4)),
-        lambda: np.ones(100),
-        lambda: np.full((100, 100), np.nan),
-        lambda: white_image(PlenopticCamera(detector_width=0.128, resolution=(64, 64))),
-    ],
-    ids=["flat", "black", "noise", "tiny", "line", "not finite", "four lenses"],
-)
-def test_pictures_without_a_lattice_are_refused(image):
-    with pytest.raises(InputError, match="white"):
-        estimate_lens_grid(image())
 
 
 @pytest.mark.parametrize(
@@ -135,7 +117,6 @@ def test_pictures_without_a_lattice_are_refused(image):
         lambda: FourierRefocuser(even(), 0.1),
         lambda: even.__wrapped__(),
     ],
-    ids=["depth", "stack", "Fourier", "decode"],
 )
 def test_light_fields_estimate_their_memory_first(work, monkeypatch):
     even()

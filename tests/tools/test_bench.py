@@ -7,8 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mitsuba_plenoptic import InputError
-from tools.bench import Pivot, at_least, at_most, case, figure, pick, registry, tables, timing
+from tools.bench import Pivot, at_least, at_most, case, figure, registry, tables, timing
 from tools.bench.__main__ import PAGES, main, write_docs
 
 ROOT = Path(__file__).parents[2]
@@ -70,19 +69,6 @@ def test_every_row_of_figures_states_its_own_limit():
     assert [limit.judge(row) for limit in registry.FIGURE_LIMITS] == [False, None]
 
 
-@pytest.mark.parametrize(
-    "words, message",
-    [
-        (["probe.two"], "probe.two: no such case, did you mean probe.one?"),
-        (["probe.one", "error=1"], "error: no option of probe.one, did you mean errors?"),
-        (["probe.one", "least=high"], "least=high: must be of the type of 0.0"),
-    ],
-)
-def test_unknown_names_and_options_are_refused_in_one_line(probe, words, message, capsys):
-    assert main(["run", *words]) == 2
-    assert capsys.readouterr().err.startswith(message)
-
-
 def test_a_case_that_cannot_run_here_leaves_the_others_to_run(probe, tmp_path, capsys):
     @case("probe.two", "nothing", needs=("no_such_package",))
     def measure():
@@ -96,23 +82,6 @@ def test_a_case_that_cannot_run_here_leaves_the_others_to_run(probe, tmp_path, c
     found = capsys.readouterr()
     assert "probe.two: NOT RUN: it needs no_such_package" in found.err
     assert "2 cases; FAILED: none; not run: probe.two" in found.out and results(tmp_path)["rows"]
-
-
-def test_options_are_read_by_the_types_of_their_defaults(probe):
-    assert registry.options([probe], ["errors=1,inf", "least=2"]) == {
-        "probe.one": {"errors": (1.0, float("inf")), "least": 2.0}
-    }
-    (rays,) = registry.find(["scenes.light-paths"])
-    assert registry.options([rays], ["only=8,#"])["scenes.light-paths"] == {"only": ("8", "#")}
-
-
-def test_parts_of_names_pick_entries():
-    known = {"square": 1, "square, turned": 2, "hexagonal": 3}
-    assert pick(known, []) == known
-    assert pick(known, ["square"]) == {"square": 1}
-    assert pick(known, ["turned"]) == {"square, turned": 2}
-    with pytest.raises(InputError, match="did you mean hexagonal"):
-        pick(known, ["hexagnal"])
 
 
 def test_docs_write_full_results_with_the_options_of_the_mark(probe, tmp_path, capsys):
@@ -130,10 +99,6 @@ def test_docs_write_full_results_with_the_options_of_the_mark(probe, tmp_path, c
     assert "|  | errors |\n|---|---|\n| of 1 | 1.0 |\n| of 2 | 2.0 |\n" in text and "old" not in text
     assert "kept" in text
     assert write_docs(tmp_path, output, check=True) == 0
-
-
-def test_cells_without_a_value_are_empty():
-    assert tables.markdown({"a": "{a:.1f}", "b": "{b}"}, [{"a": None}]).splitlines()[-1] == "|  |  |"
 
 
 def test_ratios_are_taken_run_by_run(monkeypatch):

@@ -8,7 +8,6 @@ import pytest
 from cases import relative
 
 from mitsuba_plenoptic import PlenopticCamera, decode
-from mitsuba_plenoptic.optics.waves import propagate
 from mitsuba_plenoptic.views import lens_grid, shift_and_add, white_image
 from tools.bench import registry, tables
 from tools.bench.cases import peers
@@ -42,20 +41,6 @@ def timings(works, seconds):
     return {
         name: Timing(value, value, value / found[0], value / found[0]) for name, value in zip(works, found, strict=True)
     }
-
-
-def test_an_inclined_beam_separates_exact_steps_from_fresnel_ones():
-    size = 256
-    inclined = peers.beam(size, (round(0.06 * size * peers.PITCH / peers.WAVE), -14))
-    expected = peers._sum_of_plane_waves(inclined)
-    assert relative(propagate(inclined, peers.PITCH, peers.DISTANCE, peers.WAVELENGTH), expected) < 1e-5
-    cosine = np.fft.fftfreq(size, peers.PITCH) * peers.WAVE
-    square = cosine[:, None] ** 2 + cosine**2
-    factor = np.exp(-1j * math.pi * peers.DISTANCE / peers.WAVE * square)
-    fresnel = np.fft.ifft2(np.fft.fft2(inclined) * factor)
-    # The next term of the square root: a phase of 2 pi z s^4 / 8 lambda.
-    next_term = 2 * math.pi * peers.DISTANCE / peers.WAVE * 0.06**4 / 8
-    assert relative(fresnel, expected) == pytest.approx(next_term, rel=0.1)
 
 
 @pytest.mark.parametrize("fresnel", [1.0, 12.9])

@@ -62,16 +62,6 @@ def test_contrasts_in_focus_have_closed_forms():
     assert at == pytest.approx([at[0]] * 3, abs=1e-4) and at[0] > 2 / np.pi
 
 
-def test_only_planes_in_focus_are_judged_by_closed_forms():
-    judged = {
-        (name, distance): resolution.judged_in_focus(resolution.camera_of(name, 16), distance, "ray")
-        for name in resolution.CAMERAS
-        for distance in (230.0, 240.0, 252.0)
-    }
-    assert {plane for plane, method in judged.items() if method} == {(name, 240.0) for name in resolution.CAMERAS}
-    assert judged["hexagonal", 240.0] == resolution.SUMS and judged["keplerian", 240.0] == "rays"
-
-
 def test_contrast_and_edges_of_known_samples():
     x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.3, 0.3, 41), np.linspace(-0.3, 0.3, 41)))
     places = np.array([x, y])
