@@ -1,13 +1,9 @@
 """The command: what it prints and writes."""
 
-import contextlib
 import json
-import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,15 +14,7 @@ import pytest
 from cameras import SMALL_SENSOR, write_scene
 from PIL import Image
 
-from mitsuba_plenoptic import (
-    Capture,
-    Detector,
-    PlenopticCamera,
-    expose,
-    read_capture,
-    read_ground_truth,
-    write_capture,
-)
+from mitsuba_plenoptic import Capture, Detector, PlenopticCamera, expose, read_capture, read_ground_truth, write_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.views import white_image
@@ -136,39 +124,6 @@ def test_a_raw_picture_is_refocused_with_its_camera(tmp_path, raw, run, complain
     found = np.array(mi.Bitmap(str(tmp_path / "out.exr"))) * (65535 / scale)
     np.testing.assert_allclose(found, wanted, atol=1e-4 * np.nanmax(wanted))
     assert complaint("reconstruct", tmp_path / "raw.tiff", *arguments).endswith("raw picture needs its --camera")
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals differ")
-def test_interrupt_leaves_nothing(tmp_path):
-    # The child says when it starts to render, so that the signal does not come while it still imports.
-    code = """if True:
-        import importlib, signal, sys
-        from mitsuba_plenoptic.cli import main
-        render = importlib.import_module("mitsuba_plenoptic.light.render_capture")
-        # Tests that run in the background of a shell inherit that it is ignored.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        original = render.render_capture
-        def announce(*arguments, **options):
-            print("rendering", flush=True)
-            return original(*arguments, **options)
-        render.render_capture = announce
-        sys.exit(main())"""
-    line = f"render letters -o {tmp_path}/raw.exr --spp 1000000 -D resolution=256"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *line.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stdout.readline() == "rendering\n"
-    error = ""
-    # Mitsuba loses a signal that comes just as it starts a pass: one presses the keys again.
-    for _ in range(8):
-        time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            _, error = process.communicate(timeout=15)
-            break
-    assert process.returncode == 130
-    assert "Traceback" not in error
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_one_distance_goes_into_the_named_file(raw, tmp_path, run):
@@ -318,3 +273,32 @@ def test_noise_is_kept_and_told_and_an_estimate_writes_nothing(run, tmp_path):
         r"letters: about [\d.e-]+ s and [\d.e-]+ GiB\n--spp 4 instead of 16 takes about a quarter", estimate
     )
     assert list(tmp_path.iterdir()) == [path]
+
+
+SHEET = "f_number=2.8,lenses=8,6,pixels_per_lens=10,pixel_size=0.005,focal_length=50,focus_distance=320"
+
+
+def test_a_scene_is_rendered_by_a_camera_of_a_data_sheet(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run("render", "letters", "-o", "raw.exr", "--spp", "1", "--camera", SHEET)
+    capture = read_capture("raw.exr")
+    assert capture.image.shape == (60, 80)
+    assert capture.camera == PlenopticCamera.matched(
+        f_number=2.8, lenses=(8, 6), pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320
+    )
+
+
+def test_info_prints_no_warning_for_such_a_camera(run):
+    for lattice in ("square", "hexagonal"):
+        said = run("info", f"{SHEET},mla_lattice={lattice}", "--wavelength", "550")
+        assert "f/2.8" in said and "Warning" not in said
+
+
+def test_info_writes_the_mended_camera(run, tmp_path):
+    said = run("info", "aperture_radius=10", "--fix", tmp_path / "better.json")
+    assert "Warning: micro-images overlap" in said and "stop the main lens down to a diameter of 15.064 mm" in said
+    assert "better.json, with " in said.partition("Written:")[2] and "Still:" not in said
+    assert PlenopticCamera.from_json((tmp_path / "better.json").read_text()).aperture_radius == 10
+    assert "Warning" not in run("info", tmp_path / "better.json")
+    assert "unchanged" in run("info", "paper", "--fix", tmp_path / "same.json")
+    assert PlenopticCamera.from_json((tmp_path / "same.json").read_text()) == PlenopticCamera()

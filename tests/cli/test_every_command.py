@@ -9,6 +9,8 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from rich.console import Console
@@ -141,23 +143,39 @@ def test_ctrl_c_that_a_library_drops(tmp_path, monkeypatch, capsys, request):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+RAYS = ["render", "letters", "-D", "resolution=256", "--spp", "1000000"]
+
+
+def press_keys(process, delay):
+    """Press Ctrl-C, and again where Mitsuba loses the signal, as it does just when it starts a pass."""
+    for _ in range(8):
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=15)
+            break
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals differ")
-def test_ctrl_c_is_one_line_and_a_status(tmp_path):
+@pytest.mark.parametrize(("words", "delay"), [(WAVES, 0.0), (RAYS, 2.0)], ids=["waves", "rays"])
+def test_ctrl_c_is_one_line_and_a_status(words, delay, tmp_path):
     """Sent from outside, at whatever moment of the capture."""
-    words = [sys.executable, "-m", "mitsuba_plenoptic", *WAVES, "-v", "-o", str(tmp_path / "raw.exr")]
+    command = [sys.executable, "-m", "mitsuba_plenoptic", *words, "-v", "-o", str(tmp_path / "raw.exr")]
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     signal.signal(signal.SIGINT, before)
     told = []
-    for line in process.stderr:
-        told.append(line)
-        if "variant" in line:
-            process.send_signal(signal.SIGINT)
+    with ThreadPoolExecutor(1) as keyboard:
+        for line in process.stderr:
+            told.append(line)
+            if "variant" in line:
+                keyboard.submit(press_keys, process, delay)
     # Python ends a module that -m runs by the signal itself, which shells show as 130, too, if Ctrl-C came while a
     # library executed a text, as dataclasses do.
     assert process.wait(timeout=600) in (130, -signal.SIGINT)
     assert told[-1].startswith("mitsuba-plenoptic: stopped")
-    assert sum("stopped" in line for line in told) == 1
+    assert sum("stopped" in line for line in told) == 1 and "Traceback" not in "".join(told)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_info_prints_json_alone(raw, tmp_path, capfd):

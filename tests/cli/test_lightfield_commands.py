@@ -1,17 +1,20 @@
-"""The commands on light fields: what they write."""
+"""The commands on light fields, and the sheet of reconstructions: what they write."""
 
 import json
+import math
+import os
 import re
+import subprocess
+import sys
 
-import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from scipy.ndimage import gaussian_filter
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, render_capture, with_camera, write_capture
+from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, decode, read_capture, reconstruct, write_capture
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.refocus import read_reconstruction, write_reconstruction
 from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, refocus, white_image
 from mitsuba_plenoptic.views.light_field_files import open_light_field
 
@@ -53,10 +56,7 @@ def test_views(raw, lf, tmp_path, run):
 
     assert "3 x 3 views of 8 x 8 pixels" in run("views", raw, "-o", tmp_path / "some.png", "--count", 3)
     assert Image.open(tmp_path / "some.png").size == (960, 960)
-
-
-def test_views_with_a_white_image(raw, lf, tmp_path, run):
-    """Its radiance is of no account: light fields stay in units of the capture."""
+    # The radiance of a white image is of no account: light fields stay in units of the capture.
     write_capture(tmp_path / "white.exr", Capture(2 * white_image(CAMERA), CAMERA))
     run("views", raw, "-o", tmp_path / "one.exr", "--count", 1, "--white", tmp_path / "white.exr")
     (image,) = parts(tmp_path / "one.exr")[0].values()
@@ -110,50 +110,18 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
     assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin determines it")
 
 
-@pytest.fixture(scope="module")
-def wall(tmp_path_factory):
-    """Capture a wall with random texture 500 mm before a fast hexagonal camera that is focused to 320 mm."""
-    to_world = mi.ScalarTransform4f
-    texture = gaussian_filter(np.random.default_rng(0).random((256, 256, 1)), (2, 2, 0), mode="wrap")
-    texture = np.float32((texture - texture.min()) / np.ptp(texture))
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "light": {"type": "constant"},
-            "sensor": {"type": "perspective", "to_world": to_world().look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])},
-            "wall": {
-                "type": "rectangle",
-                "to_world": to_world().translate([0, 0, 500]).rotate([1, 0, 0], 180).scale(30),
-                "bsdf": {
-                    "type": "diffuse",
-                    "reflectance": {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True},
-                },
-            },
-        }
+def test_depth_says_where_to_widen_the_search(tmp_path, capfd):
+    assert main(["example", "letters-ray", "-o", str(tmp_path / "raw.exr")]) == 0
+    words = ["depth", str(tmp_path / "raw.exr"), "-o", str(tmp_path / "a.exr"), "--near", "195", "--far"]
+    assert main([*words, "225"]) == 0
+    wanted = (
+        r"\d+ % of the bins agree best at the far end of the search, 225 mm, and are .* widen the search with --far"
     )
-    sheet = {"f_number": 2.8, "lenses": 40, "pixels_per_lens": 10, "pixel_size": 0.005}
-    camera = PlenopticCamera.matched(**sheet, focal_length=50, focus_distance=320, mla_lattice="hexagonal")
-    path = tmp_path_factory.mktemp("wall") / "wall.exr"
-    write_capture(path, render_capture(with_camera(scene, camera), spp=64))
-    return path
-
-
-def test_depth_says_where_to_widen_the_search(wall, tmp_path, capfd):
-    """By default a fast camera is searched to 458 mm, where a point moves by two lenses from view to view."""
-    assert main(["depth", str(wall), "-o", str(tmp_path / "a.exr")]) == 0
-    error = capfd.readouterr().err
-    assert re.search(
-        r"warning: depth: \d+ % of the bins agree best at the far end of the search, 458.2 mm, and are probably "
-        "farther: widen the search with --far",
-        error,
-    )
-    assert "hardly any bin" not in error
-    assert main(["depth", str(wall), "-o", str(tmp_path / "b.exr"), "--far", "600"]) == 0
-    output, error = capfd.readouterr()
-    assert "warning" not in error and int(re.search(r": (\d+) % of the bins", output)[1]) > 90
-    images, _ = parts(tmp_path / "b.exr")
-    assert np.nanmedian(images["depth"]) == pytest.approx(500, rel=0.01)
+    assert re.search(wanted, capfd.readouterr().err)
+    assert main([*words, "310"]) == 0
+    assert "widen" not in capfd.readouterr().err
+    found = np.nanmedian(parts(tmp_path / "a.exr")[0]["depth"])
+    assert 205 < found < 285
 
 
 def test_expose(raw, tmp_path, run):
@@ -206,3 +174,68 @@ def test_figures_enlarged_pictures_and_animations(raw, lf, tmp_path, run, coarse
         assert (picture.n_frames, picture.size) == (46, (16, 16))
     assert "one after the other" in run("views", raw, "-o", tmp_path / "b.gif")
     assert Image.open(tmp_path / "b.gif").size == (480, 480)
+
+
+@pytest.fixture(scope="module")
+def results(raw, tmp_path_factory):
+    """Write reconstructions by one method at two distances, and by another at one of them."""
+    folder = tmp_path_factory.mktemp("results")
+    capture = read_capture(raw)
+    found = [
+        *reconstruct(capture, [240, math.inf], method="ray"),
+        *reconstruct(capture, [240], method="ray", footprint="point"),
+    ]
+    paths = [folder / f"{index}.exr" for index in range(len(found))]
+    for path, one in zip(paths, found, strict=True):
+        write_reconstruction(path, one)
+    return paths, found
+
+
+def test_what_was_written_is_read(results):
+    for path, one in zip(*results, strict=True):
+        back = read_reconstruction(path)
+        np.testing.assert_array_equal(back.image, one.image)
+        assert (back.distance, back.bin_size, back.method) == (one.distance, one.bin_size, one.method)
+        assert back.camera == one.camera and back.options == one.options
+
+
+@pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF-"), ("png", b"\x89PNG")])
+def test_a_figure_of_all(suffix, begins, results, tmp_path, run):
+    path = tmp_path / f"sheet.{suffix}"
+    assert run("sheet", *results[0], "-o", path) == f"{path}: 3 images (methods: 1, distances: 2)\n"
+    assert path.read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize("option", ["-q", pytest.param("-OO", marks=pytest.mark.slow)])
+def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(option, results, tmp_path, run):
+    """With an inline backend, a matplotlibrc of somebody else, and with docstrings left out."""
+    path, settings = tmp_path / "sheet.png", tmp_path / "matplotlibrc"
+    settings.write_text("image.origin: lower\ntext.usetex: True\naxes.titleweight: bold\n")
+    run("sheet", *results[0], "-o", tmp_path / "plain.png")
+    environment = {**os.environ, "MPLBACKEND": "module://nowhere.inline", "MATPLOTLIBRC": str(settings)}
+    words = [sys.executable, option, "-m", "mitsuba_plenoptic", "sheet", *map(str, results[0]), "-o", str(path)]
+    subprocess.run(words, check=True, env=environment, capture_output=True)
+    assert path.read_bytes() == (tmp_path / "plain.png").read_bytes()
+
+
+def test_a_name_that_is_no_text_is_refused_first(raw, complaint):
+    name = os.fsdecode(b"sheet\xff.png")
+    assert "must be text in UTF-8" in complaint("reconstruct", raw, "--distance", "240", "-o", name)
+
+
+def test_refused(results, raw, tmp_path, complaint):
+    path = tmp_path / "sheet.pdf"
+    assert complaint("sheet", raw, "-o", path) == f"{raw}: it holds a 'capture', not a reconstruction"
+    assert complaint("sheet", results[0][0], "-o", tmp_path / "a.gif").endswith("give a name that ends in .pdf or .png")
+    assert "Missing argument" in complaint("sheet", "-o", path)
+    with pytest.raises(InputError, match="there is no such file"):
+        read_reconstruction(tmp_path / "none.exr")
+
+
+def test_distances_are_chosen(results, tmp_path, run, complaint):
+    path = tmp_path / "sheet.png"
+    words = f"{path}: 2 images (methods: 1, distances: 1)\n"
+    assert run("sheet", *results[0], "-o", path, "--distance", "240") == words
+    assert run("sheet", *results[0], "-o", path, "--distance", "inf").startswith(f"{path}: 1 images")
+    rule = "--distance = 210: no result is refocused there, but to 240, inf"
+    assert complaint("sheet", *results[0], "-o", path, "--distance", "210") == rule

@@ -1,7 +1,9 @@
-"""Everything public is documented, and the site's reference has it."""
+"""Everything public is documented, the site's reference has it, and examples of docstrings give what they state."""
 
+import doctest
 import importlib
 import inspect
+import pkgutil
 import re
 from pathlib import Path
 
@@ -152,3 +154,21 @@ def test_pages_made_from_the_sources():
     prose = [line for line in re.sub(r"``[^`]*``", "", command).splitlines() if not line.startswith("   $ ")]
     assert "``--estimate``" in command and not [line for line in prose if re.search(r"--\w", line)]
     assert "| `undersampled` |" in generated_reference.guards("GUARDS")
+
+
+INDEX = Path(__file__).parents[2] / "docs" / "reference" / "python" / "index.rst"
+MAIN = re.findall(r"^   ~mitsuba_plenoptic\.(\S+)$", INDEX.read_text(), flags=re.MULTILINE)
+"""The functions that the reference names as those that most scripts need."""
+assert len(MAIN) >= 20
+
+
+@pytest.mark.parametrize("name", MAIN)
+def test_example_gives_what_it_states(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module, _, last = f"mitsuba_plenoptic.{name}".rpartition(".")
+    docstring = pkgutil.resolve_name(f"{module}:{last}").__doc__
+    example = doctest.DocTestParser().get_doctest(docstring, {}, name, None, 0)
+    assert example.examples, "no example"
+    report = []
+    doctest.DocTestRunner().run(example, out=report.append)
+    assert not report, "".join(report)

@@ -39,11 +39,7 @@ class Trap:
 def render(checkpoint=None, parameters=None, **options):
     """Render the capture by waves, or one a little different from it."""
     scene = load_scene("letters", parameters=SCENE | (parameters or {}))
-    return render_capture(
-        scene,
-        checkpoint=checkpoint,
-        **{"model": "wave", "method": "points", "spp": 16} | options,
-    )
+    return render_capture(scene, checkpoint=checkpoint, **{"model": "wave", "method": "points", "spp": 16} | options)
 
 
 def stop_before(path, unwanted, **options):
@@ -147,13 +143,10 @@ def version_0_1(content):
 
 
 @pytest.mark.parametrize(
-    ("damage", "words"),
+    ("change", "words"),
     [
         (lambda header, _: header.update(format=3), "another run: format = 3 there, 2 here"),
-        (
-            lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"),
-            "software.mitsuba_plenoptic = 0123 there",
-        ),
+        (lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"), "mitsuba_plenoptic = 0123"),
         (lambda header, _: header.update(batches=10**6), "1000000 batches"),
         (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1) instead of (128, 12"),
         (lambda _, arrays: arrays.update(partial=np.zeros((1, 4, 4), np.float32)), "batches of shape"),
@@ -161,8 +154,8 @@ def version_0_1(content):
         (lambda _, arrays: arrays.update(image=np.array([Trap()], dtype=object)), "is damaged: Object arrays"),
     ],
 )
-def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
-    assert words in complaint(tmp_path, rewritten(stopped, damage))
+def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, change, words):
+    assert words in complaint(tmp_path, rewritten(stopped, change))
     assert not Trap.path.exists()
 
 
@@ -173,7 +166,6 @@ def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, damage, words):
         (lambda content: content[:999] + bytes([content[999] ^ 1]) + content[1000:], "Bad CRC-32"),
         (lambda content: pickle.dumps(Trap()), "is not a checkpoint of this version"),
         (lambda content: b"", "is not a checkpoint of this version"),
-        (lambda content: b"text", "is not a checkpoint of this version, or is damaged"),
         (version_0_1, "is not a checkpoint of this version"),
     ],
 )

@@ -1,6 +1,5 @@
 """The captures that come with the package: what they hold, and that their tool makes them."""
 
-import dataclasses
 from pathlib import Path
 
 import make_examples
@@ -43,17 +42,6 @@ def test_the_models_and_one_camera():
     assert camera.focus_distance == pytest.approx(240)
     assert {mp.example_truth(name).camera for name in NAMES} == {camera}
     assert captures["letters-wave"].metadata["parameters"] == make_examples.LETTERS
-
-
-def test_files_that_another_version_made_are_read(tmp_path):
-    capture = mp.example("letters-ray")
-    older = capture.metadata["software"] | {"mitsuba-plenoptic": "0.2.0"}
-    path = tmp_path / "raw.exr"
-    mp.write_capture(path, dataclasses.replace(capture, metadata=capture.metadata | {"software": older}))
-    again = mp.read_capture(path)
-    assert again.metadata["software"]["mitsuba-plenoptic"] == "0.2.0"
-    assert again.camera == capture.camera and np.array_equal(again.image, capture.image)
-    np.testing.assert_array_equal(mp.decode(again), mp.decode(capture))
 
 
 def test_the_white_scene_has_the_closed_form():
@@ -129,7 +117,5 @@ def test_command(tmp_path, monkeypatch, capsys):
     np.testing.assert_array_equal(
         mp.read_ground_truth("raw.truth.exr").views["depth"], mp.example_truth("letters-wave").views["depth"]
     )
-    assert dataclasses.replace(read, image=packed.image).camera == packed.camera
-    assert main(["example", "letters"]) == 2
-    assert "letters-ray, letters-wave, white" in capsys.readouterr().err
+    assert read.camera == packed.camera
     assert main(["example", "white"]) == 0 and (tmp_path / "white.truth.exr").is_file()

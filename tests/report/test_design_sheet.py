@@ -33,8 +33,11 @@ def test_the_papers_camera():
     assert sheet["Diffraction at 633 nm", "Fresnel number, microlens"] == ("3.16", "")
 
 
-def test_without_a_wavelength_nothing_is_said_of_diffraction():
-    assert not any(group.startswith("Diffraction") for group, _ in values(PlenopticCamera()))
+def test_crop_is_told_and_without_a_wavelength_nothing_of_diffraction():
+    rows = {row.quantity: row for row in design_sheet(PlenopticCamera(crop_offset=(10, 20), crop_size=(64, 32)))}
+    assert rows["recorded pixels"].value == "64 x 32"
+    assert rows["recorded pixels"].note == "from column 10, row 20"
+    assert not any(row.group.startswith("Diffraction") for row in rows.values())
 
 
 def test_refocusing_rows_give_bins_and_blur_at_the_ends_of_the_range():
@@ -42,13 +45,6 @@ def test_refocusing_rows_give_bins_and_blur_at_the_ends_of_the_range():
     near, far = design.refocus_range(camera, 633)
     notes = [row.note for row in design_sheet(camera, 633) if row.quantity == "bin size"]
     assert notes == [f"at {near:.4g} mm", "at 240 mm", f"at {far:.4g} mm"]
-
-
-def test_crop_is_told():
-    camera = PlenopticCamera(crop_offset=(10, 20), crop_size=(64, 32))
-    rows = {row.quantity: row for row in design_sheet(camera)}
-    assert rows["recorded pixels"].value == "64 x 32"
-    assert rows["recorded pixels"].note == "from column 10, row 20"
 
 
 def test_kind_resolution_and_depth_range_are_told():

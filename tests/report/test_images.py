@@ -1,6 +1,5 @@
 """Pictures: tone, scale, and nothing half-written."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from PIL import Image
@@ -61,33 +60,12 @@ def test_a_lamp_out_of_focus_does_not_make_the_rest_black():
     assert Brightness().peak([np.zeros((3, 3)), np.full((3, 3), np.nan)]) == 1
 
 
-def lamp_scene():
-    """A wall that is lit, with a tiny lamp of 10,000 times its radiance far in front of the plane in focus."""
-    to_world = mi.ScalarTransform4f
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "sensor": {"type": "perspective", "to_world": to_world().look_at([0, 0, 0], [0, 0, 1], [0, 1, 0])},
-            "wall": {
-                "type": "rectangle",
-                "to_world": to_world().translate([0, 0, 240]).scale(50).rotate([1, 0, 0], 180),
-                "emitter": {"type": "area", "radiance": 0.5},
-            },
-            "lamp": {
-                "type": "sphere",
-                "center": [0, 0, 210],
-                "radius": 0.05,
-                "emitter": {"type": "area", "radiance": 5000},
-            },
-        }
-    )
-
-
-def test_the_wall_is_seen_next_to_a_lamp_in_all_figures():
+def test_a_wall_is_seen_next_to_a_lamp_in_all_figures():
+    """A lamp of 10,000 times its radiance."""
     camera = mp.PlenopticCamera(detector_width=4.096, resolution=(512, 512))
-    scene = mp.with_camera(lamp_scene(), camera)
-    capture = mp.render_capture(scene, model="ray", spp=32)
+    image = 0.5 * mp.views.white_image(camera)
+    image[252:260, 252:260] *= 1e4
+    capture = mp.Capture(image, camera)
     sheet = contact_sheet(mp.reconstruct(capture, [210, 240]))
     depth = depth_figure(mp.views.depth_map(mp.decode(capture), 200, 260, planes=16))
     for axes in (sheet.axes[0], sheet.axes[1], depth.axes[0]):

@@ -1,12 +1,15 @@
-"""The drawing of a real main lens: what is drawn is what is traced."""
+"""Drawings of main lenses and microlenses: what is drawn is what is traced."""
 
+import matplotlib.image
 import numpy as np
 import pytest
 from PIL import Image
 
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.microlens import ZoneLens
 from mitsuba_plenoptic.report.lens_drawing import draw_main_lens, field_figures, lateral_colour, ray_paths, spot
+from mitsuba_plenoptic.report.microlens_drawing import draw_microlens
 from mitsuba_plenoptic.report.plots import Plot
 
 LINE_C, LINE_F = 656.2725, 486.1327
@@ -61,11 +64,6 @@ def test_the_bar_of_a_drawing_is_as_long_as_it_says(tmp_path, monkeypatch):
     )
 
 
-def test_the_lens_of_an_ordinary_camera_is_drawn(tmp_path):
-    draw_main_lens(tmp_path / "lens.png", PlenopticCamera(mla_lattice="none", main_lens="singlet", focus_distance=300))
-    assert Image.open(tmp_path / "lens.png").size[0] > 500
-
-
 def test_figures_see_pupils_that_grow_off_the_axis():
     (edge,) = field_figures(PlenopticCamera.preset("phone"), (1.96,))
     assert 1.35 < edge.light < 1.5 and abs(edge.distortion) < 0.01
@@ -82,5 +80,16 @@ def test_a_drawing_is_made(tmp_path, capsys):
     capsys.readouterr()
     assert main(["info", "paper", "--drawing", str(picture)]) == 2
     assert "no main_lens of surfaces that could be drawn" in capsys.readouterr().err
+    draw_main_lens(picture, PlenopticCamera(mla_lattice="none", main_lens="singlet", focus_distance=300))
+    assert Image.open(picture).size[0] > 500
     with pytest.raises(InputError, match="the folder"):
         draw_main_lens(tmp_path / "none" / "lens.png", CAMERA)
+
+
+@pytest.mark.parametrize("changes", [{}, {"mla_lattice": "hexagonal", "mla_medium": 1.4, "mla_shape": ZoneLens(0.4)}])
+def test_draws_any_microlens(changes, tmp_path):
+    draw_microlens(tmp_path / "lens.png", PlenopticCamera(**changes), 532.0)
+    picture = matplotlib.image.imread(tmp_path / "lens.png")
+    # Each of the three parts has colours.
+    assert all((part[..., :3].std(axis=2) > 0.1).mean() > 0.01 for part in (picture[:, :560], picture[:, 600:1200]))
+    assert picture[:, 1250:, :3].min() < 0.05

@@ -1,17 +1,20 @@
-"""Metrics against closed forms."""
+"""Metrics against closed forms, and how much of two captures' difference is noise."""
 
 import math
 
 import numpy as np
 import pytest
 import skimage.metrics
+from cameras import letters
 
-from mitsuba_plenoptic import PlenopticCamera
+from mitsuba_plenoptic import Capture, PlenopticCamera, load_scene, render_capture
 from mitsuba_plenoptic.report.metrics import (
+    capture_difference,
     common_scale,
     image_metrics,
     interference,
     lit_region,
+    middle_of_micro_images,
     relative_error,
     shape_window,
 )
@@ -63,14 +66,11 @@ def test_what_is_unknown_does_not_count(shape):
     assert nothing.ssim is None
 
 
-def test_common_scale_serves_all_images():
+def test_one_scale_serves_all_images_and_errors_are_root_mean_squares():
     references = [np.full((4, 4), 2.0), np.full((4, 4), 6.0)]
     assert common_scale([0.5 * one for one in references], references) == pytest.approx(2)
     assert common_scale([np.zeros((4, 4))], references[:1]) == 1
-
-
-def test_relative_error():
-    assert relative_error(np.array([1.0, 1.1]), np.array([1.0, 1.0])) == pytest.approx(0.1 / math.sqrt(2))
+    assert relative_error(np.array([1.0, 1.1]), np.ones(2)) == pytest.approx(0.1 / math.sqrt(2))
 
 
 def test_interference_is_root_mean_square_over_mean():
@@ -98,3 +98,45 @@ def test_images_smaller_than_the_window_of_ssim_have_none(shape):
     assert found.ssim is None
     assert found.energy == pytest.approx(1.1)
     assert found.psnr == pytest.approx(20 * math.log10(reference.max() / (0.1 * np.sqrt(np.mean(reference**2)))))
+
+
+CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+
+
+def noisy(image, sigma, seed):
+    rng = np.random.default_rng(seed)
+    return Capture(image + rng.normal(0, sigma, image.shape), CAMERA, noise=np.full(image.shape, sigma))
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.3])
+def test_the_true_difference_does_not_depend_on_noise(sigma):
+    image = np.ones(CAMERA.shape)
+    found = capture_difference(noisy(image, sigma, 0), noisy(1.1 * image, sigma, 1))
+    assert found.true == pytest.approx(0.1 / 1.1, rel=0.1)
+    assert found.measured == pytest.approx(np.hypot(found.noise, found.true), rel=1e-3)
+    assert not found.noise_alone
+
+
+def test_two_renders_by_rays_differ_by_noise_alone():
+    scene = load_scene("letters", parameters=letters(8))
+    a, b = (render_capture(scene, model="ray", spp=8, seed=seed, noise=True) for seed in (0, 1))
+    found = capture_difference(a, b)
+    assert found.noise_alone and found.measured > 0.01
+    assert found.true < 0.35 * found.measured
+
+
+def test_noise_that_is_not_known_is_not_told():
+    image = np.ones(CAMERA.shape)
+    found = capture_difference(Capture(image, CAMERA), noisy(image, 0.1, 0))
+    assert found.noise is found.true is found.noise_alone is None
+
+
+def test_the_middle_and_the_rim_share_the_difference():
+    image = np.ones(CAMERA.shape)
+    middle = middle_of_micro_images(CAMERA)
+    # 64 discs of 80 % of the micro-image's 21.3 pixels.
+    assert middle.sum() == pytest.approx(64 * np.pi / 4 * (0.8 * 21.33) ** 2, rel=0.05)
+    other = Capture(np.where(middle, 1.2, 1.0), CAMERA, noise=np.zeros(CAMERA.shape))
+    known = Capture(image, CAMERA, noise=np.zeros(CAMERA.shape))
+    rim, inside, every = (capture_difference(other, known, pixels).true for pixels in (~middle, middle, None))
+    assert rim == 0 and inside == pytest.approx(every)

@@ -79,6 +79,8 @@ def test_scale_bars_are_as_long_as_they_say(distance):
     (text,) = panel.texts
     assert bar.get_width() * 8 * CAMERA.bin_size(distance) == pytest.approx(float(text.get_text().split()[0]))
     assert text.get_text().endswith(" mm") and 0.1 < bar.get_width() <= 0.3
+    (panel, _) = contact_sheet([result(distance=np.inf)]).axes
+    assert not panel.patches and not panel.texts and panel.get_title(loc="left") == "infinity"
 
 
 def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
@@ -100,11 +102,6 @@ def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
         assert bar.get_width() * width == pytest.approx(float(length), rel=1e-3)
 
 
-def test_infinity_has_no_millimetres():
-    (panel, _) = contact_sheet([result(distance=np.inf)]).axes
-    assert not panel.patches and not panel.texts and panel.get_title(loc="left") == "infinity"
-
-
 def test_what_is_not_known_is_hatched():
     image = np.ones((8, 8), np.float32)
     assert not hatched(contact_sheet([result(image=image)]).axes[0])
@@ -112,17 +109,11 @@ def test_what_is_not_known_is_hatched():
     panel = contact_sheet([result(image=image)]).axes[0]
     assert hatched(panel) and panel.images[0].get_array().mask.sum() == 1
     colours = np.repeat(image[..., None], 3, axis=2)
-    panel = contact_sheet([result(image=colours)]).axes[0]
+    figure = contact_sheet([result(image=colours)], 0.75)
+    assert figure.get_supxlabel() == "white: radiance 0.75; bars: lengths at the distance of each image"
+    panel = figure.axes[0]
     alpha = panel.images[0].get_array()[..., 3]
     assert hatched(panel) and alpha[0, 0] == 0 and alpha.sum() == 255 * 63
-
-
-def test_colours_state_their_white():
-    image = np.random.default_rng(0).random((8, 8, 3), dtype=np.float32)
-    assert (
-        contact_sheet([result(image=image)], 0.75).get_supxlabel()
-        == "white: radiance 0.75; bars: lengths at the distance of each image"
-    )
 
 
 def test_views_lie_as_on_the_pupil(lf):
@@ -133,16 +124,12 @@ def test_views_lie_as_on_the_pupil(lf):
     assert panels[3].get_ylabel() == "0.00" and panels[0].get_ylabel().startswith("v = ")
 
 
-def test_samples_beyond_the_pupil_are_hatched(lf):
+def test_samples_beyond_the_pupil_are_hatched_and_of_many_views_some_are_labelled(lf):
+    found = [text for text in titles(views_figure(lf.isel(u=[0] * 20, v=[0])))[:20] if text]
+    assert len(found) == 7 and found[0].startswith("u = ")
     panels = views_figure(lf).axes[: lf.sizes["u"] * lf.sizes["v"]]
     dark = (lf.weight.values == 0).any(axis=(2, 3)).ravel()
     assert [hatched(axes) for axes in panels] == dark.tolist() and 0 < dark.sum() < dark.size
-
-
-def test_of_many_views_some_are_labelled(lf):
-    many = lf.isel(u=[0] * 20, v=[0])
-    found = [text for text in titles(views_figure(many))[:20] if text]
-    assert len(found) == 7 and found[0].startswith("u = ")
 
 
 def test_stacks_are_wrapped(lf):

@@ -1,10 +1,9 @@
 """Threads, processes, variants and imports: what may run at once, and that the same seed gives the same bits."""
 
-import ctypes
+import subprocess
+import sys
 import textwrap
 import threading
-import time
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import drjit as dr
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from mitsuba_plenoptic.runtime import fft
-from mitsuba_plenoptic.runtime.fft import resting_drjit
 
 # Everything that makes an image: both captures of a scene with several lamps, all reconstructions, and noise.
 IMAGES = """
@@ -81,29 +79,6 @@ print(same, different, dr.thread_count())
     )
     result = python(code)
     assert result.stdout == "True True 2\n", result.stderr
-
-
-def test_the_thread_count_is_restored_by_the_last_of_overlapping_rests():
-    before = dr.thread_count()
-    dr.set_thread_count(3)
-    try:
-        inside, leave = threading.Event(), threading.Event()
-
-        def other():
-            with resting_drjit():
-                inside.set()
-                leave.wait()
-
-        thread = threading.Thread(target=other)
-        with resting_drjit():
-            thread.start()
-            inside.wait()
-        during = dr.thread_count()
-        leave.set()
-        thread.join()
-        assert (during, dr.thread_count()) == (1, 3)
-    finally:
-        dr.set_thread_count(before)
 
 
 def test_two_variants_in_one_process(python):
@@ -225,31 +200,28 @@ def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch, nanothre
         dr.set_flag(dr.JitFlag.KernelHistory, recorded)
 
 
-def test_tasks_are_queued_while_a_thread_is_waited_for(nanothread):
-    """Dr.Jit counts a thread as gone that has not stopped yet: a kernel would not be queued, and wake nobody."""
-    holds, release = threading.Event(), threading.Event()
+AT_THE_END_OF_A_PAGE = """
+import ctypes, mmap
+import mitsuba as mi
+import numpy as np
+from mitsuba_plenoptic.optics.waves import advance
 
-    @ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.c_void_p)
-    def hold(index, payload):
-        if nanothread.pool_thread_id():
-            holds.set()
-            assert release.wait(20)
-
-    dr.set_thread_count(2)
-    callback = ctypes.cast(hold, ctypes.c_void_p)
-    held = nanothread.task_submit_dep(None, None, 0, 1, callback, None, 0, None, 1, 0)
-    assert holds.wait(20)
-    with ThreadPoolExecutor(1) as other:
-        request = other.submit(nanothread.pool_set_size, None, 1, 0)
-        time.sleep(0.2)
-        assert not request.done()
-        assert dr.thread_count() == 1
-        nanothread.task_wait_and_release(nanothread.task_submit_dep(None, None, 0, 2, None, None, 0, None, 1, 0))
-        assert not request.done()
-        release.set()
-        request.result(20)
-    nanothread.task_wait_and_release(held)
+mi.set_variant("llvm_ad_mono")
+page, shape = mmap.PAGESIZE, (3, 5)
+memory = mmap.mmap(-1, 2 * page)
+start = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+libc = ctypes.CDLL(None)
+libc.mprotect.argtypes = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
+assert libc.mprotect(start + page, page, 0) == 0
+field = np.frombuffer(memory, np.complex64, 15, page - 15 * 8).reshape(shape)
+field[:] = np.arange(15).reshape(shape)
+np.testing.assert_array_equal(advance(field, 0.01, 0.0, 633.0), field)
+print("fine")
+"""
 
 
-def test_threads_are_stopped_outside_the_interpreters_lock():
-    assert fft._nanothread() is not None
+@pytest.mark.skipif(sys.platform != "linux", reason="pages are protected as on Linux")
+def test_fields_that_end_with_a_page():
+    """The next page is protected: reading it would end the process."""
+    made = subprocess.run([sys.executable, "-c", AT_THE_END_OF_A_PAGE], capture_output=True, text=True, timeout=100)
+    assert (made.returncode, made.stdout.strip()) == (0, "fine"), made.stderr
