@@ -170,9 +170,7 @@ def software() -> dict[str, str]:
     package = Path(__file__).parent.parent
     text = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
-        # Reports and commands show results, except the experiment, which makes them.
-        if source.name == "experiment.py" or not {"report", "cli"} & set(source.relative_to(package).parts[:-1]):
-            text.update(source.read_bytes())
+        text.update(source.read_bytes())
     versions = {name: importlib.metadata.version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
     return {**versions, "mitsuba_plenoptic": text.hexdigest()[:16]}
 
