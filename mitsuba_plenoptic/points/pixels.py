@@ -203,9 +203,10 @@ def _sum_of_products(terms: list[tuple[Any, Any]], values: Any) -> Any:
     libraries, total = backend_of(values), None
     contiguous = libraries.arrays.ascontiguousarray
     for along_y, along_x in terms:
+        made_from_pixels = along_y.shape[0] > along_y.shape[1]
         if libraries.is_cuda:
             along_y, along_x = (libraries.sparse.csr_matrix(weights) for weights in (along_y, along_x))
-        if along_y.shape[0] > along_y.shape[1]:
+        if made_from_pixels:
             product = along_y @ contiguous((along_x @ contiguous(values.T)).T)
         else:
             product = contiguous((along_x @ (along_y @ values).T).T)
