@@ -291,11 +291,11 @@ def require_suffix(path: Path, suffixes: Collection[str]) -> None:
     )
 
 
-def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> None:
+def require_known(where: str, names: Iterable[Any], allowed: Collection[str]) -> None:
     """Refuse the first name that is not among the known ones; `what` begins the message, such as ``camera: ``."""
     for name in names:
-        if name not in known:
-            raise InputError(f"{what}{name}: it is not one of {', '.join(known)}{did_you_mean(name, known)}")
+        if name not in allowed:
+            raise InputError(f"{where}{name}: it is not one of {', '.join(allowed)}{did_you_mean(name, allowed)}")
 
 
 def require_pair(name: str, value: Any, meaning: str) -> tuple[Any, Any]:

@@ -117,11 +117,11 @@ def method_names() -> tuple[str, ...]:
 @functools.cache
 def options_of_methods() -> dict[str, dict[str, Option]]:
     """Return the options of each method that has some, by name."""
-    found = {}
+    options = {}
     for method, fields in (_CORE | {name: place(package, text) for package, name, text in entries("options")}).items():
         hints = {name: get_args(hint) for name, hint in get_type_hints(fields, include_extras=True).items()}
-        found[method] = {name: replace(option, types=get_args(kind)[:-1]) for name, (kind, option) in hints.items()}
-    return found
+        options[method] = {name: replace(option, types=get_args(kind)[:-1]) for name, (kind, option) in hints.items()}
+    return options
 
 
 @functools.cache

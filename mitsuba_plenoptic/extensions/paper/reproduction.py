@@ -174,8 +174,8 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
         for axes in panels:
             bare(axes).set_box_aspect(aspect)
     axes = upper[0]
-    seen = window.of(experiment.pinhole)
-    show(axes, seen, "Object, seen from the centre of the main lens")
+    view_of_window = window.of(experiment.pinhole)
+    show(axes, view_of_window, "Object, seen from the centre of the main lens")
     in_view = (window.right - window.left) * design.field_width(camera, camera.focus_distance)
     scale_bar(axes, in_view, f"at {camera.focus_distance:g} mm")
     for name in letters:
@@ -185,8 +185,9 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
         across = 0.5 - foot[0] / camera.detector_width
         down = 0.5 - foot[1] / camera.detector_height
         axes.text(
-            (across - window.left) / (window.right - window.left) * seen.shape[1],
-            (down - window.top) / (window.bottom - window.top) * seen.shape[0] + 0.025 * seen.shape[1],
+            (across - window.left) / (window.right - window.left) * view_of_window.shape[1],
+            (down - window.top) / (window.bottom - window.top) * view_of_window.shape[0]
+            + 0.025 * view_of_window.shape[1],
             f"{z:g} mm",
             color="white",
             ha="center",
@@ -196,14 +197,14 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
 
     axes = upper[1]
     peak = float(np.quantile(wave[wave > 0.01 * wave.max()], 0.95))
-    seen = window.of(wave)
-    small = shrink(seen, 1400)
+    view_of_window = window.of(wave)
+    small = shrink(view_of_window, 1400)
     # Averaging pixels dims the micro-images, which do not fill their cells.
     show(axes, small, "Detector image, by waves", peak=0.7 * peak)
-    scale_bar(axes, seen.shape[1] * camera.pixel_size, ON_DETECTOR)
+    scale_bar(axes, view_of_window.shape[1] * camera.pixel_size, ON_DETECTOR)
     corner = round(window.top * wave.shape[0]), round(window.left * wave.shape[1])
     for below, letter, zoom in zip(lower, "abc", zooms, strict=True):
-        mark(axes, zoom, corner, seen.shape[1] / small.shape[1], letter)
+        mark(axes, zoom, corner, view_of_window.shape[1] / small.shape[1], letter)
         cut = wave[zoom.rows, zoom.columns]
         show(below, cut, f"({letter})  Micro-images of {zoom.title}", peak=peak)
         scale_bar(below, cut.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)

@@ -298,7 +298,7 @@ def _tile(picture: _Picture) -> NDArray[np.str_]:
 def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> NDArray[np.float64]:
     """Return the black or white levels of the filters of a tile, as digital numbers."""
     entry = f"{picture.details}.pixelFormat.{name}"
-    return np.array([[picture.number(f"{entry}.{one}", minimum=0, maximum=65535) for one in row] for row in tile])
+    return np.array([[picture.number(f"{entry}.{colour}", minimum=0, maximum=65535) for colour in row] for row in tile])
 
 
 def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
