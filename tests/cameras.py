@@ -52,12 +52,13 @@ def definitions(parameters):
     return [word for name, value in parameters.items() for word in ("-D", f"{name}={value}")]
 
 
-def disk(position, radius):
-    """Describe a radiating disk that faces the camera."""
+def disk(position, radius, **extra):
+    """Describe a disk that faces the camera, and radiates unless it has another emitter."""
     return {
         "type": "disk",
         "to_world": mi.ScalarTransform4f().translate(position).rotate([0, 1, 0], 180).scale(radius),
         "emitter": {"type": "area", "radiance": 1.0},
+        **extra,
     }
 
 

@@ -62,6 +62,14 @@ def radiating(radiance: float = 1.0) -> Scene:
     return {"emitter": {"type": "area", "radiance": radiance}, "bsdf": {"type": "diffuse", "reflectance": 0.0}}
 
 
+def line(middle: float, half: float) -> tuple[np.ndarray, np.ndarray, Scene]:
+    """Return a spectrum that is 1 in a narrow band, as a table and as Mitsuba takes it."""
+    rows = [(400, 0), (middle - half - 0.1, 0), (middle - half, 1), (middle + half, 1), (middle + half + 0.1, 0)]
+    wavelengths, values = np.array([*rows, (700, 0)], float).T
+    words = (",".join(map(str, each)) for each in (wavelengths, values))
+    return wavelengths, values, {"type": "irregular", **dict(zip(("wavelengths", "values"), words, strict=True))}
+
+
 def bars(distance: float, to_world: Any = None) -> Scene:
     """Describe upright radiating bars."""
     return {

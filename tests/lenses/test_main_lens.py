@@ -23,11 +23,6 @@ def pupil_and_points(count=500, seed=0):
     return (radius * np.cos(angle), radius * np.sin(angle)), (*(slopes * g), g)
 
 
-def test_a_camera_has_one():
-    camera = PlenopticCamera(focal_length=50, aperture_radius=4, mla_distance=70, lens_model="parabolic")
-    assert main_lens(camera) == ThinLens(50, 4, 70, "parabolic")
-
-
 @pytest.mark.parametrize("array", [np.asarray, Float64], ids=["NumPy", "Dr.Jit"])
 @pytest.mark.parametrize("model", ["ideal", "parabolic"])
 def test_a_traced_ray_obeys_the_ray_formulas(array, model):

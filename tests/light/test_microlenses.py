@@ -1,7 +1,5 @@
 """The transmission of microlens arrays: its orders, their sum, and the array's own images."""
 
-import pickle
-
 import numpy as np
 import pytest
 from cameras import LATTICES, WAVELENGTH, error, small_camera
@@ -9,8 +7,8 @@ from drjit.llvm import Float64
 from scipy.special import j1
 
 from mitsuba_plenoptic.lattice import turn
-from mitsuba_plenoptic.light.microlens_orders import AxisFactor, MicrolensArray, PlaneFactor, axis_orders
-from mitsuba_plenoptic.light.microlenses import transmission, upright
+from mitsuba_plenoptic.light.microlens_orders import AxisFactor, PlaneFactor, axis_orders
+from mitsuba_plenoptic.light.microlenses import transmission
 from mitsuba_plenoptic.optics.waves import propagate
 
 SMALL = small_camera()
@@ -38,12 +36,6 @@ def test_every_lens_is_a_parabola_in_its_aperture(lattice):
     assert np.abs(found - expected).max() < 1e-5
 
 
-def test_the_gaps_are_opaque():
-    camera = SMALL.replace(mla_fill=0.8)
-    edge = Float64([0.0, 0.001, 0.031, 0.063])
-    assert (np.abs(to_numpy(transmission(camera, WAVELENGTH, edge, Float64(0.032)))) > 0.5).tolist() == [0, 0, 1, 0]
-
-
 @pytest.mark.parametrize("changes", [{}, {"mla_fill": 0.8}, {"mla_fill": 0.8, "mla_pitch": (0.064, 0.05)}])
 def test_a_separable_array_is_the_product_of_its_axes(changes):
     camera = SMALL.replace(mla_offset=(0.01, -0.02), **changes)
@@ -55,15 +47,6 @@ def test_a_separable_array_is_the_product_of_its_axes(changes):
         focal_length, width = camera.mla_focal_length, camera.mla_fill * pitch
         expected *= np.exp(-1j * np.pi * away**2 / (WAVELENGTH * 1e-6 * focal_length)) * (np.abs(away) <= width / 2)
     assert np.allclose(to_numpy(transmission(camera, WAVELENGTH, Float64(x), Float64(y))), expected, atol=1e-5)
-
-
-@lattices
-def test_upright_is_the_same_array_in_its_own_frame(lattice):
-    camera = SMALL.replace(**lattice)
-    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 500))
-    turned = turn(x, y, -camera.mla_rotation)
-    found = transmission(upright(camera), WAVELENGTH, *map(Float64, turned))
-    assert np.allclose(to_numpy(found), to_numpy(transmission(camera, WAVELENGTH, Float64(x), Float64(y))), atol=1e-5)
 
 
 # -- its orders --------------------------------------------------------------------------------------
@@ -154,36 +137,3 @@ def test_transmission_is_the_sum_of_its_orders(lattice, parameter):
     )
     expected = np.einsum("kj,ji,ki->k", along_y, amplitudes, along_x)
     assert error(found, expected) < 5e-5
-
-
-def test_the_factors_of_a_separable_array_multiply_to_the_one_of_its_plane():
-    camera = SMALL.replace(mla_pitch=(0.064, 0.05), mla_offset=(0.01, -0.02))
-    x, y = (Float64(axis) for axis in np.random.default_rng(0).uniform(-1, 1, (2, 500)))
-    along_x, along_y = MicrolensArray(camera, WAVELENGTH).factors(0.4)
-    assert (along_x.axes, along_y.axes) == ((0,), (1,))
-    plane = PlaneFactor(camera, WAVELENGTH, 0.4)
-    # The plane lacks the orders that are steep along both axes.
-    assert error(to_numpy(along_x.at(x) * along_y.at(y)), to_numpy(plane.at(x, y))) < 0.1
-
-
-def test_an_array_retains_its_last_factors():
-    array = MicrolensArray(SMALL.replace(mla_fill=0.8), WAVELENGTH)
-    first = array.factors(0.2)
-    assert array.factors(0.2) is first
-    for cosine in np.linspace(0.05, 0.1, 16):
-        array.factors(cosine)
-    assert array.factors(0.2) is not first
-
-
-def test_gaps_are_closed_and_apertures_open():
-    array = MicrolensArray(SMALL.replace(mla_fill=0.8), WAVELENGTH)
-    found = array.open_fraction(0.3, Float64([0.0, 0.032]), Float64(0.032))
-    assert np.allclose(found, [0, 1], atol=0.1)
-
-
-def test_an_array_from_another_process_is_the_same_and_made_once():
-    array = MicrolensArray(SMALL, WAVELENGTH)
-    (sent, again), x = (pickle.loads(pickle.dumps(array)) for _ in range(2)), Float64(0.013, 0.4)
-    assert sent is again
-    found, expected = (to_numpy(some.factors(0.2)[0].at(x)) for some in (sent, array))
-    assert (found == expected).all()

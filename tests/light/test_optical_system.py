@@ -26,12 +26,6 @@ def test_the_factory_makes_the_lens_of_a_camera():
     assert (real.wavelength, real.pupil_distance) == (WAVELENGTH, REAL.pupil_distance)
 
 
-@pytest.mark.parametrize("model", ["ideal", "parabolic"])
-def test_waves_of_a_bound_camera_refract_as_its_rays_do(model):
-    camera = THIN.replace(lens_model=model)
-    assert OpticalSystem(camera, WAVELENGTH).lens.model == main_lens(camera).model == model
-
-
 def test_fits_are_held_and_shared_by_systems_of_the_same_camera_and_wavelength():
     system = OpticalSystem(REAL, WAVELENGTH)
     lens = system.waves_of(POINTS)
@@ -50,25 +44,6 @@ def test_sums_share_the_system_of_their_own_camera_only():
     for camera, wavelength in ((THIN, WAVELENGTH), (REAL, 633.0)):
         with pytest.raises(InputError, match="bound to another camera"):
             CaptureOperator(camera, POINTS, wavelength=wavelength, system=system)
-
-
-@pytest.mark.parametrize("camera", [THIN, REAL, MICROSCOPE], ids=["thin", "real", "microscope"])
-def test_rays_to_the_pupil_follow_its_chief_rays(camera):
-    lens, z = main_lens(camera), camera.detector_distance
-    detector = np.array([-0.3, 0.0, 0.2])
-    array = lens.chief_point(detector, z)
-    assert lens.pupil_point(array, (array - detector) / z) == pytest.approx(0.0, abs=1e-12)
-    slope = lens.slope_to(1.5, array, 0.01)
-    assert lens.pupil_point(array, slope, 0.01) == pytest.approx(1.5)
-    growth = camera.micro_image_pitch / camera.mla_pitch
-    assert array * growth == pytest.approx(detector)
-
-
-def test_a_thin_pupil_is_open_to_all_points():
-    lens = OpticalSystem(THIN, WAVELENGTH).waves_of(POINTS)
-    assert lens.reach == THIN.aperture_radius
-    assert (lens.open_part(POINTS) == 1).all()
-    assert lens.open_fraction(np.zeros(3), np.ones(3)) == pytest.approx(1)
 
 
 def test_the_start_of_rays_lies_within_the_bounds():

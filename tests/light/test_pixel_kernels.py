@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic.light.oblique import Oblique, moved, terms
+from mitsuba_plenoptic.light.oblique import Oblique, terms
 from mitsuba_plenoptic.light.pixel_kernels import PixelKernels
 
 PARTS, HALF, LARGEST = 2, 6, 0.2
@@ -72,9 +72,3 @@ def test_few_patterns_keep_the_light():
     straight = np.einsum("xpn,n->x", values, of_cells[:FUNCTIONS].sum((1, 2)))
     assert of_cells[FUNCTIONS:].sum((1, 2)) == pytest.approx(0, abs=1e-9)
     assert light == pytest.approx(straight, rel=1e-4)
-
-
-def test_terms_of_a_step_aside_are_combinations_of_terms():
-    cosines, step = np.array([0.3, -0.5]), np.array([0.1, 0.2])
-    before, after = (np.array([1, *terms(*place, 2)]) for place in (cosines, cosines + step))
-    assert moved(step, 2) @ before == pytest.approx(after)

@@ -7,7 +7,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cases import facing, radiating, scene_of, sensor
+from cameras import error
+from cases import facing, line, radiating, scene_of, sensor
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.light import colour
@@ -34,18 +35,6 @@ def wall(radiance, **parameters):
     emitter = {"type": "area", "radiance": radiance}
     black = {"type": "diffuse", "reflectance": 0.0}
     return scene_of(coloured(**parameters), wall=facing(240.0, 60.0, emitter=emitter, bsdf=black))
-
-
-def relative(image, reference):
-    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
-
-
-def line(middle, half):
-    """Return a spectrum that is 1 in a narrow band, as a table and as Mitsuba takes it."""
-    rows = [(400, 0), (middle - half - 0.1, 0), (middle - half, 1), (middle + half, 1), (middle + half + 0.1, 0)]
-    wavelengths, values = np.array([*rows, (700, 0)], float).T
-    words = (",".join(map(str, each)) for each in (wavelengths, values))
-    return wavelengths, values, {"type": "irregular", **dict(zip(("wavelengths", "values"), words, strict=True))}
 
 
 def seen(wavelengths, values):
@@ -122,10 +111,10 @@ def test_the_noise_is_that_of_seeds_and_of_wavelengths():
 def test_bands_are_the_means_of_lines():
     scene = scene_of(sensor(4, 16), wall=facing(240.0, 0.12, **radiating()))
     lines = [by_waves(scene, 2048, wavelength=wavelength).image for wavelength in (450.0, 650.0)]
-    assert relative(*lines) > 0.04
+    assert error(*lines) > 0.04
     # Between two nodes light is shared in straight lines.
     nodes = by_waves(scene, 2048, wavelength=550.0, bandwidth=2 * 100 / 0.98, nodes=2).image
-    assert relative(nodes, (lines[0] + lines[1]) / 2) < 0.6 * relative(*lines)
+    assert error(nodes, (lines[0] + lines[1]) / 2) < 0.6 * error(*lines)
     assert nodes.sum() == pytest.approx((lines[0].sum() + lines[1].sum()) / 2, rel=0.005)
     one = by_waves(scene, 64, wavelength=550.0, bandwidth=20.0, nodes=1).image
     assert np.array_equal(one, by_waves(scene, 64, wavelength=550.0).image)
@@ -144,9 +133,9 @@ def test_bands_of_a_patch_of_light_against_exact_sums(width, glass):
     exact = operator.forward(np.ones((64, 8)))[..., 0]
     exact *= image.sum() / exact.sum()
     # Of so small a light that stands in focus, one line by itself is as far from exact sums.
-    assert relative(image, exact) < 0.05
+    assert error(image, exact) < 0.05
     if glass:
-        assert relative(by_waves(scene, 2048, **options, nodes=1).image, exact) > 0.1
+        assert error(by_waves(scene, 2048, **options, nodes=1).image, exact) > 0.1
 
 
 @pytest.mark.slow
@@ -249,7 +238,7 @@ def test_captures_at_a_common_node_are_those_of_each_line():
         by_waves(scene, 1024, wavelength="611, 549, 464", **given).image for given in ({}, {"accuracy": 0.005})
     )
     for channel in range(3):
-        assert 0 < relative(common[..., channel], own[..., channel]) < 0.01
+        assert 0 < error(common[..., channel], own[..., channel]) < 0.01
 
 
 class _Elsewhere:

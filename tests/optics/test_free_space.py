@@ -32,52 +32,20 @@ def smooth_field(n, pitch):
 
 @periodic
 @pytest.mark.parametrize("distance", [0.512, 120.0, -240.0])
-def test_unitary_in_the_window(distance):
-    """Every wave that propagates keeps its power: Parseval to 1e-6, at any distance."""
-    field = resolved_field((300, 256))
-    out = propagate(field, 2e-3, distance, WAVELENGTH)
-    power = [np.sum(np.abs(f.astype(np.complex128)) ** 2) for f in (field, out)]
-    assert power[1] == pytest.approx(power[0], rel=1e-6)
-
-
-@periodic
-def test_there_and_back():
-    field = resolved_field((128, 200))
+def test_against_double_precision(distance):
+    """The phase, some 10^6 rad over the path, is right to single precision; every wave keeps its power."""
+    pitch, shape = 2e-3, (300, 256)
+    field = resolved_field(shape)
     original = field.copy()
-    out = propagate(propagate(field, 2e-3, 120.0, WAVELENGTH), 2e-3, -120.0, WAVELENGTH)
-    assert np.linalg.norm(out - field) < 2e-6 * np.linalg.norm(field)
-    assert np.array_equal(field, original)
-
-
-@periodic
-def test_overwrite_gives_the_same_numbers():
-    field = resolved_field((128, 128))
-    expected = propagate(field, 2e-3, 5.0, WAVELENGTH)
-    assert np.array_equal(propagate(field.copy(), 2e-3, 5.0, WAVELENGTH, overwrite=True), expected)
-
-
-@periodic
-def test_against_double_precision():
-    """The phase, some 10^6 rad over the path, is right to single precision."""
-    n, pitch, distance = 256, 2e-3, 120.0
-    field = resolved_field((n, n))
     k = 2 * np.pi / (WAVELENGTH * 1e-6)
-    kx = 2 * np.pi * np.fft.fftfreq(n, pitch)
-    kz = np.sqrt(k**2 - kx[None, :] ** 2 - kx[:, None] ** 2)
+    ky, kx = (2 * np.pi * np.fft.fftfreq(size, pitch) for size in shape)
+    kz = np.sqrt(k**2 - kx**2 - ky[:, None] ** 2)
     expected = np.fft.ifft2(np.fft.fft2(field.astype(np.complex128)) * np.exp(1j * (kz - k) * distance))
     out = propagate(field, pitch, distance, WAVELENGTH)
     assert np.linalg.norm(out - expected) < 1e-6 * np.linalg.norm(expected)
-
-
-@periodic
-def test_plane_wave_turns_by_kz():
-    n, pitch, distance = 64, 1e-3, 7.0
-    x = np.arange(n)
-    field = np.exp(2j * np.pi * (5 * x[None, :] - 9 * x[:, None]) / n)
-    sx, sy = 5 * WAVELENGTH * 1e-6 / (n * pitch), 9 * WAVELENGTH * 1e-6 / (n * pitch)
-    turns = distance / (WAVELENGTH * 1e-6) * (np.sqrt(1 - sx**2 - sy**2) - 1)
-    expected = field * np.exp(2j * np.pi * turns)
-    assert np.abs(propagate(field, pitch, distance, WAVELENGTH) - expected).max() < 1e-5
+    assert np.linalg.norm(out.astype(np.complex128)) ** 2 == pytest.approx(np.linalg.norm(expected) ** 2, rel=1e-6)
+    assert np.array_equal(field, original)
+    assert np.array_equal(propagate(field.copy(), pitch, distance, WAVELENGTH, overwrite=True), out)
 
 
 def test_gaussian_beam_spreads_by_its_closed_form():

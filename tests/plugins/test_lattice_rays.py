@@ -47,7 +47,7 @@ def model_centres(camera):
 
 @pytest.mark.parametrize(
     "lattice",
-    [HEXAGONAL, ROTATED, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}],
+    [{}, HEXAGONAL, ROTATED, {**HEXAGONAL, **ROTATED}, RECTANGULAR, {**STRETCHED, **ROTATED}],
     ids=str,
 )
 @pytest.mark.parametrize("corner", [(0, 0), (4000, 4000)])
@@ -61,18 +61,26 @@ def test_micro_images_stand_where_the_lattice_says(camera_dict, lattice, corner)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lattice", [HEXAGONAL, ROTATED, RECTANGULAR, STRETCHED], ids=str)
-def test_micro_images_stand_in_their_places_on_the_whole_detector(lattice):
+@pytest.mark.parametrize("lattice", [{}, {"aperture_radius": 10.0}, HEXAGONAL, ROTATED, STRETCHED], ids=str)
+def test_micro_images_on_the_whole_detector(lattice):
     capture = mp.render_capture(mp.load_scene("white", parameters={k: str(v) for k, v in lattice.items()}), spp=64)
     centres = model_centres(capture.camera)
     centres = centres[((centres > 14) & (centres < 4096 - 14)).all(1)]
     assert len(centres) > 15_000
-    assert np.abs(centroids(capture.image, centres) - centres).max() < 0.1
+    # Wider pupils overlap.
+    if capture.camera.aperture_radius == 5:
+        assert np.abs(centroids(capture.image, centres) - centres).max() < 0.1
+    # Under this window the pattern of the lenses averages out.
+    window = np.hanning(4098)[1:-1]
+    mean = window @ capture.image.astype(np.float64) @ window / window.sum() ** 2
+    assert mean == pytest.approx(mp.design.white_mean(capture.camera), rel=5e-3)
 
 
 @pytest.mark.parametrize(
     "lattice",
     [
+        {},
+        {"aperture_radius": 10.0},
         {"mla_aperture": "circle", "mla_fill": 0.8},
         {"mla_fill": 0.6, "mla_rotation": 20.0},
         HEXAGONAL,
@@ -143,13 +151,6 @@ def test_all_light_behind_fast_parabolic_lenses_is_found(corner, more):
     areas = (1 + (slope**2).sum(0)) ** -2 * (1 - (sine**2).sum(0)) ** -2
     lit = areas.mean() if camera.mla_medium == 1 else 1.0
     assert mean == pytest.approx(mp.design.white_mean(camera) * lit, rel=0.012)
-
-
-def test_cameras_with_slow_lenses_try_no_more_of_them(camera_dict):
-    """The paper's lenses need one each, by slopes or direction cosines."""
-    for model in ("ideal", "parabolic"):
-        camera = mp.PlenopticCamera(lens_model=model)
-        assert len(mi.load_dict(camera.to_sensor())._rays.around.steps[0]) == 1
 
 
 def test_opaque_gaps_swallow_what_is_focused_on_them(camera_dict):
@@ -227,15 +228,6 @@ def test_the_two_ways_to_refocus_agree_on_a_square_lattice():
         fast, slow = (mp.reconstruct(image, distance, camera=c).image[6:-6, 6:-6] for c in (camera, turned))
         assert np.abs(fast - slow).max() < 0.01
         assert fast.std() > 0.1
-
-
-def test_the_same_bits_every_time_on_any_lattice():
-    camera = mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), mla_lattice="hexagonal")
-    image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
-    first = mp.reconstruct(image, 250, camera=camera).image
-    assert first.shape == (8, 8, 3)
-    assert np.array_equal(first, mp.reconstruct(image, 250, camera=camera).image)
-    np.testing.assert_allclose(first[..., 1], mp.reconstruct(image[..., 1], 250, camera=camera).image, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import error
+from cameras import disk, error
+from cases import scene_of
 from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 
@@ -12,21 +13,6 @@ from mitsuba_plenoptic import InputError, design, point_spread_function, reconst
 
 SHARED = {"resolution": 128, "detector_width": 0.256}
 """Four lenses across: the camera of most tests, so that what is planned for it is planned once a wavelength."""
-
-
-def disk(position, radius, **extra):
-    """Radiating disk that faces the camera."""
-    x, y, z = position
-    return {
-        "type": "disk",
-        "to_world": mi.ScalarTransform4f().translate([x, y, z]).rotate([0, 1, 0], 180).scale(radius),
-        "emitter": {"type": "area", "radiance": 1.0},
-        **extra,
-    }
-
-
-def scene_of(sensor, **objects):
-    return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "camera": sensor, **objects})
 
 
 def by_signed_rays(scene, spp=64, **options):
@@ -197,12 +183,6 @@ def test_a_film_of_colours_records_many_wavelengths_in_spectral_variants(camera_
     sensor = camera_dict(**SHARED, film={"pixel_format": "rgb"})
     capture = by_signed_rays(scene_of(sensor, point=disk((0, 0, 235.0), 0.05)), spp=1, nodes=1)
     assert capture.image.shape[2] == 3 and len(capture.metadata["spectrum"]["wavelengths"]) == 31
-
-
-def test_nothing_to_see_is_a_black_capture(camera_dict):
-    behind = disk((0, 0, -50.0), 1.0)
-    with pytest.warns(UserWarning, match="none of the rays meets anything that shines"):
-        assert not by_signed_rays(scene_of(camera_dict(**SHARED), behind=behind), spp=4).image.any()
 
 
 def test_models_wrap_and_unwrap_the_scenes_integrator(camera_dict):

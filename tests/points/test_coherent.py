@@ -60,6 +60,18 @@ def direct_pupil(camera, points, given, x, y):
     return total
 
 
+def error_on_pupil(points, given, camera=CAMERA, **options):
+    """Return the error of the field on the pupil against the direct sum of the points that have an amplitude."""
+    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field", **options)
+    field, lit = operator.field(given, plane="pupil"), np.flatnonzero(given)
+    x, y = np.meshgrid(*(start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin))
+    some = np.flatnonzero(np.hypot(x, y) < camera.aperture_radius - 2 * field.pitch)[::97]
+    exact = direct_pupil(camera, np.array(points)[lit], np.array(given)[lit], x.ravel()[some], y.ravel()[some])
+    # Nothing outside the pupil.
+    assert np.abs(field.samples[np.hypot(x, y) > camera.aperture_radius + 2 * field.pitch]).max() == 0
+    return error(field.samples.ravel()[some], exact)
+
+
 @pytest.mark.parametrize(
     ("points", "wavefront", "model"),
     [
@@ -71,26 +83,7 @@ def direct_pupil(camera, points, given, x, y):
 )
 def test_pupil_against_direct_sums(points, wavefront, model):
     camera = CAMERA.replace(wavefront=wavefront, lens_model=model)
-    given = amplitudes(len(points))
-    field = operator_of(points, camera).field(given, plane="pupil")
-    x, y = (start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin)
-    x, y = np.meshgrid(x, y)
-    inner = np.hypot(x, y) < camera.aperture_radius - 2 * field.pitch
-    some = np.flatnonzero(inner)[::97]
-    exact = direct_pupil(camera, points, given, x.ravel()[some], y.ravel()[some])
-    assert error(field.samples.ravel()[some], exact) < 2e-5
-    # Nothing outside the pupil.
-    assert np.abs(field.samples[np.hypot(x, y) > camera.aperture_radius + 2 * field.pitch]).max() == 0
-
-
-def error_on_pupil(points, given, camera=CAMERA, **options):
-    """Return the error of the field on the pupil against the direct sum of the points that have an amplitude."""
-    operator = CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field", **options)
-    field, lit = operator.field(given, plane="pupil"), np.flatnonzero(given)
-    x, y = np.meshgrid(*(start + np.arange(field.samples.shape[0]) * field.pitch for start in field.origin))
-    some = np.flatnonzero(np.hypot(x, y) < camera.aperture_radius - 2 * field.pitch)[::97]
-    exact = direct_pupil(camera, np.array(points)[lit], np.array(given)[lit], x.ravel()[some], y.ravel()[some])
-    return error(field.samples.ravel()[some], exact)
+    assert error_on_pupil(points, amplitudes(len(points)), camera) < 2e-5
 
 
 @pytest.mark.parametrize("model", [pytest.param("ideal", marks=pytest.mark.slow), "parabolic"])

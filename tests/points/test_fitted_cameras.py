@@ -3,21 +3,11 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import error
+from cameras import TABLE, UNEVEN, WAVELENGTH, error
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, Vignetting, render_capture
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.units import radiance_weight
-
-WAVELENGTH = 633.0
-
-UNEVEN = Vignetting(
-    radius=[0.8, 0.1, -0.05, 0, 0.05, 0.1], ellipse_x=[0.05, 0.1, 0], ellipse_y=[0.1], slope_x=[0.2, 0.1, -0.3],
-    slope_y=[-0.25], apodisation_2=[-0.3, 0, 0.2], apodisation_4=[0.1], scale=0.16,
-)  # fmt: skip
-"""Of a pupil that differs much from lens to lens."""
-
-TABLE = np.random.default_rng(3).uniform(0.2, 1.3, (6, 6))
 
 FITTED = PlenopticCamera(
     detector_width=0.32, resolution=(80, 80), mla_rotation=3.0, mla_offset=(0.01, -0.02), vignetting=UNEVEN,

@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import error
 from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
 
@@ -39,10 +40,6 @@ def fourier_camera(**numbers):
     return camera_with(FOURIER, **(usual | numbers))
 
 
-def difference(image, reference):
-    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
-
-
 def debye(objective, radius, depth):
     """Intensity of a point on the axis, by quadrature over the angles at which light leaves it."""
     nodes, weights = leggauss(300)
@@ -66,7 +63,7 @@ def test_the_field_before_the_lenses_is_the_debye_integral(objective, depth):
     y = field.origin[1] + rows * field.pitch + objective.magnification * Y
     radius = np.hypot(x, y)
     grid = np.linspace(0, radius.max() * 1.001, 6001)
-    assert difference(np.abs(field.samples) ** 2, np.interp(radius, grid, debye(objective, grid, depth))) < 1e-3
+    assert error(np.abs(field.samples) ** 2, np.interp(radius, grid, debye(objective, grid, depth))) < 1e-3
 
 
 def test_the_sign_of_the_depth_is_that_of_the_frame():
@@ -113,7 +110,7 @@ def test_every_image_moves_alike():
     assert shared.estimate().patterns == 1
     alone = [mp.CaptureOperator(camera, points[[n]], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3)]
     apart = sum(operator.forward([weight]) for weight, operator in enumerate(alone, start=1))
-    assert difference(shared.forward([1, 2, 3]), apart) < 1e-4
+    assert error(shared.forward([1, 2, 3]), apart) < 1e-4
     image = np.random.default_rng(0).random(camera.shape)
     weights = np.array([1.0, 2.0, 3.0])
     assert np.sum(shared.forward(weights) * image) == pytest.approx(shared.adjoint(image) @ weights, rel=1e-5)

@@ -2,54 +2,17 @@
 
 import numpy as np
 import pytest
-from cameras import HALF, WAVELENGTH, error, in_every_lens, scattered, small_camera
+from cameras import HALF, WAVELENGTH, error, scattered, small_camera
 
 from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.lenses.fitted_lens import lens_change
-from mitsuba_plenoptic.lenses.pupil_fit import ExitPupil
-from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.arrival import field_grids
-from mitsuba_plenoptic.points.derivatives.plan import DerivativePlan
-from mitsuba_plenoptic.points.full_field import full_field
 
 POINT = np.array((0.03, -0.02, 115.0))
 
 
 def behind(name="double_gauss", **numbers):
     return small_camera(2, main_lens=name, **(HALF | numbers))
-
-
-@pytest.mark.slow
-def test_aberrations_are_added_on_the_exit_pupil(monkeypatch):
-    camera, amounts = behind(mla_rotation=9.0), np.zeros(11)
-    amounts[[3, 6, 10]] = 1.0, -0.7, 0.5
-    found = CaptureOperator(camera, [POINT], wavelength=WAVELENGTH, accuracy=0).derivative(
-        [1.0], {"wavefront": amounts.tolist()}
-    )
-    grids, plain, sides, step = (
-        field_grids(OpticalSystem(camera, WAVELENGTH), POINT, 1.0, 1.4),
-        ExitPupil.path,
-        [],
-        3e-3,
-    )
-    for amount in (step, -step):
-        added = Wavefront((amount * amounts).tolist(), camera.pupil_radius)
-
-        def path(self, pupil, point, wavelength, added=added):
-            return plain(self, pupil, point, wavelength) + added.path(*pupil) * (1 / (wavelength * 1e-6))
-
-        monkeypatch.setattr(ExitPupil, "path", path)
-        sides.append(full_field(OpticalSystem(camera, WAVELENGTH), POINT, grids=grids))
-    assert error(found, (sides[0] - sides[1]) / (2 * step)) < 0.005
-
-
-@pytest.mark.parametrize(("name", "shared"), [("double_gauss", False), (None, True)])
-def test_many_points_share_the_changes_of_their_spreads_behind_thin_lenses_only(name, shared):
-    """What a copy's own image does as a real lens changes, the spread that it is a copy of does not tell."""
-    points = in_every_lens(behind(name), 24, 115.0)
-    plan = DerivativePlan(OpticalSystem(behind(name), WAVELENGTH), points, None, 0.02)
-    assert bool(plan._shifts.any()) == shared
 
 
 def test_changes_of_the_light_against_refitted_lenses():

@@ -55,9 +55,3 @@ def test_reverse_equals_forward(many):
         forward = operator.derivative(weights, some).astype(np.float64)
         difference = abs(np.vdot(forward, gradient.astype(np.float64)) - np.vdot(change[name], found[name]))
         assert difference < 1e-4 * np.linalg.norm(forward) * np.linalg.norm(gradient), name
-
-
-def test_few_points_and_fine_accuracies_share_nothing():
-    assert accuracy.derivatives_share(0.01, 1000)
-    assert not accuracy.derivatives_share(0.01, 500)
-    assert not accuracy.derivatives_share(0.003, 1000)

@@ -3,6 +3,8 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import error
+from cases import line
 
 from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera, Spectrum, render_capture
 from mitsuba_plenoptic.light import colour
@@ -14,10 +16,6 @@ CAMERA = PlenopticCamera(
     lens_model="parabolic",
 )  # fmt: skip
 POINTS = np.array([(0.0, 0.0, 120.0), (0.1, -0.05, 112.0), (-0.12, 0.1, 130.0)])
-
-
-def relative(image, reference):
-    return np.linalg.norm(image - reference) / np.linalg.norm(reference)
 
 
 @pytest.fixture(autouse=True)
@@ -42,10 +40,10 @@ def test_nodes_against_every_wavelength_by_itself():
     found = CaptureOperator(CAMERA, POINTS, spectrum=chosen, accuracy=0).forward(weights)
     each = [alone(CAMERA, wavelength, column) for wavelength, column in zip(wavelengths, weights.T, strict=True)]
     expected = np.moveaxis(np.tensordot(responses, np.array(each), 1), 0, -1)
-    assert max(relative(found[..., i], expected[..., i]) for i in range(2)) < 0.008
+    assert max(error(found[..., i], expected[..., i]) for i in range(2)) < 0.008
     # One node is not enough, and the function must have seen it.
     coarse = CaptureOperator(CAMERA, POINTS, spectrum=spectrum.interpolated(1), accuracy=0).forward(weights)
-    assert relative(coarse[..., 0], expected[..., 0]) > 0.008
+    assert error(coarse[..., 0], expected[..., 0]) > 0.008
 
 
 def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
@@ -62,8 +60,8 @@ def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
         whole = np.sqrt(np.square(weights @ responses.T).sum(0))
         for part in WeightChannels(None, spectrum).parts(len(spectrum.wavelengths)):
             made = part.reduced(weights, 1e-3 * whole)
-            error = (weights @ made.before) @ made.after.T - (weights @ part.before) @ part.after.T
-            assert np.all(np.sqrt(np.square(error).sum(0)) <= 1.01e-3 * whole)
+            left = (weights @ made.before) @ made.after.T - (weights @ part.before) @ part.after.T
+            assert np.all(np.sqrt(np.square(left).sum(0)) <= 1.01e-3 * whole)
             counts.setdefault(name, []).append(made.before.shape[1])
     assert max(counts["same"]) == 1
     assert sum(counts["smooth"]) < 3 * 6
@@ -73,7 +71,7 @@ def test_columns_are_as_few_as_the_spectra_need(monkeypatch):
     images = [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
     monkeypatch.setattr(SpectralSum, "reduced", lambda part, *_: part)
     images += [CaptureOperator(CAMERA, POINTS, spectrum=spectrum, accuracy=0).forward(light)]
-    assert 0 < relative(*images) < 1e-5
+    assert 0 < error(*images) < 1e-5
 
 
 @pytest.mark.slow
@@ -90,9 +88,9 @@ def test_a_band_against_dense_quadrature(glass):
         weights = np.ones((1, len(spectrum.wavelengths)))
         return CaptureOperator(camera, POINTS[1:2], spectrum=spectrum, accuracy=0).forward(weights)
 
-    assert relative(spread(few), spread(dense)) < 0.003
+    assert error(spread(few), spread(dense)) < 0.003
     if glass:
-        assert relative(spread(Spectrum.band(550, 40, 1)), spread(dense)) > 0.003
+        assert error(spread(Spectrum.band(550, 40, 1)), spread(dense)) > 0.003
 
 
 def test_the_adjoint_of_interpolated_sums():
@@ -119,14 +117,6 @@ def lamp(radiance, board="emitter", **film):
     if board != "emitter":
         scene["sky"] = {"type": "constant", "radiance": radiance}
     return mi.load_dict(scene | {"integrator": {"type": "path"}})
-
-
-def line(middle, half):
-    rows = [(400, 0), (middle - half - 0.1, 0), (middle - half, 1), (middle + half, 1), (middle + half + 0.1, 0)]
-    wavelengths, values = np.array([*rows, (700, 0)], float).T
-    return wavelengths, values, {
-        "type": "irregular", "wavelengths": ",".join(map(str, wavelengths)), "values": ",".join(map(str, values))
-    }  # fmt: skip
 
 
 @pytest.mark.slow

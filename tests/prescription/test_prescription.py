@@ -34,23 +34,6 @@ def test_chromatic_shift_of_a_thin_singlet_is_f_over_its_abbe_number():
     assert (red - blue) / middle == pytest.approx(1 / 36.4, rel=0.02)
 
 
-# As Optiland 0.6.3 prints them, at 587.6, 550 and 587.5618 nm; the Tessar's inches in millimetres.
-@pytest.mark.parametrize(
-    "name, focal_length, entrance, exit_pupil, ratio",
-    [
-        ("double_gauss", 100.00375, 57.912, 61.487536 - 114.64442, 1.1464013),
-        ("cooke_triplet", 49.999783, 11.512159, 42.20778 - 50.961348, 1.0233729),
-        ("tessar", 101.54355, 16.732392, 3.4025 * 25.4 - 99.487865, 0.98382169),
-    ],
-)
-def test_bundled_lenses_have_the_numbers_that_another_program_prints(name, focal_length, entrance, exit_pupil, ratio):
-    numbers = paraxial(bundled_prescription(name))
-    assert numbers.focal_length == pytest.approx(focal_length, rel=1e-7)
-    assert numbers.entrance_pupil == pytest.approx(entrance, rel=1e-7)
-    assert numbers.exit_pupil == pytest.approx(exit_pupil, abs=2e-5)
-    assert numbers.exit_radius / numbers.entrance_radius == pytest.approx(ratio, rel=1e-7)
-
-
 @pytest.mark.parametrize(
     "glass, index",
     [

@@ -82,12 +82,14 @@ def test_energy_of_what_passes_the_pupil_is_kept():
     np.testing.assert_allclose(sums, sums[0], rtol=1e-4)
 
 
-def test_channels_are_refocused_alike_and_many_distances_at_once():
-    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+@pytest.mark.parametrize("lattice", ["square", "hexagonal"])
+def test_channels_are_refocused_alike_and_many_distances_at_once(lattice):
+    camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256), mla_lattice=lattice)
     image = np.random.default_rng(0).random((256, 256, 3), dtype=np.float32)
     results = reconstruct(Capture(image, camera), [210, 240])
     assert [r.distance for r in results] == [210, 240]
     assert results[0].image.shape == (8, 8, 3)
+    assert np.array_equal(reconstruct(image, 210, camera=camera).image, results[0].image)
     for channel in range(3):
         single = reconstruct(image[..., channel], 210.0, camera=camera)
         np.testing.assert_allclose(results[0].image[..., channel], single.image, rtol=1e-5)
