@@ -145,9 +145,9 @@ def contrast(capture: Capture, distance: float) -> float:
     return float(2 * abs((columns[inside] * wave).mean()) / columns[inside].mean())
 
 
-def by_signed_rays(scene: Any, spp: int = 64) -> Capture:
+def by_signed_rays(scene: Any, spp: int = 64, **options: Any) -> Capture:
     """Return the wave capture of a scene from signed rays."""
-    return render_capture(scene, model="wave", method="signed_rays", spp=spp)
+    return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
 
 
 def captures(scene: Any, spp: int = 64) -> tuple[Capture, Capture]:

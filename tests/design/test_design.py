@@ -6,7 +6,6 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import disk
 from cases import agreement, facing, radiating, scene_of
 
 import mitsuba_plenoptic as mp
@@ -231,16 +230,6 @@ def test_a_focused_camera_resolves_what_an_unfocused_one_does_not(camera_dict):
 
 
 # -- waves ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-@FOCUSED
-def test_wave_and_ray_captures_hold_the_same_energy(camera_dict, numbers):
-    disks = {"near": disk((0.3, 0.2, 238.0), 0.25), "best": disk((-0.3, -0.2, 240.0), 0.25)}
-    scene = scene_of(camera_dict(**numbers), **disks)
-    ray = mp.render_capture(scene, spp=64)
-    wave = mp.render_capture(scene, model="wave", spp=16)
-    assert wave.image.sum() == pytest.approx(ray.image.sum(), rel=0.02)
 
 
 @FOCUSED

@@ -94,6 +94,18 @@ def test_rays_through_pupil_points_and_their_landing_are_those_of_trace(name):
         assert np.allclose(lens.images(np.stack(seen, -1)).T, lens.land((0 * angle, 0 * angle), seen), atol=1e-9)
 
 
+def test_the_start_of_rays_lies_within_the_bounds():
+    real = PlenopticCamera(main_lens="double_gauss", focus_distance=240.0)
+    for camera in (LENSES["paper"], LENSES["objective"], real):
+        lens, rng = main_lens(camera), np.random.default_rng(1)
+        place = rng.uniform(-0.12, 0.12, (2, 200))
+        pupil = rng.uniform(-1, 1, (2, 200)) * camera.pupil_radius
+        (x, y, _), _, is_open = lens.ray(tuple(pupil), tuple(place))
+        radius, _ = lens.start_bounds(0.17)
+        is_open = np.broadcast_to(is_open, x.shape) & (np.hypot(*pupil) < camera.pupil_radius)
+        assert np.hypot(x, y)[is_open].max() <= radius
+
+
 def test_the_path_is_that_of_the_direct_formula():
     """(|P - X| - |X| - P^2 / 2 f1) / lambda, which loses digits as the lengths' difference does."""
     (Px, Py), (X, Y, g) = pupil, point = pupil_and_points()

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera
 from mitsuba_plenoptic.lenses.thin import Wavefront, noll, zernike
 
 
@@ -27,13 +26,3 @@ def test_slopes_are_derivatives():
     across = (wavefront.path(1 + h, 0.5) - wavefront.path(1 - h, 0.5)) / (2 * h)
     up = (wavefront.path(1, 0.5 + h) - wavefront.path(1, 0.5 - h)) / (2 * h)
     assert wavefront.slope(1.0, 0.5) == pytest.approx((across, up), rel=1e-6)
-
-
-def test_camera_keeps_and_checks_them():
-    camera = PlenopticCamera(wavefront=[0, 0, 0, 0.25])
-    assert PlenopticCamera.from_json(camera.to_json()) == camera
-    assert camera.to_sensor()["wavefront"] == "0.0, 0.0, 0.0, 0.25"
-    assert "wavefront" not in PlenopticCamera().to_sensor()
-    for bad in (0.5, [float("nan")], [1.0] * 67, [1e4]):
-        with pytest.raises(InputError, match=r"^wavefront"):
-            PlenopticCamera(wavefront=bad)

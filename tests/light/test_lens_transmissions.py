@@ -80,16 +80,5 @@ def test_files_and_refusals(tmp_path):
     (tmp_path / "gains.json").write_text(json.dumps({"values": TABLE.tolist(), "first": [-2, -2]}))
     for name in ("gains.npy", "gains.json"):
         assert mp.PlenopticCamera(mla_transmissions=tmp_path / name).mla_transmissions == CAMERA.mla_transmissions
-    for given, message in (
-        ([[5.0]], "values: they must be from 0 to 4"),
-        ([1.0, 1.0], r"values of shape \(2,\)"),
-        ({"values": [[1]], "last": [0, 0]}, "last"),
-        ({"first": [0, 0]}, "values is missing"),
-        ({"values": [[1]], "first": [0.5, 0]}, "first = 0.5: it must be a whole number"),
-    ):
-        with pytest.raises(mp.InputError, match=f"mla_transmissions: .*{message}"):
-            mp.PlenopticCamera(mla_transmissions=given)
-    with pytest.raises(mp.InputError, match="no microlens array"):
-        mp.PlenopticCamera(mla_lattice="none", mla_transmissions=TABLE)
     with pytest.raises(mp.InputError, match=r"mla_transmissions = LensTransmissions\(.*leave it out"):
         mp.CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633).derivative([1.0], {"mla_distance": 1.0})

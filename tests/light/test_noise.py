@@ -4,29 +4,16 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import letters
+from cases import facing, scene_of
 
 import mitsuba_plenoptic as mp
 
 
 def lit_wall(sensor):
     """A matte wall lit from the side: every light path brings something else."""
-    transform = mi.ScalarTransform4f()
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            "camera": sensor,
-            "wall": {
-                "type": "rectangle",
-                "to_world": transform.translate([0, 0, 236]).rotate([0, 1, 0], 180).scale(20),
-            },
-            "lamp": {
-                "type": "rectangle",
-                "to_world": transform.look_at(origin=[30, 30, 220], target=[0, 0, 236], up=[0, 1, 0]).scale(20),
-                "emitter": {"type": "area", "radiance": 20.0},
-            },
-        }
-    )
+    aside = mi.ScalarTransform4f().look_at(origin=[30, 30, 220], target=[0, 0, 236], up=[0, 1, 0]).scale(20)
+    lamp = {"type": "rectangle", "to_world": aside, "emitter": {"type": "area", "radiance": 20.0}}
+    return scene_of(sensor, "direct", wall=facing(236.0, 20.0), lamp=lamp)
 
 
 def rms(image):
@@ -70,15 +57,8 @@ def test_the_noise_of_waves_is_that_of_compensated_pixels(blur):
 
 
 def test_what_does_not_vary_has_no_noise_and_one_sample_tells_none(camera_dict):
-    glow = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 240]).rotate([0, 1, 0], 180)}
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path"},
-            "camera": camera_dict(resolution=32, detector_width=0.128),
-            "wall": {**glow, "emitter": {"type": "area", "radiance": 1.0}},
-        }
-    )
+    wall = facing(240.0, 1.0, emitter={"type": "area", "radiance": 1.0})
+    scene = scene_of(camera_dict(resolution=32, detector_width=0.128), wall=wall)
     # At the rim of the pupil chance decides.
     assert (mp.render_capture(scene, spp=3, noise=True).noise == 0).mean() > 0.4
     for model in ("ray", "wave"):

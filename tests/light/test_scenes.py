@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from built_in_scenes import figures, solids
 from built_in_scenes.mesh import flat_mesh
-from cameras import BUILT_IN
+from cameras import BUILT_IN, film
 from make_meshes import write_all
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
@@ -27,21 +27,14 @@ def load(name, **parameters):
 
 def thin_camera(resolution, **parameters):
     """Build one of Mitsuba's own cameras with the view of the plenoptic one."""
-    return mi.load_dict(
-        {
-            "type": "perspective",
-            "fov": math.degrees(2 * math.atan(8.192 / 2 / 120)),
-            "film": {
-                "type": "hdrfilm",
-                "width": resolution,
-                "height": resolution,
-                "rfilter": {"type": "box"},
-                "pixel_format": "luminance",
-                "component_format": "float32",
-            },
-            **parameters,
-        }
-    )
+    view = {"fov": math.degrees(2 * math.atan(8.192 / 2 / 120)), "film": film(resolution, resolution)}
+    return mi.load_dict({"type": "perspective", **view, **parameters})
+
+
+def first_rays(resolution):
+    """Return the rays of a thin camera through the middles of its pixels."""
+    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
+    return thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))[0]
 
 
 def render(scene, resolution=128, spp=64, **parameters):
@@ -102,11 +95,11 @@ def test_rows_can_be_given():
 @pytest.mark.parametrize("name", NAMES)
 def test_film_and_keys(name):
     scene = load(name)
-    film = scene.sensors()[0].film()
-    film.prepare([])
-    assert film.rfilter().class_name() == "BoxFilter"
-    assert film.bitmap().pixel_format() == mi.Bitmap.PixelFormat.Y
-    assert film.bitmap().component_format() == mi.Struct.Type.Float32
+    plate = scene.sensors()[0].film()
+    plate.prepare([])
+    assert plate.rfilter().class_name() == "BoxFilter"
+    assert plate.bitmap().pixel_format() == mi.Bitmap.PixelFormat.Y
+    assert plate.bitmap().component_format() == mi.Struct.Type.Float32
     assert not [key for key in mi.traverse(scene).properties if "object_" in key]
 
 
@@ -128,21 +121,15 @@ def test_renders_in_every_colour_mode(name, variant):
     assert capture.max() > 0.5
 
 
-def test_letters_stand_where_they_should():
-    found = shapes(load("letters"))
+def test_letters_stand_where_they_should_and_scale_in_their_planes():
+    found, small = shapes(load("letters")), shapes(load("letters", letter_scale="0.25"))
     assert set(found) == set(DISTANCES)
     for (name, distance), place in zip(DISTANCES.items(), (1, 0, -1), strict=True):
         low, high = box(found[name])
         assert low[2] == high[2] == distance
         np.testing.assert_allclose([low[1], high[1]], [-2, 2], atol=1e-6)
         np.testing.assert_allclose((low[0] + high[0]) / 2, place * 3.2 * distance / 240, atol=1e-5)
-
-
-def test_letters_scale_in_their_planes():
-    small = shapes(load("letters", letter_scale="0.25"))
-    for name, shape in shapes(load("letters")).items():
-        for scaled, full in zip(box(small[name]), box(shape), strict=True):
-            np.testing.assert_allclose(scaled, full * [0.25, 0.25, 1], atol=1e-6)
+        np.testing.assert_allclose(box(small[name]), [low * [0.25, 0.25, 1], high * [0.25, 0.25, 1]], atol=1e-6)
 
 
 def test_letters_read_from_left_to_right():
@@ -237,9 +224,7 @@ def test_still_life_shows_everything_between_200_and_300(variant):
     assert np.mean((image > 0.08) & (image < 1)) > 0.75
     assert image.min() > 0
 
-    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
-    ray, _ = thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-    hit = scene.ray_intersect(ray)
+    hit = scene.ray_intersect(first_rays(resolution))
     depth = np.array(hit.p.z)
     assert depth.min() > 190
     assert depth.max() < 300.01
@@ -255,9 +240,7 @@ def test_vitrine_shows_the_knot_in_the_mirror_alone():
     scene = load("vitrine")
     found = shapes(scene)
     assert {"ground", "leaf", "plastic_ball", "glass_ball", "pawn", "mirror", "frame", "knot"} == set(found)
-    resolution = 64
-    x, y = dr.meshgrid(*[(dr.arange(mi.Float, resolution) + 0.5) / resolution] * 2)
-    ray, _ = thin_camera(resolution).sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    ray = first_rays(64)
     hit = scene.ray_intersect(ray)
     mirrored = hit.spawn_ray(hit.to_world(mi.reflect(hit.wi)))
     image = scene.ray_intersect(mirrored, hit.shape == mi.ShapePtr(found["mirror"]))
@@ -327,15 +310,8 @@ def test_meshes_and_textures_come_out_the_same(tmp_path):
 
 def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
     far = camera_dict(resolution=64, detector_width=0.128, focus_distance=300.0)
-    scene = load_scene(
-        {
-            "type": "scene",
-            "integrator": {"type": "path"},
-            "near": camera_dict(resolution=64, detector_width=0.128),
-            "far": far,
-            "light": {"type": "constant"},
-        }
-    )
+    world = {"type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"}}
+    scene = load_scene(world | {"near": camera_dict(resolution=64, detector_width=0.128), "far": far})
     capture = render_capture(scene, sensor=1, spp=2)
     assert capture.camera.focus_distance == pytest.approx(300)
     assert (capture.metadata["scene"], capture.metadata["sensor"]) == ("dictionary", 1)

@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import sky, white
+from cases import facing, scene_of
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.prescription import bundled_prescription
@@ -101,16 +102,8 @@ def test_a_picture_in_focus_is_that_of_the_thin_lens():
             main_lens=lens, focal_length=80, aperture_radius=5, resolution=(512, 512), detector_width=8.192,
             mla_pitch=0.256, mla_focal_length=2.048,
         )  # fmt: skip
-        scene = mi.load_dict(
-            {
-                "type": "scene", "camera": camera.to_sensor(), "integrator": {"type": "direct"},
-                "wall": {
-                    "type": "rectangle",
-                    "to_world": mi.ScalarTransform4f().translate([0, 0, 240]).rotate([0, 1, 0], 180).scale(4),
-                    "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
-                },
-            }
-        )  # fmt: skip
+        wall = facing(240.0, 4.0, emitter={"type": "area", "radiance": 1.0})
+        scene = scene_of(camera.to_sensor(), "direct", wall=wall)
         image = np.array(mi.render(scene, spp=32))[..., 0]
         images.append(image.reshape(32, 16, 32, 16).sum((1, 3)) / camera.micro_image_diameter**2)
     thin, real = images
@@ -153,14 +146,3 @@ def test_the_white_image_is_what_mitsuba_renders_of_a_white_scene(changes):
     assert computed.mean(dtype=np.float64) == pytest.approx(rendered.mean(dtype=np.float64), rel=5e-3)
     # Both sample the pixels at the rims of micro-images, 256 and 32 times.
     assert np.sqrt(((computed - rendered) ** 2).mean()) < 0.05
-
-
-def test_what_knows_thin_lenses_only_refuses_the_capture(tmp_path):
-    camera = mp.PlenopticCamera(
-        main_lens="singlet", focal_length=80, aperture_radius=5, resolution=(128, 128), detector_width=0.256
-    )
-    capture = mp.render_capture(white(camera), spp=4)
-    mp.write_capture(tmp_path / "raw.exr", capture)
-    assert mp.read_capture(tmp_path / "raw.exr").camera == camera
-    with pytest.raises(mp.InputError, match="main_lens = Plano-convex singlet: captures are decoded for thin main"):
-        mp.decode(capture)

@@ -5,19 +5,13 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from cameras import CAMERAS
 
-from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera, render_capture
+from mitsuba_plenoptic import CaptureOperator, render_capture
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
 
-CAMERA = PlenopticCamera(
-    main_lens=Objective(20, 0.5),
-    mla_pitch=0.15,
-    mla_focal_length=3,
-    mla_offset=(0.075, 0.075),
-    detector_width=1.05,
-    resolution=(105, 105),
-)
+CAMERA = CAMERAS["microscope"].replace(detector_width=1.05, resolution=(105, 105))
 PLACE, RADIUS = (0.006, -0.004), 0.006
 CELLS = 48
 AXIS = (np.arange(CELLS) + 0.5) * 2 / CELLS - 1

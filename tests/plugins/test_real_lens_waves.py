@@ -48,10 +48,9 @@ def test_a_scene_is_that_by_rays_and_that_of_the_thin_lens():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("middle", [(0, 0), (58, -58)], ids=["axis", "corner"])
-def test_rays_and_waves_agree_in_energy_over_the_field(middle):
-    """To 1.5 %, where surfaces take half of the light in the corner."""
-    crop = {"crop_offset": tuple(2048 + 32 * m - 96 for m in middle), "crop_size": (192, 192)}
+def test_rays_and_waves_agree_in_energy_in_the_corner():
+    """To 1.5 %, where surfaces take half of the light."""
+    crop = {"crop_offset": (3808, 96), "crop_size": (192, 192)}
     wide = {"focal_length": 16, "aperture_radius": 1.55, "focus_distance": np.inf, "mla_focal_length": 0.3}
     camera = PlenopticCamera(main_lens="cooke_triplet", **wide, **crop)
     scene = scene_of(camera, {"type": "constant"})

@@ -4,7 +4,6 @@ import json
 import math
 import warnings
 
-import numpy as np
 import pytest
 import yaml
 
@@ -128,10 +127,3 @@ def test_blur_and_micro_images_follow_the_exit_pupil():
     assert camera.blur_diameter(210) == pytest.approx(2 * camera.pupil_radius * gap, rel=1e-12)
     assert camera.micro_image_diameter == pytest.approx(2 * camera.pupil_radius * 0.512 / camera.pupil_distance)
     assert math.isfinite(camera.blur_diameter(math.inf))
-
-
-def test_thin_cameras_keep_their_numbers():
-    camera = PlenopticCamera()
-    assert (camera.focal_length, camera.aperture_radius) == (80.0, 5.0)
-    assert (camera.pupil_distance, camera.pupil_radius) == (120.0, 5.0)
-    assert np.isclose(camera.micro_image_pitch, 0.064 * 120.512 / 120)

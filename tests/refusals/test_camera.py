@@ -53,6 +53,7 @@ LATTICES = [
 ]
 
 PUPILS = [
+    *(({"wavefront": value}, "^wavefront") for value in (0.5, [math.nan], [1.0] * 67, [1e4])),
     ({"aperture_blades": 2}, "^aperture_blades = 2: it must be at least 3"),
     ({"aperture_blades": 65}, "^aperture_blades = 65: it must be at most 64"),
     ({"aperture_blades": 6.5}, "^aperture_blades = 6.5: it must be a whole number"),
@@ -79,6 +80,43 @@ PUPILS = [
     ({"vignetting": {"radius": [1], "slope": [0]}}, "slope"),
     ({"vignetting": {"scale": 1}}, "radius is missing"),
 ]  # fmt: skip
+
+IRREGULAR = [
+    ({"mla_jitter": (0.01, 0)}, "mla_jitter = 0.01"),
+    ({"mla_jitter": (0, 0.2)}, "mla_jitter = 0.2"),
+    ({"mla_jitter": (-0.001, 0)}, "mla_jitter = -0.001"),
+    ({"mla_jitter": 0.1}, "mla_jitter = 0.1: it must be 2 numbers"),
+    ({"mla_seed": -1}, "mla_seed = -1"),
+    ({"pixel_response": (0, 1, 10)}, "two or more pairs"),
+    ({"pixel_response": (5, 1, 10, 0.5)}, "its angles must rise from 0"),
+    ({"pixel_response": (0, 1, 10, 1.5)}, "its responses must be from 0 to 1"),
+    ({"mla_warp": 3.0}, "mla_warp = 3.0: it must be at most 14 numbers"),
+    ({"mla_warp": [0.0] * 15}, "it must be at most 14 numbers"),
+    ({"mla_warp": [math.nan]}, "mla_warp = nan: it must be finite"),
+    ({"mla_warp": ["a"]}, "mla_warp = 'a': it must be a number"),
+    (
+        {"mla_warp": [2e-3]},
+        "displacement is up to 0.0336 mm over the detector: it must be less than half a pitch",
+    ),
+    ({"mla_warp": [0, 0, 0, 0, 0, 0, 4e-4], "mla_pitch": 0.05}, "displacement is up to 0.0275 mm"),
+    ({"mla_transmissions": [[5.0]]}, "mla_transmissions: .*values: they must be from 0 to 4"),
+    ({"mla_transmissions": [1.0, 1.0]}, r"mla_transmissions: .*values of shape \(2,\)"),
+    ({"mla_transmissions": {"values": [[1]], "last": [0, 0]}}, "mla_transmissions: .*last"),
+    ({"mla_transmissions": {"first": [0, 0]}}, "mla_transmissions: .*values is missing"),
+    (
+        {"mla_transmissions": {"values": [[1]], "first": [0.5, 0]}},
+        "mla_transmissions: .*first = 0.5: it must",
+    ),
+    ({"mla_transmissions": [[1.0]], "mla_lattice": "none"}, "no microlens array"),
+]
+
+GLASSES = [
+    ({"glass": 1.0}, "glass: glass index: its index is 1"),
+    ({"glass": "window"}, "glass = 'window'"),
+    ({"mla_glass": {"index": 1.5, "abbe": 0}}, "glass: abbe = 0"),
+    ({"mla_glass": {"table": [[400, 1.5], [500, 1.4]]}}, "mla_glass: glass table: wavelength = 587.562 nm"),
+    ({"glass": {"index": 1.5168, "abbe": 64.17}, "main_lens": "singlet"}, "glass = .*: a main_lens brings its own"),
+]
 
 MICROLENSES = [
     ({"mla_shape": {"form": "cone"}}, "mla_shape: form = 'cone'"),
@@ -146,7 +184,6 @@ PRESCRIPTIONS = [
     (singlet({"abbe": 50}), "it must have index, index and abbe, sellmeier, schott or table"),
     (singlet({"sellmeier": [1, 2]}), r"glass: sellmeier = \(1.0, 2.0\): it must be 6 numbers"),
     (singlet({"table": [[600, 1.5], [700, 1.49]]}), "its table goes from 600 to 700 nm"),
-    # An unknown glass of another part of a camera: tests/prescription/test_dispersion.py.
     pytest.param(singlet("no such glass"), "main_lens: surface 1: glass = 'no such glass': ", marks=pytest.mark.slow),
     (singlet(thickness=0.01), "surfaces 1 and 2 cross 0.76"),
     (singlet(thickness=0), "main_lens: surfaces 1 and 2 cross 0 mm from the axis: they must"),
@@ -160,7 +197,8 @@ PRESCRIPTIONS = [
 
 
 @pytest.mark.parametrize(
-    ("parameters", "words"), [*NUMBERS, *LATTICES, *PUPILS, *MICROLENSES, *OBJECTIVES, *PRESCRIPTIONS]
+    ("parameters", "words"),
+    [*NUMBERS, *LATTICES, *PUPILS, *IRREGULAR, *GLASSES, *MICROLENSES, *OBJECTIVES, *PRESCRIPTIONS],
 )
 def test_impossible_cameras_are_refused_in_one_line(parameters, words):
     with pytest.raises(InputError, match=words) as caught:

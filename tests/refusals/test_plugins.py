@@ -16,6 +16,7 @@ from mitsuba_plenoptic.views.white_image import white_image
         ({"aperture_radius": True}, "plenoptic: aperture_radius = True: it must be a number"),
         ({"focus_distance": 240.0, "mla_distance": 120.0}, "give one of the two"),
         ({"near_clip": 1.0}, "plenoptic: near_clip = 1: this camera has no clipping planes"),
+        ({"glass": "{1.5"}, "glass: it must be a JSON object"),
         ({"mla_pich": 3.0}, r"plenoptic: mla_pich: it has no such parameter; did you mean mla_pitch\?"),
         ({"mla_offset": "a, b"}, "plenoptic: mla_offset = 'a, b': it must be a number, or several with commas"),
         ({"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\): it must be a pair"),

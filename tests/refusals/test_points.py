@@ -95,6 +95,10 @@ def field(amplitudes=(1,) * 12, points=NEAR, camera=None, plane="detector", **op
         (lambda: operator(wavelength=0), "^wavelength"),
         (lambda: operator(wavelength=None), "^wavelength, spectrum: give one of the two"),
         (lambda: operator(spectrum=mp.Spectrum.lines(633)), "^wavelength, spectrum: give one of the two"),
+        *(
+            (lambda bound=bound: operator(system=OpticalSystem(*bound)), "bound to another camera")
+            for bound in ((small_camera(2), WAVELENGTH), (SMALL, 550.0))
+        ),
         (lambda: operator(method="rays"), "^method"),
         (lambda: operator(accuracy="best"), "^accuracy"),
         (lambda: operator(accuracy=-0.1), "^accuracy.*from 0"),

@@ -1,15 +1,18 @@
 """What light fields, their views, depth and ground truth refuse."""
 
 import functools
+import math
 
 import mitsuba as mi
 import numpy as np
 import pytest
+import xarray as xr
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.views import (
     FourierRefocuser,
+    LensGrid,
     depth_map,
     depth_range,
     disparity,
@@ -20,6 +23,7 @@ from mitsuba_plenoptic.views import (
     micro_images,
     refocus,
     shift_and_add,
+    view,
     white_image,
 )
 
@@ -49,6 +53,11 @@ def even(camera=SMALL):
     return decode(np.ones(camera.shape, np.float32), camera=camera)
 
 
+def unknown():
+    """Return the light field of a white picture by a camera that is not known."""
+    return decode(np.ones((64, 64)), white=np.ones((64, 64)), grid=lens_grid(SMALL))
+
+
 @functools.cache
 def scene():
     """Return a plane before a camera, rolled."""
@@ -76,6 +85,10 @@ def patched(**changes):
         (lambda: even(FOURIER.replace(resolution=(10, 10))), "a view needs three pixels"),
         (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "leave main_lens out, or"),
         (lambda: even(PlenopticCamera.preset("lfm").replace(resolution=(64, 64))), "for thin main lenses only"),
+        (
+            lambda: even(SMALL.replace(main_lens="singlet", focal_length=80, aperture_radius=5)),
+            "main_lens = Plano-convex singlet: captures are decoded for thin main",
+        ),
         *(
             (lambda find=find: find(even(FOURIER)), "an even parallax between views is not defined behind an objective")
             for find in (
@@ -102,6 +115,25 @@ def patched(**changes):
         ),
         (lambda: epipolar_image(even(), "?"), "axis = "),
         *((lambda image=image: estimate_lens_grid(image), "white") for image in WITHOUT_LATTICE),
+        (lambda: LensGrid((0, 1), (0, 0), (2, 2)), "spacing"),
+        (lambda: LensGrid((1, 1), (math.nan, 0), (2, 2)), "offset"),
+        (lambda: LensGrid((1, 1), (0, 0), (0, 2)), "shape"),
+        (lambda: LensGrid((1, 1), (0, 0), (2, 2), 0.0, 2), "shifted_rows"),
+        (lambda: decode(np.ones((64, 64))), "camera = None"),
+        (lambda: decode(np.ones((64, 64)), grid=LensGrid((16, 16), (8, 8), (4, 4))), "white = None"),
+        (lambda: decode(np.ones((64, 64)), camera=SMALL, white=np.ones((3, 3))), r"white of shape \(3, 3\)"),
+        (lambda: decode(np.ones((64, 64)), camera=PlenopticCamera(resolution=(32, 64))), "the camera records"),
+        *(
+            (lambda work=work: work(unknown()), "no camera")
+            for work in (lambda lf: disparity(lf, 240), lambda lf: refocus(lf, 240))
+        ),
+        (lambda: disparity(even(), 70), "focal length"),
+        (lambda: depth_map(even(), 50, 200), "focal length"),
+        (lambda: depth_map(even(), math.nan, 200), "near"),
+        (lambda: focal_stack(even(), []), "distances"),
+        (lambda: FourierRefocuser(even(), 0.5).refocus(0.7), r"disparity = 0\.7"),
+        (lambda: view(np.ones((3, 3, 3, 3))), "light field"),
+        (lambda: view(xr.DataArray(np.ones((2, 2, 2, 2)), dims=("v", "u", "t", "s"))), "light field"),
     ],
 )
 def test_refused(call, words):
