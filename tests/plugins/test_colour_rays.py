@@ -1,7 +1,5 @@
 """Rays of each colour go their own way through lenses of glass: against traces in double precision, and each alone."""
 
-import dataclasses
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -152,16 +150,6 @@ def test_waves_refocus_each_channel_with_its_own_lens():
             wavelength=wavelength,
         ).image
         assert np.array_equal(made[..., channel], alone, equal_nan=True)
-
-
-def test_glass_in_a_scene_file():
-    mi.set_variant("llvm_ad_rgb")
-    sensor = mi.load_dict({"type": "plenoptic", "glass": '{"index": 1.5168, "abbe": 64.2}', "film": {
-        "type": "hdrfilm", "rfilter": {"type": "box"}}})  # fmt: skip
-    camera = PlenopticCamera.from_sensor(sensor)
-    assert dataclasses.astuple(camera.glass)[:2] == ("abbe", (1.5168, 64.2))
-    with pytest.raises(Exception, match="glass: it must be a JSON object"):
-        mi.load_dict({"type": "plenoptic", "glass": "{1.5", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}})
 
 
 def test_lateral_colour_in_pixels():

@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from cameras import disk, error
-from cases import scene_of
+from cases import by_signed_rays, scene_of
 from scipy.ndimage import map_coordinates
 from scipy.signal import fftconvolve
 
@@ -13,10 +13,6 @@ from mitsuba_plenoptic import InputError, design, point_spread_function, reconst
 
 SHARED = {"resolution": 128, "detector_width": 0.256}
 """Four lenses across: the camera of most tests, so that what is planned for it is planned once a wavelength."""
-
-
-def by_signed_rays(scene, spp=64, **options):
-    return render_capture(scene, model="wave", method="signed_rays", spp=spp, **options)
 
 
 @pytest.mark.parametrize(
@@ -118,14 +114,14 @@ def test_out_of_focus_letters_are_free_of_noise(camera_dict):
 
 def test_same_seed_same_bits_on_any_number_of_threads(camera_dict):
     scene = scene_of(camera_dict(**SHARED), near=disk((0, 0.05, 230.0), 0.1))
-    first = render_capture(scene, model="wave", method="signed_rays", spp=2, seed=7).image
+    first = by_signed_rays(scene, 2, seed=7).image
     threads = dr.thread_count()
     for count in (1, 2):
         dr.set_thread_count(count)
-        again = render_capture(scene, model="wave", method="signed_rays", spp=2, seed=7).image
+        again = by_signed_rays(scene, 2, seed=7).image
         np.testing.assert_array_equal(again, first)
     dr.set_thread_count(threads)
-    other = render_capture(scene, model="wave", method="signed_rays", spp=2, seed=8).image
+    other = by_signed_rays(scene, 2, seed=8).image
     assert not np.array_equal(other, first)
 
 

@@ -121,32 +121,6 @@ def test_a_pixel_under_every_lens_at_equal_offset_is_a_tilted_plane_wave(options
         np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
 
 
-@pytest.fixture(scope="module")
-def points():
-    """Spreads of points before a camera: distance, column and row of bins from the axis, capture."""
-    rng = np.random.default_rng(7)
-    made = []
-    for distance in DISTANCES:
-        for _ in range(2):
-            i, j = rng.integers(-7, 7, 2)
-            u = np.array([i, j]) + 0.5 + rng.uniform(-0.25, 0.25, 2)
-            X, Y = -u * SMALL.bin_size(distance)
-            made.append((distance, i, j, point_spread_function(SMALL, (X, Y, distance), wavelength=WAVELENGTH)))
-    return made
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"method": "ray"}, {"method": "ray", "footprint": "point"}, *MOSTLY],
-    ids=["ray", "point", *METHODS.keys()],
-)
-def test_forward_then_back_peaks_in_the_radiators_bin(options, points):
-    for distance, i, j, spread in points:
-        image = refocus(spread, distance, **options).image
-        row, column = np.unravel_index(np.argmax(image), image.shape)
-        assert (column - 10, row - 10) == (i, j)
-
-
 @cameras
 @pytest.mark.parametrize("interleave", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_passes_the_pupil_lands_in_the_image(camera, interleave):
@@ -328,11 +302,6 @@ def test_a_white_capture_is_one_where_its_waves_cancel():
     options = {"method": "coherent", "oversample": 3}
     assert refocus(white, 250.0, camera, **options).image.min() < 0.2
     np.testing.assert_allclose(refocus(white, 250.0, camera, white=white, **options).image, 1, atol=1e-5)
-
-
-@of_waves
-def test_a_dark_capture_is_dark(options):
-    assert not refocus(np.zeros(SMALL.shape), 110.0, **options).image.any()
 
 
 def test_each_channel_has_its_wavelength():

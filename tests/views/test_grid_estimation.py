@@ -86,16 +86,6 @@ def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitc
     assert max(missed.max(), spurious.max()) < 0.1
 
 
-def test_the_lattice_of_a_camera_is_found_as_it_is():
-    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
-    found, expected = estimate_lens_grid(white_image(camera)), lens_grid(camera)
-    assert found.shape == expected.shape
-    assert found.shifted_rows is None
-    assert found.spacing == pytest.approx(expected.spacing, abs=1e-3)
-    assert found.offset == pytest.approx(expected.offset, abs=0.02)
-    assert found.rotation == pytest.approx(0, abs=1e-4)
-
-
 def test_colour_pictures_count_by_their_mean():
     camera = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
     white = white_image(camera)
