@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from built_in_scenes import figures, solids
 from built_in_scenes.mesh import flat_mesh
-from cameras import BUILT_IN, film
+from cameras import BUILT_IN
+from cases import film
 from make_meshes import write_all
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, estimate_capture, load_scene, render_capture, scene_path
