@@ -15,15 +15,14 @@ STEPS = {
     "mla_rotation": 0.1,
     "mla_fill": 2e-3,
     "detector_distance": 2e-4,
-    "detector_width": 2e-4,
-    "aperture_radius": 9e-3,
+    "detector_width": 8e-4,
+    "aperture_radius": 0.027,
     "wavefront": 4e-3,
 }
 LIMITS = {
     "mla_pitch": 0.02,
     "detector_distance": 0.02,
-    "detector_width": 0.03,
-    "aperture_radius": 0.03,
+    "aperture_radius": 0.02,
     "mla_fill": 0.04,
 }
 QUICK = [
