@@ -16,6 +16,10 @@ from mitsuba_plenoptic.calibration import Board, read_camera, read_centres, read
         ("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners does not take it"),
         ("calibrate c.csv -o {out}.json --linear", "--linear: a calibration from corners does not take it"),
         ("calibrate --evaluate c.csv --white {raw}", "--white: an evaluation does not take it"),
+        ("calibrate a.png --board 4x3 -o {out}.csv", "need a white image"),
+        ("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners"),
+        ("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration"),
+        ("calibrate --evaluate a.csv -o {out}.csv", "writes no file"),
     ],
 )
 def test_mistakes(line, words, mistake):

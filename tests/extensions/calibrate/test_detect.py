@@ -145,19 +145,3 @@ def test_a_white_image_is_enough(pictures, corners):
 def test_pictures_without_a_board_get_one_line(pictures, change, words):
     with pytest.raises(InputError, match=words):
         detect_corners(change(pictures[0]), white_image(CAMERA), camera_centres(CAMERA), BOARD, name="board")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["a.png", "--board", "4x3"], "need a white image"),
-        (["a.png", "b.csv", "--board", "4x3"], "one table of corners"),
-        (["a.png", "--report", "a.html"], "a report is of a calibration"),
-        (["--evaluate", "a.csv"], "writes no file"),
-    ],
-)
-def test_commands_that_lack_something(tmp_path, capsys, arguments, words):
-    output = tmp_path / "corners.csv"
-    assert main(["calibrate", *arguments, "-o", str(output)]) == 2
-    assert words in " ".join(capsys.readouterr().err.split())
-    assert not output.exists()

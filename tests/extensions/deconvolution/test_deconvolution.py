@@ -312,31 +312,30 @@ def test_finer_than_the_lenses():
     assert contrast(method="ray") < 0.1
 
 
-def test_what_no_light_makes_is_refused():
-    def refused(image, **options):
-        with pytest.raises(mp.InputError) as found:
-            mp.reconstruct(mp.Capture(image, SMALL, WAVELENGTH, "wave"), 253.0, method="deconvolved", **options)
-        assert "\n" not in str(found.value)
-        return str(found.value)
-
+@pytest.mark.parametrize(
+    ("pixel", "options", "words"),
+    [
+        ((5, 5, 0.0), {}, "none of its pixels is lit"),
+        ((5, 5, 1.0), {"oversample": 3000}, "oversample = 3000"),
+        ((5, 5, 1.0), {"iterations": 0}, "iterations = 0"),
+        ((5, 5, 1.0), {"photons": -1}, "photons = -1"),
+        ((5, 5, 1.0), {"response": "x"}, "response = 'x'"),
+        *(((5, 5, 1.0), {"variation": value}, "variation = ") for value in (-0.1, 0.3, np.nan)),
+        ((5, 5, 1.0), {"distance": [230.0, 253.0, 253.0], "volume": True}, "distance = 253: it is given twice"),
+        ((7, 7, -0.1), {}, "1 of its pixels are below 0"),
+        ((7, 7, np.nan), {}, "1 of its pixels are NaN"),
+    ],
+)
+def test_what_no_light_makes_is_refused(pixel, options, words):
+    row, column, value = pixel
     image = np.zeros(SMALL.shape, np.float32)
-    assert "none of its pixels is lit" in refused(image)
     image[5, 5] = 1
-    assert "oversample = 3000" in refused(image, oversample=3000)
-    assert "iterations = 0" in refused(image, iterations=0)
-    assert "photons = -1" in refused(image, photons=-1)
-    assert "response = 'x'" in refused(image, response="x")
-    image[7, 7] = -0.1
-    assert "1 of its pixels are below 0" in refused(image)
-    image[7, 7] = np.nan
-    assert "1 of its pixels are NaN" in refused(image)
-
-
-def test_planes_of_a_volume_are_different_ones():
-    image = np.ones(SMALL.shape, np.float32)
-    capture = mp.Capture(image, SMALL, WAVELENGTH, "wave")
-    with pytest.raises(mp.InputError, match="distance = 253: it is given twice"):
-        mp.reconstruct(capture, [230.0, 253.0, 253.0], method="deconvolved", volume=True)
+    image[row, column] = value
+    with pytest.raises(mp.InputError, match=words) as found:
+        mp.reconstruct(
+            mp.Capture(image, SMALL, WAVELENGTH, "wave"), method="deconvolved", **{"distance": 253.0} | options
+        )
+    assert "\n" not in str(found.value)
 
 
 def test_a_dark_channel_stays_dark():

@@ -4,13 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from stopped_runs import StoppedError
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.design import lens_aperture, resolution_limit
-from mitsuba_plenoptic.extensions.deconvolution import fourier
 from mitsuba_plenoptic.extensions.deconvolution.fourier import FourierResponse
-from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.lenses.common import main_lens
 from mitsuba_plenoptic.points.units import radiance_weight
 
@@ -187,42 +184,3 @@ def test_noise_ends_it_and_colours_keep_their_wavelengths():
         row, column = np.unravel_index(plane.argmax(), plane.shape)
         place = (np.array(plane.shape[::-1]) / 2 - [column + 0.5, row + 0.5]) * found.bin_size
         assert np.allclose(place, [X, Y], atol=found.bin_size)
-
-
-def test_a_run_goes_on_and_spectra_on_disk_are_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    monkeypatch.setattr(checkpoints, "FRACTION", 1e9)
-    random = np.random.default_rng(0)
-    capture = mp.Capture(random.random(SMALL.shape).astype(np.float32), SMALL, WAVELENGTH, "wave", {})
-    options = {"method": "deconvolved", "volume": True, "oversample": 2, "iterations": 4}
-    whole = mp.reconstruct(capture, [0.0, 0.03], **options)
-    save, count = mp.Checkpoint.save_arrays, [0]
-
-    def stopped(self, arrays):
-        save(self, arrays)
-        count[0] += 1
-        if count[0] == 2:
-            raise StoppedError
-
-    path = tmp_path / "out.checkpoint"
-    with monkeypatch.context() as patch:
-        patch.setattr(mp.Checkpoint, "save_arrays", stopped)
-        with pytest.raises(StoppedError), mp.Checkpoint(path) as checkpoint:
-            mp.reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
-    monkeypatch.setattr(fourier, "_MEMORY", 0)
-    with mp.Checkpoint(path, "resume") as checkpoint:
-        again = mp.reconstruct(capture, [0.0, 0.03], checkpoint=checkpoint, **options)
-    for one, other in zip(whole, again, strict=True):
-        np.testing.assert_array_equal(one.image, other.image)
-
-
-def test_what_cannot_be_is_refused():
-    capture = mp.Capture(np.ones(SMALL.shape, np.float32), SMALL, WAVELENGTH, "wave", {})
-    with pytest.raises(mp.InputError, match=r"method = ray: behind main_lens = 20x/0\.25 objective"):
-        mp.reconstruct(capture, 0.0)
-    with pytest.raises(mp.InputError, match=r"response = ray: behind main_lens"):
-        mp.reconstruct(capture, 0.0, method="deconvolved", response="ray")
-    with pytest.raises(mp.InputError, match=r"images of .* bins"):
-        mp.reconstruct(capture, 0.0, method="deconvolved", oversample=3000)
-    with pytest.raises(mp.InputError, match="none of its pixels is lit"):
-        mp.reconstruct(mp.Capture(0 * capture.image, SMALL, WAVELENGTH, "wave", {}), 0.0, method="deconvolved")

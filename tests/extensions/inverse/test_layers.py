@@ -123,22 +123,3 @@ def test_fits_in_colour_from_captures_by_rays():
     grey = Capture(captures[0].image[..., 0], CAMERA)
     with pytest.raises(InputError, match=r"^captures: number 1 has 1 channels, the planes have 3$"):
         fit_layers([captures[0], grey], [mi.ScalarTransform4f()] * 2, start)
-
-
-def test_mistakes():
-    grey = np.full((2, 4, 4), 0.5)
-    with pytest.raises(InputError, match=r"^depths = \[2, 1\]: they must increase$"):
-        Layers([2, 1], [1, 1], grey, grey)
-    with pytest.raises(InputError, match=r"^radiance of shape \(2, 4, 4\) and opacity of shape \(1, 4, 4\): "):
-        Layers([1, 2], [1, 1], grey, grey[:1])
-    with pytest.raises(InputError, match=r"^radiance of shape \(2, 4, 4, 1, 1\) and opacity of shape"):
-        Layers([1, 2], [1, 1], grey[..., None, None], grey)
-    with pytest.raises(InputError, match=r"^depth = nan: "):
-        Layers([1, float("nan")], [1, 1], grey, grey)
-    with pytest.raises(InputError, match=r"^opacity: it must be from 0 to 1$"):
-        Layers([1, 2], [1, 1], grey, 3 * grey)
-    with pytest.raises(InputError, match=r"^captures and to_world: 0 and 1: "):
-        fit_layers([], [None], PAIR)
-    mi.set_variant("llvm_ad_rgb")
-    with pytest.raises(InputError, match=r"^radiance of 1 channels: variant llvm_ad_rgb has 3$"):
-        PAIR.integrator()

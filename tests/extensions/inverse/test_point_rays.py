@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cameras import HALF, WAVELENGTH, error, film, small_camera
 
-from mitsuba_plenoptic import CaptureOperator, InputError, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays
 from mitsuba_plenoptic.fitting import known_view
 from mitsuba_plenoptic.light.optical_system import OpticalSystem
@@ -90,21 +90,6 @@ def test_captures_are_continuous_in_the_camera():
     assert max(steps) < 0.005 * np.linalg.norm(images[0])
 
 
-@pytest.mark.parametrize(
-    ("numbers", "message"),
-    [
-        ({"mla_fill": 0.8}, "mla_fill = 0.8.*arrays without gaps only"),
-        ({"mla_aperture": "circle"}, "mla_aperture = circle: .*without gaps"),
-        ({"mla_tilt": (0.1, 0.0)}, r"mla_tilt = \(0.1, 0.0\): points are followed through cameras without it only"),
-        ({"distortion": (0.1, 0.0, 0.0, 0.0, 0.0)}, "distortion = "),
-    ],
-)
-def test_what_is_not_followed_is_refused(numbers, message):
-    camera = PlenopticCamera(detector_width=0.256, resolution=(64, 64), **HALF, **numbers)
-    with pytest.raises(InputError, match=message):
-        PointRays(camera, np.array([[0.0, 0.0, 120.0]]), WAVELENGTH)
-
-
 def test_points_in_a_medium_lie_where_waves_have_them():
     camera = small_camera(mla_medium=1.5, mla_focal_length=0.768, detector_distance=0.8, lens_model="parabolic")
     points = np.array([(0.2, -0.1, 225.0)])
@@ -114,10 +99,3 @@ def test_points_in_a_medium_lie_where_waves_have_them():
     for place, axis in ((x, 0), (y, 1)):
         first, second = (image.sum(axis) @ place / image.sum() for image in (wave, ray))
         assert first == pytest.approx(second, abs=0.4 * camera.pixel_size)
-
-
-@pytest.mark.parametrize("distance", [0.24, 10.0])
-def test_points_in_metres_are_recognised(distance):
-    words = r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$"
-    with pytest.raises(InputError, match=words):
-        PointRays(PlenopticCamera(), np.array([(0.0, 0.0, distance)]), WAVELENGTH)

@@ -25,10 +25,6 @@ POINTS = scattered(3, image=0.05)
 FAST = small_camera(2, aperture_radius=10.0)
 """A camera whose stigmatic lens and parabolic phase make captures that differ by half."""
 
-# Of central differences, and relative differences: derivatives and captures cut light at different angles.
-# By the array's parameters derivatives are right to some percent, and the sum changes little with `mla_offset`.
-STEPS = [("mla_distance", 0.02, 2e-3), ("mla_offset", 2e-4, 0.04)]
-
 
 def stored(**options):
     return StoredOperator(CAMERA, POINTS, dtype="float64", **(options or {"wavelength": WAVELENGTH}))
@@ -42,15 +38,6 @@ def random(*shape, low=-1.0):
     """Return a tensor in double precision of which derivatives are taken."""
     values = np.random.default_rng(len(shape)).uniform(low, 1, shape)
     return torch.tensor(values, requires_grad=True)
-
-
-def directional(function, given, change, step):
-    """Return the derivative of a scalar from the reverse pass, and from central differences."""
-    given = given.detach().requires_grad_()
-    (gradient,) = torch.autograd.grad(function(given), given)
-    with torch.no_grad():
-        difference = (function(given + step * change) - function(given - step * change)) / (2 * step)
-    return float((gradient * change).sum()), float(difference)
 
 
 # -- weights and images ------------------------------------------------------------------------------
@@ -98,35 +85,18 @@ def test_a_step_of_richardson_and_lucy():
     assert torch.autograd.gradcheck(step, (random(3, low=0.5), image.requires_grad_()), fast_mode=True, atol=1e-4)
 
 
-def test_spreads_are_computed_once(monkeypatch):
-    operator, weights, calls = stored(), random(3), []
-    compute = operator._matrix
-    monkeypatch.setattr(operator, "_matrix", lambda spreads: calls.append(1) or compute(spreads))
-    for _ in range(2):
-        bridge.forward(operator, weights).square().sum().backward()
-    assert len(calls) == 1
-
-
-def test_single_precision_without_copies():
-    operator = computing(CAMERA)
-    weights = torch.ones(3, requires_grad=True)
-    image = bridge.forward(operator, weights)
-    assert image.dtype == torch.float32
-    assert np.shares_memory(bridge._array(image), image.detach().numpy())
-    image.square().sum().backward()
-    np.testing.assert_allclose(weights.grad, 2 * operator.adjoint(image.detach().numpy()), rtol=1e-5)
-
-
-def test_operators_get_the_memory_of_tensors(monkeypatch):
-    operator, given = stored(), []
+def test_operators_get_the_memory_of_tensors_and_of_what_dlpack_brings(monkeypatch):
+    operator, given, owned = stored(), [], np.ones((2, 3))
     for name in ("forward", "adjoint"):
         function = getattr(operator, name)
         monkeypatch.setattr(operator, name, lambda array, f=function: given.append(array) or f(array))
-    weights, images = torch.ones(2, 3), torch.ones(2, *CAMERA.shape)
+    weights, images = torch.from_dlpack(owned), torch.ones(2, *CAMERA.shape)
     made = bridge.forward(operator, weights), bridge.adjoint(operator, images)
     for array, tensor in zip(given, (weights, images), strict=True):
         assert np.shares_memory(array, tensor.numpy())
     assert np.shares_memory(np.from_dlpack(made[0]), made[0].numpy())
+    owned[:] = 2
+    torch.testing.assert_close(bridge.forward(operator, weights), 2 * made[0])
 
 
 def test_tensors_of_other_types_and_layouts():
@@ -140,27 +110,15 @@ def test_tensors_of_other_types_and_layouts():
     by = RayRefocus(CAMERA, 225.0)
     np.testing.assert_allclose(bridge.refocus(by, expected.mT.contiguous().mT), bridge.refocus(by, expected))
     assert not bridge.forward(operator, weights).requires_grad
-    for kind, limit in ((torch.float16, 1e-3), (torch.bfloat16, 1e-2)):
+    for kind, limit in (
+        (torch.float32, 1e-6),
+        (torch.float16, 1e-3),
+        (torch.bfloat16, 1e-2),
+        (torch.float8_e5m2, 0.13),
+    ):
         made = bridge.forward(operator, weights.to(kind))
         assert made.dtype == kind
         torch.testing.assert_close(made.double(), expected, rtol=limit, atol=limit * float(expected.abs().max()))
-
-
-def test_a_quarter_of_the_precision():
-    made = bridge.forward(stored(), torch.ones(3).to(torch.float8_e5m2))
-    assert made.dtype == torch.float8_e5m2
-    expected = bridge.forward(stored(), torch.ones(3))
-    torch.testing.assert_close(made.float(), expected, rtol=0.13, atol=0.01 * float(expected.max()))
-
-
-def test_exchange_with_other_libraries_by_dlpack():
-    """Without copies: what NumPy owns, a tensor made of it, and the results."""
-    operator, owned = stored(), np.ones(3)
-    weights = torch.from_dlpack(owned)
-    image = bridge.forward(operator, weights)
-    owned[:] = 2
-    torch.testing.assert_close(bridge.forward(operator, weights), 2 * image)
-    assert np.from_dlpack(image).__array_interface__["data"][0] == image.data_ptr()
 
 
 @pytest.mark.parametrize("lens_model", ["ideal", "parabolic"])
@@ -219,12 +177,18 @@ OPTIONS = {RayRefocus: {}, CoherentRefocus: {"wavelength": WAVELENGTH}, Deconvol
 
 
 @pytest.mark.parametrize("kind", OPTIONS)
-def test_forward_mode_of_refocusing(kind):
-    by = kind(CAMERA, 225.0, **OPTIONS[kind])
+def test_refocusing_and_its_derivatives(kind, monkeypatch):
+    by, calls = kind(CAMERA, 225.0, **OPTIONS[kind]), []
     captures = bridge.forward(stored(), random(2, 3, low=0.5)).detach() + 1e-4
     change = random(2, *CAMERA.shape, low=0).detach() * captures
     refocus = lambda c: bridge.refocus(by, c)  # noqa: E731
+    np.testing.assert_allclose(refocus(captures)[1], by.forward(captures[1]), rtol=1e-6)
     made, difference, *products = along(refocus, (captures,), (change,), 1e-2)
+    if kind is not RayRefocus:
+        at = by.at
+        monkeypatch.setattr(by, "at", lambda capture: calls.append(1) or at(capture))
+        refocus(captures.clone().requires_grad_()).sum().backward()
+        assert len(calls) == 1
     require_close(made, difference, 1e-3)
     assert products[0] == pytest.approx(products[1], rel=1e-5)
     # Rows that `torch.vmap` takes one by one are those of a batch.
@@ -278,17 +242,23 @@ def test_derivatives_of_derivatives_are_refused(function, at):
 # -- cameras -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "step", "limit"), STEPS)
-def test_gradients_of_the_camera(name, step, limit):
-    start = np.array(getattr(CAMERA, name))
+# Of central differences, and relative differences: derivatives and captures cut light at different angles.
+# By the array's parameters derivatives are right to some percent, and the sum changes little with `mla_offset`.
+@pytest.mark.parametrize(("name", "step", "limit"), [("mla_distance", 0.02, 2e-3), ("mla_offset", 2e-4, 0.04)])
+def test_derivatives_by_the_camera(name, step, limit):
     felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
     weights = torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
 
-    def figure(value):
+    def figure(value, weights):
         return (bridge.capture(computing, CAMERA, {name: value}, weights) * felt).sum()
 
-    reverse, difference = directional(figure, torch.tensor(start), torch.ones(start.shape), step)
-    assert reverse == pytest.approx(difference, rel=limit)
+    start = torch.tensor(np.array(getattr(CAMERA, name)))
+    made, difference, *products = along(figure, (start, weights), (torch.ones_like(start), 0 * weights), step)
+    assert float(made) == pytest.approx(float(difference), rel=limit)
+    assert products[0] == pytest.approx(products[1], rel=1e-4)
+    with forward_ad.dual_level():
+        changing = forward_ad.make_dual(start, torch.ones_like(start)), forward_ad.make_dual(weights, 0 * weights)
+        assert float(forward_ad.unpack_dual(figure(*changing)).tangent) == pytest.approx(float(made), rel=1e-6)
 
 
 def test_weights_and_camera_together():
@@ -325,21 +295,6 @@ def test_steps_of_a_loop_keep_nothing():
     assert not any(each() for each in operators)
 
 
-def test_cameras_in_forward_mode():
-    felt = torch.tensor(np.random.default_rng(2).normal(size=CAMERA.shape).cumsum(0).cumsum(1))
-    start, weights = torch.tensor(120.0, dtype=torch.float64), torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
-
-    def figure(distance, weights):
-        return (bridge.capture(computing, CAMERA, {"mla_distance": distance}, weights) * felt).sum()
-
-    with forward_ad.dual_level():
-        changing = forward_ad.make_dual(start, torch.ones_like(start)), forward_ad.make_dual(weights, 0.3 * weights)
-        forward = forward_ad.unpack_dual(figure(*changing)).tangent
-    step = 0.02
-    ahead, back = (figure(start + one, weights * (1 + 0.3 * one)) for one in (step, -step))
-    assert float(forward) == pytest.approx(float(ahead - back) / (2 * step), rel=1e-3)
-
-
 def test_a_list_of_one_number_for_all_parts():
     """As of both pitches; of aberrations it is the first."""
     weights = torch.tensor([0.5], dtype=torch.float64)
@@ -359,39 +314,6 @@ def test_tensors_that_were_overwritten_are_refused():
         weights += 1
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         image.sum().backward()
-
-
-# -- reconstructions ---------------------------------------------------------------------------------
-
-
-def test_refocusing_by_rays():
-    by = RayRefocus(CAMERA, 225.0)
-    captures = random(2, *CAMERA.shape, low=0.1)
-    images = bridge.refocus(by, captures)
-    np.testing.assert_allclose(images[1].detach(), by.forward(captures[1].detach()), rtol=1e-6)
-    change = torch.tensor(np.random.default_rng(5).normal(size=captures.shape))
-    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 0.01)
-    assert reverse == pytest.approx(difference, rel=1e-3)
-
-
-def test_refocusing_by_waves(monkeypatch):
-    by = CoherentRefocus(CAMERA, 225.0, WAVELENGTH)
-    captures = bridge.forward(stored(), random(2, 3, low=0.5)) + 1e-4
-    change = torch.tensor(np.random.default_rng(5).normal(size=captures.shape)) * captures.detach()
-    calls, at = [], by.at
-    monkeypatch.setattr(by, "at", lambda capture: calls.append(1) or at(capture))
-    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 1e-2)
-    assert reverse == pytest.approx(difference, rel=1e-3)
-    assert len(calls) == 3
-
-
-def test_steps_of_deconvolution():
-    by = DeconvolvedRefocus(CAMERA, 225.0, iterations=3)
-    captures = bridge.forward(stored(), random(2, 3, low=0.5)).detach() + 1e-4
-    np.testing.assert_allclose(bridge.refocus(by, captures)[1], by.forward(captures[1]), rtol=1e-6)
-    change = torch.tensor(np.random.default_rng(5).uniform(size=captures.shape)) * captures
-    reverse, difference = directional(lambda c: bridge.refocus(by, c).square().sum(), captures, change, 1e-2)
-    assert reverse == pytest.approx(difference, rel=1e-3)
 
 
 # -- scenes ------------------------------------------------------------------------------------------
@@ -464,6 +386,9 @@ def test_captures_of_scenes_keep_their_values_for_the_reverse_pass(letters):
     ((images[0] + images[1]) * felt).sum().backward()
     torch.testing.assert_close(gradients(first) + gradients(second), alone, rtol=1e-5, atol=0)
     assert not any(dr.grad_enabled(mi.traverse(letters.scene)[name]) for name in names)
+    (gradient, _) = torch.autograd.grad(letters(*first, names=names).sum(), first, create_graph=True)
+    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
+        (gradient + first[1] ** 2).sum().backward()
     image = letters(*first, names=names)
     with torch.no_grad():
         first[0] += 1
@@ -484,13 +409,6 @@ def test_values_that_are_refused_leave_the_scene_as_it_was(letters):
     torch.testing.assert_close(letters(torch.ones(1), torch.ones(1)), image, rtol=0, atol=0)
 
 
-def test_captures_of_scenes_are_derived_once(letters):
-    values = [torch.ones(1, requires_grad=True) for _ in RADIANCES]
-    (gradient, _) = torch.autograd.grad(letters(*values).sum(), values, create_graph=True)
-    with pytest.raises(InputError, match=r"^derivatives of derivatives: "):
-        (gradient + values[0] ** 2).sum().backward()
-
-
 def test_scenes_of_another_variant(letters):
     value = torch.ones(1, requires_grad=True)
     image = letters(value, torch.ones(1))
@@ -505,59 +423,67 @@ def test_scenes_of_another_variant(letters):
     assert float(value.grad) > 0
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({}, "^values: give at least one parameter of the scene$"),
-        (
-            {"f.emitter.radiance.value": torch.ones(3)},
-            r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$",
-        ),
-        ({"f.faces": torch.ones(18)}, "^f.faces: it is UInt: give floating-point numbers"),
-        ({"f.emitter.radiance": torch.ones(1)}, "^values: f.emitter.radiance: it is not one of"),
-    ],
-)
-def test_values_that_the_scene_does_not_have(values, message):
+def rendered(scene="letters", values=None, **settings):
     mi.set_variant("llvm_ad_mono")
-    with pytest.raises(InputError, match=message):
-        bridge.render(load_scene("letters"), values)
+    scene = load_scene(scene) if scene == "letters" else scene
+    return bridge.render(scene, {RADIANCES[0]: torch.ones(1)} if values is None else values, **settings)
 
 
-def test_settings_that_cannot_be_rendered(letters):
-    without = mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})
-    for scene, settings, message in (
-        (letters.scene, {"spp": -1}, "spp = -1: it must be at least 0"),
-        (letters.scene, {"seed": 0.5}, "seed = 0.5: it must be a whole number"),
-        ("letters", {}, "scene = 'letters': it must be a scene of Mitsuba"),
-        (without, {}, "scene: it has no sensor"),
-    ):
-        with pytest.raises(InputError, match=f"^{message}$"):
-            bridge.render(scene, {RADIANCES[0]: torch.ones(1)}, **settings)
+def forwarded(weights):
+    return bridge.forward(stored(), weights)
 
 
-# -- mistakes ----------------------------------------------------------------------------------------
+def refocused(kind, shape):
+    return bridge.refocus(kind(CAMERA, 225.0, **OPTIONS[kind]), random(*shape))
 
 
-def test_mistakes():
-    with pytest.raises(InputError, match=r"^weights of shape \(2, 4\): it must not be empty, and its last axes"):
-        bridge.forward(stored(), random(2, 4))
-    with pytest.raises(InputError, match=r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"):
-        bridge.forward(stored(), [1, 2, 3])
-    for wrong in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta")):
-        with pytest.raises(
-            InputError, match=r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating point"
-        ):
-            bridge.forward(stored(), wrong)
-    with pytest.raises(InputError, match=r"^120\.0: it must be a tensor of PyTorch$"):
-        bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3))
-    with pytest.raises(InputError, match=r"^parameters: wavelength: it is not one of"):
-        bridge.capture(lambda camera: stored(), CAMERA, {"wavelength": torch.tensor(633.0)}, random(3))
-    for kind, options in OPTIONS.items():
+SCENES = [
+    (lambda: rendered(values={}), "^values: give at least one parameter of the scene$"),
+    (
+        lambda: rendered(values={RADIANCES[0]: torch.ones(3)}),
+        r"^f\.emitter\.radiance\.value of shape \(3,\): it must be \(1,\)$",
+    ),
+    (lambda: rendered(values={"f.faces": torch.ones(18)}), "^f.faces: it is UInt: give floating-point numbers"),
+    (lambda: rendered(values={"f.emitter.radiance": torch.ones(1)}), "^values: f.emitter.radiance: it is not one of"),
+    (lambda: rendered(spp=-1), "^spp = -1: it must be at least 0$"),
+    (lambda: rendered(seed=0.5), "^seed = 0.5: it must be a whole number$"),
+    (lambda: rendered("nothing"), "^scene = 'nothing': it must be a scene of Mitsuba$"),
+    (
+        lambda: rendered(mi.load_dict({"type": "scene", "one": {"type": "path"}, "two": {"type": "sphere"}})),
+        "^scene: it has no sensor$",
+    ),
+]
+TENSORS = [
+    (lambda: forwarded(random(2, 4)), r"^weights of shape \(2, 4\): it must not be empty, and its last axes"),
+    (lambda: forwarded([1, 2, 3]), r"^\[1, 2, 3\]: it must be a tensor of PyTorch$"),
+    *(
+        (lambda given=given: forwarded(given), r"^tensor of shape \(3,\), .*: it must be a dense tensor of floating po")
+        for given in (torch.tensor([1, 2, 3]), torch.ones(3).to_sparse(), torch.ones(3, device="meta"))
+    ),
+    (
+        lambda: bridge.capture(computing, CAMERA, {"mla_distance": 120.0}, random(3)),
+        r"^120\.0: it must be a tensor of PyTorch$",
+    ),
+    (
+        lambda: bridge.capture(computing, CAMERA, {"wavelength": torch.tensor(633.0)}, random(3)),
+        "^parameters: wavelength: it is not one of",
+    ),
+    *(
+        (
+            lambda kind=kind, shape=shape: refocused(kind, shape),
+            rf"^captures of shape {re.escape(str(shape))}: it must not be empty, and its last axes must be \(64, 64\)$",
+        )
+        for kind in OPTIONS
         # Colours are axes before the rows.
-        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3)):
-            named = rf"captures of shape {re.escape(str(shape))}: it must not be empty, and its last axes must be"
-            with pytest.raises(InputError, match=rf"^{named} \(64, 64\)$"):
-                bridge.refocus(kind(CAMERA, 225.0, **options), random(*shape))
+        for shape in ((3,), (0, *CAMERA.shape), (*CAMERA.shape, 3))
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), [*SCENES, *TENSORS])
+def test_refusals(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
 
 
 def test_torch_that_is_missing(monkeypatch):

@@ -10,7 +10,6 @@ from mitsuba_plenoptic import InputError, render_capture
 from mitsuba_plenoptic.extensions.onchip import plane_waves as photodiodes
 from mitsuba_plenoptic.extensions.onchip import response_tables
 from mitsuba_plenoptic.extensions.onchip.plane_waves import Zones, pixels_per_lens
-from mitsuba_plenoptic.extensions.onchip.response_draws import _from_half, _quantiles
 from mitsuba_plenoptic.extensions.onchip.response_tables import PhotodiodeResponses
 from mitsuba_plenoptic.extensions.onchip.responses import LensCells, ResponseSum
 from mitsuba_plenoptic.light.signed_colours import Node
@@ -78,18 +77,6 @@ def test_shaped_lenses_against_the_fields_of_periodic_samples(name):
         assert light[:, middle, middle + along] == pytest.approx(pixels, rel=0.004, abs=0.002 * pitch**2)
 
 
-def test_each_cell_of_the_far_window_can_be_drawn():
-    """Also for directions without response, as nodes that only some zones use have."""
-    plan = PhotodiodeResponses(camera_of(4.0, 6), 550.0)
-    plan.table.far[0, 0] = 0
-    drawn = _quantiles(plan)
-    for row in drawn[:2]:
-        cells, counts = np.unique(row >> 16, return_counts=True)
-        assert len(cells) == plan.far.lenses**2
-        np.testing.assert_array_equal(counts[row >> 16], row & 0xFFFF)
-    assert len(drawn) == plan.table.far.shape[1] + 1
-
-
 @pytest.mark.parametrize(("f_number", "steps"), [pytest.param(2.0, 6.0, marks=pytest.mark.slow), (8.0, 3.0)])
 def test_zones_that_mirror_each_other_have_mirrored_tables(monkeypatch, f_number, steps):
     """Far windows of an odd and of an even count of lenses."""
@@ -108,12 +95,6 @@ def test_zones_that_mirror_each_other_have_mirrored_tables(monkeypatch, f_number
     for one, expected in zip(mirrored[1:], other.table[1:], strict=True):
         np.testing.assert_allclose(one.astype(float), expected.astype(float), atol=2e-3 * np.abs(expected).max())
     assert len(made) == 5 * plan.count**2
-
-
-def test_half_precision_is_read_exactly():
-    values = np.array([0.0, 1.0, -2.5, 6e-8, -3e-5, 65504.0, 0.333], np.float16)
-    words = mi.UInt32(values.view(np.uint16).astype(np.uint32) << 16)
-    assert _from_half(words).numpy().tolist() == values.astype(np.float32).tolist()
 
 
 def test_far_sums_have_the_mean_of_all_rays():

@@ -1,0 +1,208 @@
+"""What fits, designs, volumes and differentiable functions refuse: a call, or what it is given, and words."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from cameras import HALF, WAVELENGTH, scattered, small_camera
+
+from mitsuba_plenoptic import Capture, Detector, InputError, PlenopticCamera, StoredOperator, expose, fit, volume_points
+from mitsuba_plenoptic.extensions.inverse.point_rays import PointRays, vector_of
+from mitsuba_plenoptic.fitting import Layers, View, coarse_fit, fit_layers, noise_of
+from mitsuba_plenoptic.optimisation import DepthInformation, RefocusedContrast, maximise
+from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+from mitsuba_plenoptic.views import white_image
+
+CAMERA = small_camera(2)
+TRUE = small_camera(2, **HALF)
+POINTS = scattered(5, distances=(112.0, 128.0), image=0.05)
+POINT = [(0.03, 0.01, 116.0)]
+ONES = np.ones(len(POINTS))
+GREY = np.full((2, 4, 4), 0.5)
+HALVES = small_camera(4, **HALF, detector_distance=0.512, wavefront=(*(0.0,) * 10, 0.05))
+
+
+def by_rays(camera=CAMERA, distance=225.0, **options):
+    return RayRefocus(camera, distance, **options)
+
+
+def by_waves(**options):
+    return CoherentRefocus(CAMERA, **{"distance": 225.0, "wavelength": WAVELENGTH} | options)
+
+
+def view(image=1.0, weights=ONES, noise=None, **options):
+    return View(np.broadcast_to(image, TRUE.shape), POINTS, weights, noise, **options)
+
+
+def fitted(names="mla_pitch", seen=None, camera=TRUE, **options):
+    return fit(camera, view() if seen is None else seen, names, **{"photons": 2000.0} | options)
+
+
+def negative():
+    image = np.ones(TRUE.shape)
+    image[3, 5] = -0.2
+    return image
+
+
+def of_noise():
+    """Fit to a capture of noise alone."""
+    seen = expose(Capture(np.zeros(TRUE.shape), TRUE), Detector(read_noise=3.0), photons=2000.0, seed=4)
+    assert seen.image.max() > 0
+    return fitted(seen=view(seen.image, noise=noise_of(seen)[0]), photons=None)
+
+
+def dark(find):
+    return [
+        (lambda: find(TRUE, view(np.zeros(TRUE.shape)), "mla_distance"), "image: it is black"),
+        (lambda: find(TRUE, view(np.full(TRUE.shape, -0.1)), "mla_distance"), "image: it is black"),
+    ]
+
+
+def followed(point=(0.0, 0.0, 120.0), **numbers):
+    return PointRays(small_camera(2, **HALF, **numbers), np.array([point]), WAVELENGTH)
+
+
+def contrast(frequencies=(0.5,), points=POINT):
+    return RefocusedContrast(HALVES, points, frequencies)
+
+
+def hill(bounds):
+    return maximise(contrast(), HALVES, bounds)
+
+
+REFOCUSING = [
+    (lambda: by_rays(distance=50.0), "distance"),
+    (lambda: by_rays(footprint="disc"), "footprint"),
+    (lambda: by_rays().forward(np.zeros((3, 3))), "capture of shape"),
+    (lambda: by_rays().adjoint(np.zeros((5, 3))), "bins of shape"),
+    (lambda: by_waves(distance=50.0), "distance"),
+    (lambda: by_waves(interleave=0), "interleave"),
+    (lambda: by_waves(wavelength=-1.0), "wavelength"),
+    (lambda: by_waves().forward(np.zeros((3, 3))), "capture of shape"),
+    (lambda: by_waves().gradient(white_image(CAMERA), np.zeros((2, 2, 2))), "image_gradient of 2 channels: the capt"),
+    (lambda: by_waves().derivative(white_image(CAMERA), np.zeros((9, 9))), "change of shape"),
+    (lambda: DeconvolvedRefocus(CAMERA, 250.0).forward(np.zeros(CAMERA.shape)), "^capture: none of its pixels is lit"),
+    (
+        lambda: DeconvolvedRefocus(CAMERA, 250.0).forward(np.zeros((3, 3))),
+        r"^capture of shape \(3, 3\): it must have 64 rows and 64 columns$",
+    ),
+    (lambda: DeconvolvedRefocus(CAMERA, 250.0, iterations=0), "^iterations = 0: "),
+]
+
+FITS = [
+    *dark(lambda camera, seen, names: fit(camera, seen, names, photons=2000.0)),
+    *dark(coarse_fit),
+    (of_noise, "image: it is black"),
+    (lambda: fitted(seen=view(negative())), r"image: 1 of its pixels are negative, .* -0\.2, at \(3, 5\)"),
+    (
+        lambda: fitted(seen=view(negative(), mask=negative() < 0, saturation=0.5)),
+        "image: all of its pixels are left out",
+    ),
+    (lambda: view(weights=[1, -2, 3, 4, 5]), "weights: 1 of them are negative, the first, -2, at 1: light is at least"),
+    (lambda: view(weights=0 * ONES), "weights: all of them are 0"),
+    (lambda: view(mask=negative()), "mask of type float64 and shape .*: it must be of booleans"),
+    (lambda: view(saturation=0), "saturation = 0: it must be greater than 0"),
+    (lambda: View(np.zeros((4, 4, 3)), POINTS, ONES), "one channel"),
+    (lambda: view(weights=np.ones(2)), "weights of shape"),
+    (lambda: view(noise=0.0), "noise of shape"),
+    (lambda: fitted(seen=View(np.zeros((3, 3)), POINTS, ONES)), "the camera records"),
+    (lambda: fitted(camera=PlenopticCamera.preset("lfm"), wavelength=WAVELENGTH), "fitted for thin main lenses only"),
+    (lambda: fitted("wavelength"), "wavelength: it is no parameter of a camera"),
+    (lambda: fitted("f_number"), "f_number"),
+    (lambda: fitted("wavefront"), "wavefront: the camera has no coefficients"),
+    (
+        lambda: vector_of(TRUE.replace(wavefront=(0.0,) * 6), "wavefront.7"),
+        "wavefront.7': the camera has wavefront.2, ",
+    ),
+    (lambda: fitted(()), "names = .*: name at least one"),
+    (lambda: fitted("mla_fill", model="ray"), "mla_fill: rays from points know no gaps"),
+    (lambda: fitted(model="light"), "model = 'light': it must be one of ray, wave"),
+    (lambda: fitted(model="ray", accuracy=0.1), "accuracy = 0.1: it is for fits by the wave model"),
+    (lambda: fitted(photons=None), "photons: give them, or the noise"),
+    (lambda: fitted(photons=-1), "photons"),
+    (lambda: fitted(bounds={"mla_pitch": (0.07, 0.08)}), "bounds: mla_pitch starts at 0.064: it must lie from"),
+    (lambda: fitted(bounds={"mla_fill": (0.5, 1)}), "bounds: .*mla_fill.* is not fitted; there are mla_pitch"),
+    (lambda: fitted(bounds={"mla_pitch": (1, 0)}), "bounds: mla_pitch = .*: it must be the lowest and the highest"),
+    (lambda: followed(mla_fill=0.8), "mla_fill = 0.8.*arrays without gaps only"),
+    (lambda: followed(mla_aperture="circle"), "mla_aperture = circle: .*without gaps"),
+    (lambda: followed(mla_tilt=(0.1, 0.0)), r"mla_tilt = \(0.1, 0.0\): points are followed through cameras without it"),
+    (lambda: followed(distortion=(0.1, 0.0, 0.0, 0.0, 0.0)), "distortion = "),
+    *(
+        (
+            lambda g=g: PointRays(PlenopticCamera(), np.array([(0.0, 0.0, g)]), WAVELENGTH),
+            r"position = \(0, 0, .*\): its light would cover .* microlenses .* are the points in metres\?$",
+        )
+        for g in (0.24, 10.0)
+    ),
+]
+
+DESIGNS = [
+    (lambda: hill({}), "bounds: name at least one"),
+    (lambda: hill({"f_number": (1, 2)}), "f_number"),
+    (lambda: hill({"mla_focal_length": (0.6, 0.7)}), "bounds: mla_focal_length starts at 0.512"),
+    (lambda: hill({"mla_focal_length": (0.6, 0.5)}), "bounds: .*mla_focal_length.* the lowest and the highest"),
+    (
+        lambda: hill({"wavefront.12": (-1, 1)}),
+        "bounds: .*wavefront.12.*: the camera has wavefront.2, .*wavefront.11",
+    ),
+    (lambda: hill({"wavefront": (-1, 1), "wavefront.5": (-1, 1)}), "bounds: a parameter has two"),
+    (lambda: contrast((2.5,)), "frequencies = .*at most 2"),
+    (lambda: DepthInformation(POINT, 3000.0, background=0.0), "background"),
+    (lambda: contrast().gradient(HALVES, ["mla_pitch"]), "mla_pitch: refocusing does not follow it"),
+    (
+        lambda: contrast().value(HALVES.replace(focal_length=41.0)),
+        r"focal_length = 41\.0: this figure is of cameras with 40\.0",
+    ),
+    (lambda: contrast(points=[(90.0, 0.0, 116.0)]).value(HALVES), "points: one of them sends no light"),
+    (
+        lambda: DepthInformation(POINT, 1e4, method="full_field", accuracy=0.02),
+        r"accuracy = 0\.02: method = full_field takes none",
+    ),
+]
+
+VOLUMES = [
+    (lambda: Layers([2, 1], [1, 1], GREY, GREY), r"^depths = \[2, 1\]: they must increase$"),
+    (
+        lambda: Layers([1, 2], [1, 1], GREY, GREY[:1]),
+        r"^radiance of shape \(2, 4, 4\) and opacity of shape \(1, 4, 4\)",
+    ),
+    (
+        lambda: Layers([1, 2], [1, 1], GREY[..., None, None], GREY),
+        r"^radiance of shape \(2, 4, 4, 1, 1\) and opacity of shape",
+    ),
+    (lambda: Layers([1, float("nan")], [1, 1], GREY, GREY), "^depth = nan: "),
+    (lambda: Layers([1, 2], [1, 1], GREY, 3 * GREY), "^opacity: it must be from 0 to 1$"),
+    (lambda: fit_layers([], [None], Layers([1, 2], [1, 1], GREY, GREY)), "^captures and to_world: 0 and 1: "),
+    (lambda: volume_points(np.ones((2, 2)), (0, 0, 0), (1, 1, 1)), r"values of shape \(2, 2\)"),
+    (lambda: volume_points(np.full((1, 1, 1), np.nan), (0, 0, 0), (1, 1, 1)), "it must be finite"),
+    (lambda: volume_points("dense", (0, 0, 0), (1, 1, 1)), "values = 'dense': they must be numbers"),
+    (lambda: volume_points(np.ones((1, 1, 1)), (0, 0), (1, 1, 1)), r"lower = \(0, 0\): it must be three numbers"),
+    (lambda: volume_points(np.ones((1, 1, 1)), (0, 2, 0), (1, 1, 1)), "it must be greater than lower"),
+    (
+        lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, budget=1e-7).forward(ONES),
+        r"^budget = 1e-07 GiB: the spreads of 5 points at 1 wavelength take \S+ GiB; Capt",
+    ),
+    (lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, budget=0), "^budget = 0: it must be greater than 0$"),
+    (
+        lambda: StoredOperator(TRUE, POINTS, wavelength=WAVELENGTH, dtype="half"),
+        "^dtype = 'half': it must be float32 or float64$",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), [*REFOCUSING, *FITS, *DESIGNS, *VOLUMES])
+def test_refusals_are_one_line(call, words):
+    with pytest.raises(InputError, match=words) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+
+
+def test_refusals_of_variants_names_and_memory(monkeypatch):
+    with pytest.raises(TypeError, match="did you mean wavelength"):
+        StoredOperator(TRUE, POINTS, wavelenght=WAVELENGTH)
+    mi.set_variant("llvm_ad_rgb")
+    with pytest.raises(InputError, match=r"^radiance of 1 channels: variant llvm_ad_rgb has 3$"):
+        Layers([1, 2], [1, 1], GREY, GREY).integrator()
+    refocus = DeconvolvedRefocus(CAMERA, 250.0, iterations=4)
+    monkeypatch.setattr("mitsuba_plenoptic.runtime.limits.MEMORY_LIMIT", 3e4)
+    with pytest.raises(InputError, match=r"^derivatives of 4 steps in 1 channels[^\n]*$"):
+        refocus.forward(np.ones(CAMERA.shape))

@@ -1,0 +1,162 @@
+"""Refocusing as a differentiable function: values, transposes, differences, Dr.Jit and PyTorch."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from cameras import WAVELENGTH, error, small_camera
+
+from mitsuba_plenoptic import reconstruct
+from mitsuba_plenoptic.refocus import CoherentRefocus, DeconvolvedRefocus, RayRefocus
+from mitsuba_plenoptic.refocus.passages import Integrals
+
+HEXAGONAL = {"mla_lattice": "hexagonal", "mla_rotation": 7.0, "mla_fill": 0.9}
+CROPPED = {"crop_offset": (20, 40), "crop_size": (90, 70)}, {"distance": float("inf")}
+FOCUSED = {"mla_distance": 112.0, "detector_distance": 0.6}
+RAYS = {
+    "square": ({}, {}),
+    "points": ({}, {"footprint": "point", "oversample": 2}),
+    "cropped, to infinity": CROPPED,
+    "hexagonal, turned": (HEXAGONAL, {"oversample": 2}),
+    "three focal lengths": ({"mla_lattice": "hexagonal", "mla_focal_length": (0.44, 0.512, 0.6)}, {"distance": 150.0}),
+    "focused": (FOCUSED, {"oversample": 3}),
+}
+WAVES = {
+    "square": ({}, {}),
+    "subsets, finer bins": ({}, {"interleave": 2, "oversample": 2}),
+    "cropped, to infinity": ({"crop_offset": (20, 40), "crop_size": (60, 50)}, {"distance": float("inf")}),
+    "hexagonal, turned, gaps": (HEXAGONAL, {}),
+    "focused": (FOCUSED, {"oversample": 2}),
+}
+DECONVOLVED = {"ray model": {}, "wave model": {"wavelength": WAVELENGTH}}
+
+
+def marked(names, slow):
+    return [pytest.param(name, marks=[pytest.mark.slow] * (name in slow)) for name in names]
+
+
+def lit(camera):
+    """Return a capture that a camera may have made: smooth micro-images of a pupil, with some noise."""
+    rng = np.random.default_rng(0)
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    chief = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
+    cx, cy = camera.lattice.centre(*camera.lattice.cell(*np.meshgrid(x * chief, y * chief)))
+    pupil = np.hypot(x - cx / chief, (y[:, None] - cy / chief)) / (camera.micro_image_diameter / 2)
+    return (rng.uniform(0.5, 1.5, camera.shape) / (1 + np.exp(20 * (pupil - 0.8)))).astype(np.float32)
+
+
+def require_transpose(made, y, x, back):
+    """Check <A x, y> = <x, A' y> to 1e-5."""
+    one, other = (np.vdot(np.asarray(a, np.float64), b) for a, b in ((made, y), (x, back)))
+    assert abs(one - other) < 1e-5 * np.linalg.norm(made) * np.linalg.norm(y)
+
+
+@pytest.mark.parametrize("name", marked(RAYS, ["three focal lengths"]))
+def test_rays_are_those_of_reconstruct_with_their_transpose(name):
+    numbers, options = RAYS[name]
+    camera, options = small_camera(4, **numbers), {"distance": 225.0} | options
+    refocus, rng = RayRefocus(camera, **options), np.random.default_rng(0)
+    x = rng.uniform(0, 1, (*camera.shape, 2)).astype(np.float32)
+    made = refocus.forward(x)
+    expected = reconstruct(x[..., 0], camera=camera, **options).image
+    np.testing.assert_allclose(made[..., 0], np.nan_to_num(expected), rtol=1e-6, atol=1e-6)
+    assert (made == 0).mean() < 0.9
+    y = rng.normal(size=made.shape).astype(np.float32)
+    require_transpose(made, y, x, refocus.adjoint(y))
+
+
+def require_derivatives(refocus, x, expected, limit, step):
+    """Check the image, the transpose of its derivative, and this derivative against differences."""
+    at, rng = refocus.at(x), np.random.default_rng(1)
+    assert at.image.shape == expected.shape
+    assert error(at.image, np.nan_to_num(expected)) < limit
+    change, y = x * rng.uniform(-1, 1, x.shape), rng.normal(size=at.image.shape)
+    moved = at.jvp(change).astype(np.float64)
+    require_transpose(moved, y, change, at.vjp(y))
+    sides = [refocus.forward(x + side * change).astype(np.float64) for side in (step, -step)]
+    assert error(moved, (sides[0] - sides[1]) / (2 * step)) < 1e-3
+
+
+@pytest.mark.parametrize("name", marked(WAVES, ["square", "subsets, finer bins", "focused"]))
+def test_waves_have_the_derivatives_of_reconstruct(name):
+    numbers, options = WAVES[name]
+    camera, options = small_camera(3, **numbers), {"distance": 225.0, "wavelength": WAVELENGTH} | options
+    method = "partial" if "interleave" in options else "coherent"
+    expected = reconstruct(lit(camera), camera=camera, method=method, **options).image
+    require_derivatives(CoherentRefocus(camera, **options), lit(camera), expected, 1e-5, 0.01)
+
+
+@pytest.mark.parametrize("name", marked(DECONVOLVED, ["ray model"]))
+def test_deconvolution_has_the_derivatives_of_reconstruct(name):
+    camera, options = small_camera(3), {"distance": 250.0, "iterations": 6, "oversample": 2} | DECONVOLVED[name]
+    x = lit(camera) + 0.02
+    expected = reconstruct(x, camera=camera, method="deconvolved", accelerate=False, **options).image
+    require_derivatives(DeconvolvedRefocus(camera, **options), x, expected, 1e-6, 0.003)
+
+
+def test_pixels_below_zero_and_dark_ones():
+    """The magnitude of a negative pixel is subtracted, so its derivative is that of its magnitude; of a dark one 0."""
+    camera = small_camera(3)
+    refocus, x = CoherentRefocus(camera, 225.0, WAVELENGTH), lit(camera)
+    x[::7] *= -0.3
+    x[::5] = 0
+    expected = reconstruct(x, 225.0, camera=camera, wavelength=WAVELENGTH, method="coherent").image
+    require_derivatives(refocus, x, expected, 1e-5, 0.01)
+    gradient = refocus.gradient(x, np.ones(expected.shape))
+    assert (gradient[::5] == 0).all() and (gradient[x != 0] != 0).all()
+
+
+def test_integrals_of_cubics_are_exact():
+    """Between its samples a parabola is what Keys's cubic makes of it; edges beyond all samples leave the ends dark."""
+    place = np.arange(-10, 11)
+    edges = np.array([[7.3, 4.0, -0.25, -6.9]])
+    values = np.roll(3 + 0.5 * place + 0.2 * place**2, -10)[None].astype(np.float64)
+    exact = np.polynomial.Polynomial([3, 0.5, 0.2]).integ()(edges[0])
+    found = Integrals(lambda lines: edges[lines], 1, 3, 21).forward(values)[0]
+    np.testing.assert_allclose(found, exact[:-1] - exact[1:], rtol=1e-12)
+    beyond = np.array([[500.0, 400.0, -500.0]])
+    assert Integrals(lambda lines: beyond[lines], 1, 2, 21).forward(values)[0, 0] == 0
+
+
+def test_channels_are_solved_one_by_one_and_the_reverse_pass_repeats_no_sum(monkeypatch):
+    camera = small_camera(3)
+    refocus, capture, calls = DeconvolvedRefocus(camera, 250.0, iterations=2), lit(camera) + 0.02, []
+    both, felt = np.stack([capture, capture[::-1]], axis=-1), np.random.default_rng(2).normal(size=(*refocus.shape, 2))
+    at = refocus.at(both)
+    np.testing.assert_array_equal(at.image[..., 1], refocus.forward(capture[::-1]))
+    np.testing.assert_array_equal(at.vjp(felt)[..., 1], refocus.at(capture[::-1]).vjp(felt[..., 1]))
+    for name in ("forward", "adjoint"):
+        function = getattr(refocus.response, name)
+        monkeypatch.setattr(refocus.response, name, lambda x, f=function, n=name: calls.append(n) or f(x))
+    at = refocus.at(capture)
+    assert [calls.count(name) for name in ("forward", "adjoint")] == [3, 3]  # and the light of pixels and bins
+    calls.clear()
+    at.vjp(np.ones(refocus.shape))
+    assert [calls.count(name) for name in ("forward", "adjoint")] == [2, 2]
+
+
+@pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
+def test_gradients_of_drjit_and_pytorch(model):
+    torch = pytest.importorskip("torch")
+    camera = small_camera(3 if model == "ray" else 2)
+    refocus = RayRefocus(camera, 225.0) if model == "ray" else CoherentRefocus(camera, 225.0, WAVELENGTH)
+    x = lit(camera)
+    change = x * np.random.default_rng(4).uniform(-1, 1, x.shape).astype(np.float32)
+    if model == "ray":
+        forward, backward = refocus.forward(change), refocus.adjoint(2 * refocus.forward(x))
+    else:
+        forward, backward = refocus.derivative(x, change), refocus.gradient(x, 2 * refocus.forward(x))
+    capture = mi.TensorXf(x)
+    dr.enable_grad(capture)
+    image = refocus(capture)
+    dr.set_grad(capture, mi.TensorXf(change))
+    np.testing.assert_allclose(np.array(dr.forward_to(image)), forward, rtol=1e-5, atol=1e-6)
+    capture = mi.TensorXf(x)
+    dr.enable_grad(capture)
+    image = refocus(capture)
+    dr.backward(dr.sum(image * image, axis=None))
+    np.testing.assert_allclose(np.array(dr.grad(capture)), backward, rtol=1e-4, atol=1e-6)
+    given = torch.tensor(x, requires_grad=True)
+    made = dr.wrap(source="torch", target="drjit")(lambda capture: refocus(capture))(given)
+    (made * made).sum().backward()
+    np.testing.assert_allclose(given.grad.numpy(), backward, rtol=1e-4, atol=1e-6)
