@@ -16,24 +16,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-import mitsuba_plenoptic
-from mitsuba_plenoptic import (
-    Capture,
-    CaptureOperator,
-    Checkpoint,
-    Detector,
-    InputError,
-    Job,
-    PlenopticCamera,
-    decode,
-    expose,
-    load_scene,
-    point_spread_function,
-    read_capture,
-    reconstruct,
-    render_capture,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import read_camera
 from mitsuba_plenoptic.camera.aperture import known_image
 from mitsuba_plenoptic.camera.phase_screen import known_screen
@@ -50,14 +33,14 @@ from mitsuba_plenoptic.views import depth_map, focal_stack, refocus, white_image
 SHORTEST, LONGEST = 1e-9, 1e9
 LENGTHS = st.sampled_from(["focal_length", "aperture_radius", "mla_distance", "mla_focal_length", "mla_pitch",
                            "detector_distance", "detector_width"])  # fmt: skip
-CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.128)
+CAMERA = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128)
 IMAGE = np.linspace(0, 1, 32 * 32, dtype=np.float32).reshape(32, 32)
 USES = {
-    "capture": lambda image: Capture(image, CAMERA),
-    "decode": lambda image: decode(image, camera=CAMERA),
-    "refocus": lambda image: reconstruct(image, 240.0, camera=CAMERA),
-    "coherent": lambda image: reconstruct(image, 240.0, camera=CAMERA, method="coherent", wavelength=633),
-    "white": lambda image: decode(IMAGE, camera=CAMERA, white=image),
+    "capture": lambda image: mp.Capture(image, CAMERA),
+    "decode": lambda image: mp.decode(image, camera=CAMERA),
+    "refocus": lambda image: mp.reconstruct(image, 240.0, camera=CAMERA),
+    "coherent": lambda image: mp.reconstruct(image, 240.0, camera=CAMERA, method="coherent", wavelength=633),
+    "white": lambda image: mp.decode(IMAGE, camera=CAMERA, white=image),
 }
 
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
@@ -80,8 +63,8 @@ class TestNumbers:
     @given(anything)
     def test_a_count_is_whole_and_within_its_bounds(self, value):
         try:
-            count = PlenopticCamera(mla_seed=value).mla_seed
-        except InputError as error:
+            count = mp.PlenopticCamera(mla_seed=value).mla_seed
+        except mp.InputError as error:
             assert str(error).isprintable()
         else:
             assert type(count) is int
@@ -91,14 +74,14 @@ class TestNumbers:
     @quick
     @given(st.text())
     def test_a_message_is_one_line_of_printable_characters(self, text):
-        said = str(InputError(text))
+        said = str(mp.InputError(text))
         assert said.isprintable()
-        assert str(InputError(said)) == said
+        assert str(mp.InputError(said)) == said
         if text.isprintable():
             assert said == text
 
     def test_a_message_has_an_end(self):
-        assert len(str(InputError("x" * 10**6))) == 1000
+        assert len(str(mp.InputError("x" * 10**6))) == 1000
 
 
 class TestCameras:
@@ -109,17 +92,17 @@ class TestCameras:
         assume(value is not None or name in ("mla_pitch", "detector_width"))
         assume(not isinstance(value, list) or name not in ("mla_focal_length", "mla_pitch"))
         if isinstance(value, (int, float)) and not isinstance(value, bool) and SHORTEST <= value <= LONGEST:
-            assert getattr(PlenopticCamera(**{name: value}), name) == value
+            assert getattr(mp.PlenopticCamera(**{name: value}), name) == value
         else:
-            with pytest.raises(InputError, match=f"^{name} = "):
-                PlenopticCamera(**{name: value})
+            with pytest.raises(mp.InputError, match=f"^{name} = "):
+                mp.PlenopticCamera(**{name: value})
 
     @quick
     @given(st.floats(SHORTEST, 1e8), st.floats(allow_nan=True))
     def test_a_focus_distance_has_an_image_or_is_refused(self, focal_length, distance):
         try:
-            camera = PlenopticCamera(focal_length=focal_length, focus_distance=distance)
-        except InputError as error:
+            camera = mp.PlenopticCamera(focal_length=focal_length, focus_distance=distance)
+        except mp.InputError as error:
             assert "focus_distance" in str(error)
         else:
             assert focal_length <= camera.mla_distance <= LONGEST
@@ -128,14 +111,14 @@ class TestCameras:
     @quick
     @given(st.dictionaries(st.text(max_size=5), anything, max_size=3), LENGTHS | st.just("resolution"), anything)
     def test_a_header_makes_a_camera_or_is_refused(self, extra, name, value):
-        values = {**PlenopticCamera().to_dict(), **extra, name: value}
+        values = {**mp.PlenopticCamera().to_dict(), **extra, name: value}
         try:
-            camera = PlenopticCamera.from_dict(values)
-        except InputError as error:
+            camera = mp.PlenopticCamera.from_dict(values)
+        except mp.InputError as error:
             assert str(error).isprintable()
         else:
             assert set(values) == set(camera.to_dict())
-            assert PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
+            assert mp.PlenopticCamera.from_dict(json.loads(json.dumps(camera.to_dict()))) == camera
 
 
 class TestArrays:
@@ -146,20 +129,20 @@ class TestArrays:
         image.reshape(-1)[list(pixels)] = list(pixels.values())
         allowed = bool((np.abs(image.astype(np.float64)) <= 1e30).all())
         try:
-            capture = Capture(image, CAMERA)
-        except InputError as error:
+            capture = mp.Capture(image, CAMERA)
+        except mp.InputError as error:
             assert not allowed
             assert "of its pixels are" in str(error)
         else:
             assert allowed
-            for result in (reconstruct(capture, 240.0).image, decode(capture).values):
+            for result in (mp.reconstruct(capture, 240.0).image, mp.decode(capture).values):
                 assert np.isfinite(result).all()
 
     @quick
     @given(arrays.arrays(arrays.scalar_dtypes(), arrays.array_shapes(max_dims=4, max_side=4)))
     def test_any_array_that_is_no_image_is_refused_by_all(self, array):
         for name in ("capture", "decode", "refocus"):
-            with pytest.raises(InputError) as caught:
+            with pytest.raises(mp.InputError) as caught:
                 USES[name](array)
             assert str(caught.value).isprintable()
 
@@ -167,9 +150,9 @@ class TestArrays:
     @given(st.floats(1e-9, 1), st.floats(1, 1e9), *[st.floats(0, 1e9)] * 2, st.integers(1, 16), st.floats(1e-9, 1e9))
     def test_an_exposure_is_finite_or_refused(self, efficiency, well, dark, noise, bits, photons):
         try:
-            detector = Detector(efficiency, well, dark, noise, bits)
-            result = expose(Capture(IMAGE, CAMERA), detector, photons=photons)
-        except InputError as error:
+            detector = mp.Detector(efficiency, well, dark, noise, bits)
+            result = mp.expose(mp.Capture(IMAGE, CAMERA), detector, photons=photons)
+        except mp.InputError as error:
             assert "must be" in str(error)
         else:
             assert np.isfinite(result.image).all()
@@ -181,11 +164,11 @@ class TestArrays:
         image[3, 5] = image[4, 4] = value
         words = r"2 of its pixels are .*, the first at \(3, 5.*\): all must be"
         for use in USES.values():
-            with pytest.raises(InputError, match=words):
+            with pytest.raises(mp.InputError, match=words):
                 use(image)
 
 
-LENSES = Path(mitsuba_plenoptic.__file__).parent / "prescription" / "lenses"
+LENSES = Path(mp.__file__).parent / "prescription" / "lenses"
 OPTILAND = Path(__file__).parent / "optiland_records"
 BALL = [
     {"radius": 50, "thickness": 5, "semi_aperture": 6, "stop": True, "glass": 1.5},
@@ -201,7 +184,7 @@ scenes:
 RESPONSE = {"angles_x": [-1, 0, 1], "angles_y": [-1, 1], "responses": [[[[1, 1, 1], [1, 1, 1]]]]}
 HCI = (
     "[extrinsics]\nnum_cams_x = 2\nnum_cams_y = 2\n[mitsuba_plenoptic]\nwhite = 1.5\nchannels = 1\ncamera = "
-    + PlenopticCamera(resolution=(64, 64), detector_width=0.256).to_json().replace("\n ", " ").replace("\n}", "}")
+    + mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256).to_json().replace("\n ", " ").replace("\n}", "}")
 )
 
 
@@ -236,7 +219,7 @@ def refused_or_done(call):
     """Return what a call gives, or None where it refuses in one line; anything else fails."""
     try:
         return call()
-    except InputError as error:
+    except mp.InputError as error:
         assert str(error).isprintable()
 
 
@@ -293,9 +276,9 @@ class TestFiles:
     @quick
     @given(edits=st.lists(EDITS, min_size=1, max_size=4))
     def test_a_damaged_capture_is_finite_or_refused(self, folder, edits):
-        write_capture(folder / "raw.exr", Capture(IMAGE, CAMERA))
+        mp.write_capture(folder / "raw.exr", mp.Capture(IMAGE, CAMERA))
         (folder / "raw.exr").write_bytes(damaged((folder / "raw.exr").read_bytes(), edits))
-        capture = refused_or_done(lambda: read_capture(folder / "raw.exr"))
+        capture = refused_or_done(lambda: mp.read_capture(folder / "raw.exr"))
         if capture is not None:
             assert capture.image.shape[:2] == capture.camera.shape
             assert np.isfinite(capture.image).all()
@@ -303,33 +286,33 @@ class TestFiles:
     @quick
     @given(st.sampled_from(["camera", "kind", "model", "metadata", "wavelength"]), anything)
     def test_the_facts_of_a_capture_are_right_or_refused(self, folder, name, value):
-        write_capture(folder / "raw.exr", Capture(IMAGE, CAMERA))
+        mp.write_capture(folder / "raw.exr", mp.Capture(IMAGE, CAMERA))
         opened = OpenEXR.File(str(folder / "raw.exr"), separate_channels=True)
         facts = json.loads(opened.header()["mitsuba_plenoptic"]) | {name: value}
         header = opened.header() | {"mitsuba_plenoptic": json.dumps(facts, default=repr)}
         OpenEXR.File(header, {key: one.pixels for key, one in opened.channels().items()}).write(str(folder / "raw.exr"))
-        capture = refused_or_done(lambda: read_capture(folder / "raw.exr"))
+        capture = refused_or_done(lambda: mp.read_capture(folder / "raw.exr"))
         if name in ("camera", "kind"):
             assert capture is None
 
     @quick
     @given(edits=st.lists(EDITS, min_size=1, max_size=4))
     def test_a_damaged_checkpoint_leads_to_the_same_bits_or_is_refused(self, folder, edits):
-        operator = CaptureOperator(CAMERA, [(0, 0, 240), (0.1, 0, 230), (0, 0.1, 250)], wavelength=633)
+        operator = mp.CaptureOperator(CAMERA, [(0, 0, 240), (0.1, 0, 230), (0, 0.1, 250)], wavelength=633)
         path = folder / "wave.checkpoint"
         path.unlink(missing_ok=True)
         # The clock jumps, so that a checkpoint is due at every opportunity.
         with (
             mock.patch("time.monotonic", side_effect=itertools.count(0, 1000).__next__),
-            Checkpoint(path) as checkpoint,
+            mp.Checkpoint(path) as checkpoint,
         ):
-            whole = operator.forward([1.0, 2.0, 3.0], job=Job(keeper=checkpoint))
+            whole = operator.forward([1.0, 2.0, 3.0], job=mp.Job(keeper=checkpoint))
             data = path.read_bytes()
         path.write_bytes(damaged(data, edits))
 
         def resume():
-            with Checkpoint(path, "resume") as checkpoint:
-                return operator.forward([1.0, 2.0, 3.0], job=Job(keeper=checkpoint))
+            with mp.Checkpoint(path, "resume") as checkpoint:
+                return operator.forward([1.0, 2.0, 3.0], job=mp.Job(keeper=checkpoint))
 
         resumed = refused_or_done(resume)
         assert resumed is None or np.array_equal(resumed, whole)
@@ -338,7 +321,7 @@ class TestFiles:
     def test_a_picture_that_lies_about_its_size_is_refused(self, folder, sizes):
         (folder / "input_Cam000.png").write_bytes(png(*sizes))
         (folder / "parameters.cfg").write_text(HCI)
-        with pytest.raises(InputError):
+        with pytest.raises(mp.InputError):
             read_hci(folder)
 
 
@@ -354,7 +337,7 @@ class TestScenes:
     @given(edits=st.lists(EDITS, min_size=1, max_size=4))
     def test_a_damaged_scene_is_captured_or_refused(self, folder, edits):
         (folder / "scene.xml").write_bytes(damaged(SCENE.replace("INTEGRATOR", "path").encode(), edits))
-        capture = refused_or_done(lambda: render_capture(load_scene(folder / "scene.xml"), spp=1))
+        capture = refused_or_done(lambda: mp.render_capture(mp.load_scene(folder / "scene.xml"), spp=1))
         assert capture is None or np.isfinite(capture.image).all()
 
 
@@ -373,7 +356,7 @@ def cameras(draw):
     work = max(2 * lengths["aperture_radius"] * z / b / pixel + smear, 1) * max(smear, 1)
     # Beyond the upper bound it is refused.
     assume(not 1e5 < columns * rows * (pixel / pitch * work) ** 2 < 1e12)
-    return PlenopticCamera(**lengths, resolution=(columns, rows))
+    return mp.PlenopticCamera(**lengths, resolution=(columns, rows))
 
 
 class TestExtremeCameras:
@@ -388,12 +371,12 @@ class TestExtremeCameras:
         noise = np.random.default_rng(0).random(camera.shape, dtype=np.float32)
         for call in (
             lambda: white_image(camera),
-            lambda: decode(noise, camera=camera).values,
-            lambda: focal_stack(decode(noise, camera=camera), [distance]).values,
-            lambda: depth_map(decode(noise, camera=camera), planes=3).confidence.values,
-            lambda: reconstruct(noise, distance, camera=camera).image,
-            lambda: reconstruct(noise, distance, camera=camera, method="coherent", wavelength=10**wavelength).image,
-            lambda: point_spread_function(camera, (0, 0, distance), wavelength=10**wavelength),
+            lambda: mp.decode(noise, camera=camera).values,
+            lambda: focal_stack(mp.decode(noise, camera=camera), [distance]).values,
+            lambda: depth_map(mp.decode(noise, camera=camera), planes=3).confidence.values,
+            lambda: mp.reconstruct(noise, distance, camera=camera).image,
+            lambda: mp.reconstruct(noise, distance, camera=camera, method="coherent", wavelength=10**wavelength).image,
+            lambda: mp.point_spread_function(camera, (0, 0, distance), wavelength=10**wavelength),
         ):
             result = refused_or_done(call)
             # Bins that no light can come from are NaN, but not all of them.
@@ -402,7 +385,7 @@ class TestExtremeCameras:
 
 
 def light_field():
-    return decode(IMAGE, camera=CAMERA)
+    return mp.decode(IMAGE, camera=CAMERA)
 
 
 DISTANCES = (0, -240, 79.9, 80.0, math.nan, -math.inf, "240", None, 1j, True, {}, [], [240.0, "x"], [[240.0]])
@@ -412,18 +395,18 @@ SIZES = (4096, (), (1,), (1, 2, 3), "ab", (64, "64"), (64, None), (10**400, 64),
 
 
 def point():
-    return CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
+    return mp.CaptureOperator(CAMERA, [(0, 0, 240)], wavelength=633)
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        *(partial(reconstruct, IMAGE, distance, camera=CAMERA) for distance in DISTANCES),
-        *(partial(reconstruct, IMAGE, 240, camera=CAMERA, method="coherent", wavelength=nm) for nm in WAVELENGTHS),
-        *(partial(point_spread_function, CAMERA, place, wavelength=633) for place in POINTS),
-        *(partial(PlenopticCamera, resolution=size) for size in SIZES),
-        *(partial(decode, np.zeros(shape), camera=CAMERA) for shape in (0, (32, 31), (1, 32, 32), (32, 32, 0))),
-        *(partial(Capture, IMAGE.astype(kind), CAMERA) for kind in (complex, str, object, "M8[s]")),
+        *(partial(mp.reconstruct, IMAGE, distance, camera=CAMERA) for distance in DISTANCES),
+        *(partial(mp.reconstruct, IMAGE, 240, camera=CAMERA, method="coherent", wavelength=nm) for nm in WAVELENGTHS),
+        *(partial(mp.point_spread_function, CAMERA, place, wavelength=633) for place in POINTS),
+        *(partial(mp.PlenopticCamera, resolution=size) for size in SIZES),
+        *(partial(mp.decode, np.zeros(shape), camera=CAMERA) for shape in (0, (32, 31), (1, 32, 32), (32, 32, 0))),
+        *(partial(mp.Capture, IMAGE.astype(kind), CAMERA) for kind in (complex, str, object, "M8[s]")),
         *(lambda distance=distance: refocus(light_field(), distance) for distance in (0, math.nan, "240", [[240.0]])),
         *(lambda planes=planes: depth_map(light_field(), planes=planes) for planes in (0, 1, 2, 2.5, "9", 10**6)),
         *(
@@ -435,11 +418,11 @@ def point():
         lambda: depth_map(light_field() * np.inf),
         lambda: focal_stack(light_field(), []),
         lambda: focal_stack(light_field(), [240.0], method="magic"),
-        lambda: decode(IMAGE, camera=CAMERA, grid=3),
-        lambda: decode(IMAGE, white=IMAGE),
+        lambda: mp.decode(IMAGE, camera=CAMERA, grid=3),
+        lambda: mp.decode(IMAGE, white=IMAGE),
     ],
 )
 def test_bad_input(call):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(mp.InputError) as caught:
         call()
     assert str(caught.value).isprintable()

@@ -15,51 +15,39 @@ import pytest
 from cameras import SMALL_SENSOR, write_scene
 from foreign_files import large, png, write_exr_parts
 
-from mitsuba_plenoptic import (
-    Capture,
-    InputError,
-    PlenopticCamera,
-    Spectrum,
-    decode,
-    load_scene,
-    read_capture,
-    read_ground_truth,
-    read_prescription,
-    read_raw,
-    write_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.views.light_field_files import open_light_field, save_light_field
 
-CAMERA = PlenopticCamera(resolution=(64, 64), detector_width=0.256)
+CAMERA = mp.PlenopticCamera(resolution=(64, 64), detector_width=0.256)
 
 
 @pytest.fixture
 def capture(tmp_path):
     path = tmp_path / "raw.exr"
-    write_capture(path, Capture(np.ones((64, 64)), CAMERA, metadata={"scene": "white.xml"}))
+    mp.write_capture(path, mp.Capture(np.ones((64, 64)), CAMERA, metadata={"scene": "white.xml"}))
     return path
 
 
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        ("responses.csv", Spectrum.sensor),
-        ("lens.yaml", read_prescription),
-        pytest.param("lens.zmx", read_prescription, marks=pytest.mark.needs_extension("lensdesign")),
-        ("scene.xml", load_scene),
+        ("responses.csv", mp.Spectrum.sensor),
+        ("lens.yaml", mp.read_prescription),
+        pytest.param("lens.zmx", mp.read_prescription, marks=pytest.mark.needs_extension("lensdesign")),
+        ("scene.xml", mp.load_scene),
     ],
 )
 def test_the_size_of_a_file_is_judged_before_it_is_read(tmp_path, name, read):
-    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
+    with pytest.raises(mp.InputError, match=rf"{name}: 3221225472 bytes: it may have at most \d+"):
         read(large(tmp_path / name))
 
 
-@pytest.mark.parametrize(("name", "read"), [("a.png", read_picture), ("a.tiff", read_picture), ("a.tiff", read_raw)])
+@pytest.mark.parametrize(("name", "read"), [("a.png", read_picture), ("a.tiff", read_picture), ("a.tiff", mp.read_raw)])
 def test_pictures_are_judged_by_the_memory_that_is_allowed(tmp_path, monkeypatch, name, read):
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "4")
-    with pytest.raises(InputError, match=rf"{name}: 3221225472 bytes: it would need 6.0 GiB"):
+    with pytest.raises(mp.InputError, match=rf"{name}: 3221225472 bytes: it would need 6.0 GiB"):
         read(large(tmp_path / name))
 
 
@@ -71,8 +59,8 @@ class TestCaptures:
         window = struct.pack("<iiii", 0, 0, *(min(count, 2**30) - 1 for count in size))
         capture.write_bytes(data[:place] + window + data[place + 16 :])
         start = time.process_time()
-        with pytest.raises(InputError, match=r"raw\.exr"):
-            read_capture(capture)
+        with pytest.raises(mp.InputError, match=r"raw\.exr"):
+            mp.read_capture(capture)
         assert time.process_time() - start < 10
 
     def test_a_small_file_cannot_unpack_into_more_than_is_allowed(self, tmp_path, monkeypatch):
@@ -81,8 +69,8 @@ class TestCaptures:
         OpenEXR.File(header, {"Y": np.zeros((4000, 4000), np.float32)}).write(str(path))
         assert path.stat().st_size < 4000 * 4000 * 4 / 100
         monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.05")
-        with pytest.raises(InputError, match=r"4000 x 4000 pixels of 1 channels: it would need 0\.1 GiB"):
-            read_capture(path)
+        with pytest.raises(mp.InputError, match=r"4000 x 4000 pixels of 1 channels: it would need 0\.1 GiB"):
+            mp.read_capture(path)
 
     @pytest.mark.parametrize(
         ("kind", "keeps_all"),
@@ -93,18 +81,18 @@ class TestCaptures:
     )
     def test_other_programs_may_pack_it_anew_without_loss(self, capture, kind, keeps_all):
         image = np.random.default_rng(0).random((64, 64), dtype=np.float32)
-        write_capture(capture, Capture(image, CAMERA))
+        mp.write_capture(capture, mp.Capture(image, CAMERA))
         with OpenEXR.File(str(capture)) as file:
             text = file.header()["mitsuba_plenoptic"]
         OpenEXR.File({"mitsuba_plenoptic": text, "compression": kind}, {"Y": image}).write(str(capture))
         if keeps_all:
-            np.testing.assert_array_equal(read_capture(capture).image, image)
+            np.testing.assert_array_equal(mp.read_capture(capture).image, image)
             OpenEXR.File({"mitsuba_plenoptic": text, "compression": kind}, {"Y": 2 * image}).write(str(capture))
-            with pytest.raises(InputError, match=r"raw\.exr: its digest, .*another program has changed it"):
-                read_capture(capture)
+            with pytest.raises(mp.InputError, match=r"raw\.exr: its digest, .*another program has changed it"):
+                mp.read_capture(capture)
         else:
-            with pytest.raises(InputError, match="lossy or unknown"):
-                read_capture(capture)
+            with pytest.raises(mp.InputError, match="lossy or unknown"):
+                mp.read_capture(capture)
 
     @pytest.mark.parametrize(
         "text",
@@ -119,8 +107,8 @@ class TestCaptures:
     def test_a_header_is_data_not_code(self, tmp_path, monkeypatch, text):
         monkeypatch.chdir(tmp_path)
         OpenEXR.File({"mitsuba_plenoptic": text}, {"Y": np.zeros((4, 4), np.float32)}).write("evil.exr")
-        with pytest.raises(InputError, match=r"evil\.exr"):
-            read_capture("evil.exr")
+        with pytest.raises(mp.InputError, match=r"evil\.exr"):
+            mp.read_capture("evil.exr")
         assert [item.name for item in tmp_path.iterdir()] == ["evil.exr"]
 
     def test_no_name_of_a_header_becomes_a_path(self, tmp_path, capfd):
@@ -129,7 +117,7 @@ class TestCaptures:
         folder.mkdir(parents=True)
         evil = {"scene": "../../evil", "output": "/tmp/evil", "view": "../x", "key": "../../k"}
         path = folder / "raw.exr"
-        write_capture(path, Capture(np.ones((64, 64)), CAMERA, 633.0, "wave", evil))
+        mp.write_capture(path, mp.Capture(np.ones((64, 64)), CAMERA, 633.0, "wave", evil))
         before = set(tmp_path.rglob("*"))
         for command, name, options in (
             ("views", "views.exr", ["--count", "2"]),
@@ -146,7 +134,7 @@ class TestCaptures:
     def test_a_terminal_is_told_nothing_but_text(self, tmp_path, capfd):
         path = tmp_path / "raw.exr"
         evil = "\x1b]0;title\x07\x1b[2J\rline\nline\u202e"
-        write_capture(path, Capture(np.ones((64, 64)), CAMERA, metadata={"scene": evil, evil: 1, "list": [evil]}))
+        mp.write_capture(path, mp.Capture(np.ones((64, 64)), CAMERA, metadata={"scene": evil, evil: 1, "list": [evil]}))
         assert main(["info", str(path)]) == 0
         said = capfd.readouterr().out
         assert "title" in said
@@ -182,36 +170,36 @@ class TestCaptures:
                 if value is None:
                     del planes[part][name]
         write_exr_parts(path, dict(zip(("capture", "views"), planes, strict=True)), attributes)
-        with pytest.raises(InputError, match=words):
-            read_ground_truth(path)
+        with pytest.raises(mp.InputError, match=words):
+            mp.read_ground_truth(path)
         assert main(["views", str(path), "-o", str(tmp_path / "views.exr")]) == 2
 
     def test_a_pipe_or_a_device_is_no_file(self, tmp_path):
         os.mkfifo(tmp_path / "raw.exr")
         for path in (tmp_path / "raw.exr", Path("/dev/zero"), tmp_path):
-            with pytest.raises(InputError, match=r"not a regular file|it is a folder"):
-                read_capture(path)
-        with pytest.raises(InputError, match="device or a pipe"):
-            write_capture("/dev/null", Capture(np.ones((64, 64)), CAMERA))
+            with pytest.raises(mp.InputError, match=r"not a regular file|it is a folder"):
+                mp.read_capture(path)
+        with pytest.raises(mp.InputError, match="device or a pipe"):
+            mp.write_capture("/dev/null", mp.Capture(np.ones((64, 64)), CAMERA))
 
 
 class TestLightFields:
     def test_records_of_zarr_have_an_end(self, tmp_path, monkeypatch):
         pytest.importorskip("zarr")
         path = tmp_path / "lf.zarr"
-        save_light_field(path, decode(np.ones((64, 64)), camera=CAMERA))
+        save_light_field(path, mp.decode(np.ones((64, 64)), camera=CAMERA))
         record = json.loads((path / "s" / ".zarray").read_text())
         (path / "s" / ".zarray").write_text(json.dumps({**record, "shape": [10**12], "chunks": [10**12]}))
         for file in path.rglob(".zmetadata"):
             file.unlink()
-        with pytest.raises(InputError, match="a light field: it would need"):
+        with pytest.raises(mp.InputError, match="a light field: it would need"):
             open_light_field(path)
 
     @pytest.mark.parametrize("size", [(10**6, 10**6), (2**31 - 1, 2**31 - 1), (100_000, 100_000)])
     def test_a_picture_that_claims_more_than_memory(self, tmp_path, size):
         path = tmp_path / "bomb.png"
         path.write_bytes(png(*size))
-        with pytest.raises(InputError, match="it would need"):
+        with pytest.raises(mp.InputError, match="it would need"):
             read_picture(path)
 
 
@@ -220,8 +208,8 @@ class TestScenes:
     def test_native_code_beside_a_scene_is_not_run(self, tmp_path, name):
         (tmp_path / "plugins").mkdir()
         (tmp_path / "plugins" / name).write_bytes(b"")
-        with pytest.raises(InputError, match="would run the native code"):
-            load_scene(write_scene(tmp_path))
+        with pytest.raises(mp.InputError, match="would run the native code"):
+            mp.load_scene(write_scene(tmp_path))
 
     @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
     def test_a_library_of_a_stranger_is_never_loaded(self, tmp_path):
@@ -240,24 +228,24 @@ class TestScenes:
             '<path value="elsewhere"/><default name="kind" value="evil"/><shape type="$kind"/>',
             '<include filename="inner.xml"/><shape type="evil"/>',
         ):
-            with pytest.raises(InputError, match="would run the native code"):
-                load_scene(write_scene(tmp_path, text))
+            with pytest.raises(mp.InputError, match="would run the native code"):
+                mp.load_scene(write_scene(tmp_path, text))
         for name in ("elsewhere/plugins/evil", "../evil", str(folder / "evil")):
-            with pytest.raises(InputError, match="must be the name of a plugin"):
-                load_scene(write_scene(tmp_path, f'<shape type="{name}"/>'))
-            with pytest.raises(InputError, match="must be the name of a plugin"):
+            with pytest.raises(mp.InputError, match="must be the name of a plugin"):
+                mp.load_scene(write_scene(tmp_path, f'<shape type="{name}"/>'))
+            with pytest.raises(mp.InputError, match="must be the name of a plugin"):
                 text = '<default name="kind" value="sphere"/><shape type="$kind"/>'
-                load_scene(write_scene(tmp_path, text), parameters={"kind": name})
+                mp.load_scene(write_scene(tmp_path, text), parameters={"kind": name})
         assert not mark.exists()
 
     def test_scenes_that_include_each_other_are_refused(self, tmp_path):
-        with pytest.raises(InputError, match=r"scene\.xml"):
-            load_scene(write_scene(tmp_path, '<include filename="scene.xml"/>'))
+        with pytest.raises(mp.InputError, match=r"scene\.xml"):
+            mp.load_scene(write_scene(tmp_path, '<include filename="scene.xml"/>'))
 
     def test_an_include_is_judged_as_the_scene_is(self, tmp_path):
         (tmp_path / "inner.xml").write_text('<scene version="3.0.0"><shape></scene>')
-        with pytest.raises(InputError, match=r"inner\.xml, line 1: it is not well-formed XML: mismatched tag$"):
-            load_scene(write_scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
+        with pytest.raises(mp.InputError, match=r"inner\.xml, line 1: it is not well-formed XML: mismatched tag$"):
+            mp.load_scene(write_scene(tmp_path, '<default name="x" value="inner"/><include filename="$x.xml"/>'))
 
     @pytest.mark.parametrize(
         ("left", "words"),
@@ -269,8 +257,8 @@ class TestScenes:
         OpenEXR.File(header, {"Y": np.ones((4, 8), np.float32)}).write(str(tmp_path / "x.exr"))
         texture = '<texture name="reflectance" type="bitmap"><string name="filename" value="x.exr"/></texture>'
         path = write_scene(tmp_path, f'<bsdf type="diffuse">{texture}</bsdf>')
-        with pytest.raises(InputError, match=words) if words else contextlib.nullcontext():
-            load_scene(path)
+        with pytest.raises(mp.InputError, match=words) if words else contextlib.nullcontext():
+            mp.load_scene(path)
 
     def test_a_scene_of_radiance_nan_makes_no_capture(self, tmp_path, capfd):
         for text in ("nan", "inf"):
@@ -287,5 +275,5 @@ class TestScenes:
 def test_values_that_are_not_text_get_one_line(parameter, tmp_path):
     path = tmp_path / "value.json"
     path.write_bytes(b"\xff\xfe\x00{")
-    with pytest.raises(InputError, match=r"^[^\n]*value\.json: it is not text in UTF-8: [^\n]*$"):
-        PlenopticCamera(**{parameter: str(path)})
+    with pytest.raises(mp.InputError, match=r"^[^\n]*value\.json: it is not text in UTF-8: [^\n]*$"):
+        mp.PlenopticCamera(**{parameter: str(path)})

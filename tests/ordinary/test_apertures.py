@@ -19,7 +19,6 @@ from cases import (
     radiating,
     relative,
     scene_of,
-    seen,
     textured_wall,
 )
 
@@ -179,22 +178,6 @@ def test_design_sheets_tell_the_open_part():
 
 def by_waves(scene, spp):
     return render_capture(scene, model="wave", spp=spp, wavelength=ORDINARY_WAVELENGTH).image
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PUPILS)
-def test_a_star_in_focus_is_the_transform_of_the_mask(name):
-    given, mask = PUPILS[name]
-    camera, star = ordinary_camera(1.0, 12, **given), np.zeros((14, 14))
-    star[6:8, 7:9] = 1
-    found = by_waves(seen(camera, star, 14 * camera.pixel_size, 0.0), 4096)
-    expected = diffracted(camera, np.pad(star, 70), 1, 0.0, mask=mask)
-    # Rays through closed cells have noise of their own.
-    assert relative(found, expected) < (0.015 if name == "coded" else 0.01)
-    place = camera.pixel_coordinates(0)
-    radius = np.hypot(place - camera.pixel_size, place[:, None]) / camera.pixel_size
-    for circle in (1.5, 3, 5):
-        assert abs((found - expected)[radius < circle].sum()) < 0.005 * expected.sum(), circle
 
 
 WALLS = {

@@ -15,17 +15,7 @@ from mitsuba_plenoptic.report.experiment import Settings
 
 DISTANCE = 220.0
 SMALL = letters(12, resolution=192)
-WORDS = [
-    "compare",
-    "letters",
-    "--distance",
-    f"{DISTANCE:g}",
-    "--spp",
-    "4",
-    "--against",
-    "ordinary",
-    *definitions(SMALL),
-]
+WORDS = f"compare letters --distance {DISTANCE:g} --spp 4 --against ordinary".split() + definitions(SMALL)
 
 
 @pytest.fixture(scope="module")

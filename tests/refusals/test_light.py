@@ -45,10 +45,6 @@ def derived(names, by_points=False, **parameters):
         (lambda: derived(["focal_length"], mla_warp=(0.00005,) * 14), "focal_length: .* with mla_warp"),
         (lambda: derived(["focal_length"], glass=1.5), "focal_length: .* with glass"),
         (lambda: derived(["focal_length"], True, detector_distance=0.3), "focal_length: .*detector_distance = 0.3 is"),
-        (
-            lambda: estimate_capture(load_scene("letters"), batch_map=lambda batches: iter(())),
-            "batch_map: a ray capture does not take it",
-        ),
         (lambda: estimate_capture(load_scene("letters"), spp=0), "spp = 0"),
         (lambda: load_scene("white", parameters={"widht": "4"}), r"widht: the scene .* has none .*resolution"),
         (lambda: load_scene("letters", unit="km"), "^unit = 'km': it must be one of"),

@@ -11,17 +11,7 @@ from PIL import Image
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import decode
-from mitsuba_plenoptic.report.plots import (
-    Plot,
-    annotate,
-    contact_sheet,
-    depth_figure,
-    epipolar_figure,
-    scale_bar,
-    show,
-    stack_figure,
-    views_figure,
-)
+from mitsuba_plenoptic.report import plots
 from mitsuba_plenoptic.report.windows import lit_window
 from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, pick_views
 
@@ -49,10 +39,10 @@ def hatched(axes):
 
 def test_methods_by_distances_on_one_scale():
     results = [result("ray", 280.0), result("ray", 210.0), result("partial", 210.0)]
-    figure = contact_sheet(results, 0.5)
+    figure = plots.contact_sheet(results, 0.5)
     *panels, bar = figure.axes
     assert panels[0].images[0].colorbar.extend == "max"
-    assert contact_sheet(results).axes[0].images[0].colorbar.extend == "neither"
+    assert plots.contact_sheet(results).axes[0].images[0].colorbar.extend == "neither"
     assert titles(figure) == ["210 mm", "280 mm", "210 mm", "280 mm", ""]
     assert [axes.get_ylabel() for axes in panels] == ["ray", "", "partial", ""]
     assert [len(axes.images) for axes in panels] == [1, 1, 1, 0]
@@ -60,37 +50,37 @@ def test_methods_by_distances_on_one_scale():
     assert {axes.images[0].norm.vmax for axes in panels[:3]} == {0.5}
     assert figure.get_size_inches()[0] == pytest.approx(3.4)
     with pytest.raises(mp.InputError, match="results: give at least one"):
-        contact_sheet([])
+        plots.contact_sheet([])
     with pytest.raises(mp.InputError, match="results: they must be by one camera"):
-        contact_sheet([results[0], replace(results[0], camera=mp.PlenopticCamera())])
+        plots.contact_sheet([results[0], replace(results[0], camera=mp.PlenopticCamera())])
 
 
 def test_radiances_are_as_bright_as_in_pictures():
     """1.055 x 0.5^(1/2.4) - 0.055 of white at half of it."""
-    (panel, _) = contact_sheet([result()], 2.0).axes
+    (panel, _) = plots.contact_sheet([result()], 2.0).axes
     assert float(panel.images[0].norm(1.0)) == pytest.approx(1.055 * 0.5 ** (1 / 2.4) - 0.055)
     assert float(panel.images[0].norm.inverse(panel.images[0].norm(0.7))) == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize("distance", [210.0, 280.0])
 def test_scale_bars_are_as_long_as_they_say(distance):
-    (panel, _) = contact_sheet([result(distance=distance)]).axes
+    (panel, _) = plots.contact_sheet([result(distance=distance)]).axes
     (bar,) = panel.patches
     (text,) = panel.texts
     assert bar.get_width() * 8 * CAMERA.bin_size(distance) == pytest.approx(float(text.get_text().split()[0]))
     assert text.get_text().endswith(" mm") and 0.1 < bar.get_width() <= 0.3
-    (panel, _) = contact_sheet([result(distance=np.inf)]).axes
+    (panel, _) = plots.contact_sheet([result(distance=np.inf)]).axes
     assert not panel.patches and not panel.texts and panel.get_title(loc="left") == "infinity"
 
 
 def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
     results = [result(method, distance) for method in ("ray", "partial") for distance in (210.0, 280.0)]
-    *panels, _ = contact_sheet(results).axes
+    *panels, _ = plots.contact_sheet(results).axes
     assert all(len(axes.patches) == 1 for axes in panels)
-    assert contact_sheet(results).get_supxlabel() == "bars: lengths at the distance of each image"
-    first, second, *_ = views_figure(pick_views(lf, 3)).axes
+    assert plots.contact_sheet(results).get_supxlabel() == "bars: lengths at the distance of each image"
+    first, second, *_ = plots.views_figure(pick_views(lf, 3)).axes
     assert len(first.patches) == 1 and not second.patches
-    shown = depth_figure(depth_map(lf, 200, 300, planes=8)).axes
+    shown = plots.depth_figure(depth_map(lf, 200, 300, planes=8)).axes
     named = [axes for axes in shown if axes.get_title(loc="left")]
     assert len(named) == 3
     for axes in named:
@@ -104,12 +94,12 @@ def test_every_panel_has_a_bar_and_a_figure_says_where_it_is_a_length(lf):
 
 def test_what_is_not_known_is_hatched():
     image = np.ones((8, 8), np.float32)
-    assert not hatched(contact_sheet([result(image=image)]).axes[0])
+    assert not hatched(plots.contact_sheet([result(image=image)]).axes[0])
     image[0, 0] = np.nan
-    panel = contact_sheet([result(image=image)]).axes[0]
+    panel = plots.contact_sheet([result(image=image)]).axes[0]
     assert hatched(panel) and panel.images[0].get_array().mask.sum() == 1
     colours = np.repeat(image[..., None], 3, axis=2)
-    figure = contact_sheet([result(image=colours)], 0.75)
+    figure = plots.contact_sheet([result(image=colours)], 0.75)
     assert figure.get_supxlabel() == "white: radiance 0.75; bars: lengths at the distance of each image"
     panel = figure.axes[0]
     alpha = panel.images[0].get_array()[..., 3]
@@ -118,23 +108,23 @@ def test_what_is_not_known_is_hatched():
 
 def test_views_lie_as_on_the_pupil(lf):
     chosen = pick_views(lf, 3)
-    *panels, _ = views_figure(chosen).axes
+    *panels, _ = plots.views_figure(chosen).axes
     np.testing.assert_array_equal(panels[5].images[0].get_array(), chosen.values[1, 2])
     assert [axes.get_title(loc="left") for axes in panels[:2]] == [f"u = {float(chosen.u[0]):.2f} mm", "0.00"]
     assert panels[3].get_ylabel() == "0.00" and panels[0].get_ylabel().startswith("v = ")
 
 
 def test_samples_beyond_the_pupil_are_hatched_and_of_many_views_some_are_labelled(lf):
-    found = [text for text in titles(views_figure(lf.isel(u=[0] * 20, v=[0])))[:20] if text]
+    found = [text for text in titles(plots.views_figure(lf.isel(u=[0] * 20, v=[0])))[:20] if text]
     assert len(found) == 7 and found[0].startswith("u = ")
-    panels = views_figure(lf).axes[: lf.sizes["u"] * lf.sizes["v"]]
+    panels = plots.views_figure(lf).axes[: lf.sizes["u"] * lf.sizes["v"]]
     dark = (lf.weight.values == 0).any(axis=(2, 3)).ravel()
     assert [hatched(axes) for axes in panels] == dark.tolist() and 0 < dark.sum() < dark.size
 
 
 def test_stacks_are_wrapped(lf):
     distances = [210, 220, 230, 240, 250]
-    figure = stack_figure(focal_stack(lf, distances))
+    figure = plots.stack_figure(focal_stack(lf, distances))
     assert titles(figure)[:5] == [f"{distance} mm" for distance in distances]
     tops = {round(axes.get_position().y1, 3) for axes in figure.axes[:5]}
     assert len(tops) == 2 and len({round(a.get_position().y1, 3) for a in figure.axes[:3]}) == 1
@@ -142,12 +132,12 @@ def test_stacks_are_wrapped(lf):
 
 def test_epipolar_images_have_axes_at_their_edges(lf):
     image = epipolar_image(lf)
-    panel = epipolar_figure(image).axes[0]
+    panel = plots.epipolar_figure(image).axes[0]
     step = float(image.s[0] - image.s[1])
     assert panel.get_xlim() == pytest.approx((float(image.s[0]) + step / 2, float(image.s[-1]) - step / 2))
     assert panel.get_ylim()[1] > panel.get_ylim()[0] and panel.get_ylim()[1] > float(image.u[0])
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("s (mm)", "u (mm)")
-    single = epipolar_figure(epipolar_image(lf.isel(u=[2]))).axes[0]
+    single = plots.epipolar_figure(epipolar_image(lf.isel(u=[2]))).axes[0]
     assert np.ptp(single.get_ylim()) == pytest.approx(1)
 
 
@@ -157,25 +147,25 @@ def test_depth_has_a_scale_in_millimetres(lf):
     depth[0] = np.nan
     depth[1] = 230
     found["depth"] = found.depth.copy(data=depth)
-    figure = depth_figure(found)
+    figure = plots.depth_figure(found)
     shown = {axes.get_title(loc="left"): axes for axes in figure.axes}
     assert shown["Depth"].images[0].norm.vmin == 230 and shown["Depth"].images[0].norm.vmax == 250
     assert hatched(shown["Depth"]) and not hatched(shown["Confidence"])
     assert "mm from the main lens; hatched: unknown" in [axes.get_xlabel() for axes in figure.axes]
     found["depth"] = found.depth.copy(data=np.full_like(depth, np.nan))
-    assert hatched(depth_figure(found).axes[1])
+    assert hatched(plots.depth_figure(found).axes[1])
 
 
 def test_files(tmp_path):
     """A PDF is as wide as a column, 3.4 inches of 72 points, has its text as text, and is the same each time."""
     for name in ("a.pdf", "b.pdf", "a.png"):
-        contact_sheet([result(), replace(result(), distance=210.0)]).save(tmp_path / name)
+        plots.contact_sheet([result(), replace(result(), distance=210.0)]).save(tmp_path / name)
     data = (tmp_path / "a.pdf").read_bytes()
     assert data == (tmp_path / "b.pdf").read_bytes()
     assert b"/MediaBox [ 0 0 244.8 " in data and b"/FontFile2" in data
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(mp.InputError, match=r"give a name that ends in \.png or \.pdf"):
-        contact_sheet([result()]).save(tmp_path / "a.svg")
+        plots.contact_sheet([result()]).save(tmp_path / "a.svg")
 
 
 def test_panels_of_a_wide_field_have_its_shape():
@@ -187,12 +177,12 @@ def test_panels_of_a_wide_field_have_its_shape():
 
 
 def test_panels_are_of_one_size_and_no_text_is_cut():
-    plot = Plot(6.0, dpi=80)
+    plot = plots.Plot(6.0, dpi=80)
     panels = plot.panels(2, 3, (0.5, 1.0))
     for axes in panels.flat:
-        show(axes, np.ones((4, 8)), "title")
-        annotate(axes, title="title", side="side" if axes is panels[0, 0] else "", foot="foot")
-        scale_bar(axes, 4.0, below=True)
+        plots.show(axes, np.ones((4, 8)), "title")
+        plots.annotate(axes, title="title", side="side" if axes is panels[0, 0] else "", foot="foot")
+        plots.scale_bar(axes, 4.0, below=True)
     plot.colour_bar(panels[0, 0].images[0], panels, "label")
     image = Image.open(io.BytesIO(plot.png()))
     boxes = [[axes.get_window_extent() for axes in row] for row in panels]

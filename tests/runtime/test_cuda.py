@@ -12,19 +12,7 @@ from cameras import capture
 from cases import bars, facing, scene_of, sensor
 from stopped_runs import StoppedError, stopped_before
 
-from mitsuba_plenoptic import (
-    CaptureOperator,
-    Checkpoint,
-    InputError,
-    Job,
-    PlenopticCamera,
-    Spectrum,
-    StoredOperator,
-    load_scene,
-    point_spread_function,
-    reconstruct,
-    render_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.extensions.inverse.differentiable import CoherentRefocus
 from mitsuba_plenoptic.light.convolution import Convolution
 from mitsuba_plenoptic.optics.waves import propagate
@@ -34,15 +22,15 @@ from mitsuba_plenoptic.runtime import backend as _backend
 # The inputs are random: the field fills its window, and the captures have light beside the micro-images.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")
 
-CAMERA = PlenopticCamera(detector_width=0.512, resolution=(256, 256))
-SMALL = PlenopticCamera(detector_width=0.256, resolution=(128, 128), aperture_radius=1.5)
+CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256))
+SMALL = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128), aperture_radius=1.5)
 TINY = SMALL.replace(detector_width=0.128, resolution=(64, 64))
 SIDE = 2048
 """Numbers that may leave the device before the end: the sums of a grid's rows, by which the physics is guarded."""
 TURNED = CAMERA.replace(mla_lattice="hexagonal", mla_rotation=7.0)
 FOCUSED = TINY.replace(detector_distance=0.6)
 GRID = np.array([(0.128 * i, 0.128 * j, 240.0) for i in range(-2, 3) for j in range(-2, 3)])
-COARSE = PlenopticCamera(detector_width=0.512, resolution=(128, 128))
+COARSE = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 _random = np.random.default_rng(0)
 CAPTURE = _random.random(CAMERA.shape, dtype=np.float32)
 _waves = np.zeros((60, 80), complex)  # the outer eighth of the spectrum is empty: a field that its grid resolves
@@ -52,7 +40,7 @@ POSITIONS = np.column_stack([_random.uniform(-0.4, 0.4, (20, 2)), _random.unifor
 WEIGHTS = _random.random((20, 2))
 WAVES = {"type": "plenoptic_wave", "method": "signed_rays", "child": {"type": "path"}}
 PHASORS = np.exp(2j * np.pi * _random.random(20)).astype(np.complex64)
-TWO = Spectrum((550.0, 633.0), ((1.0, 0.5), (0.0, 1.0)))
+TWO = mp.Spectrum((550.0, 633.0), ((1.0, 0.5), (0.0, 1.0)))
 PUPILS = np.maximum(_random.random((20, 8, 8)) - 0.3, 0)
 
 
@@ -65,15 +53,15 @@ def refocused(camera=CAMERA, distances=(225.0, 240.0), **options):
     rows, columns = camera.shape
     image = CAPTURE[::2, ::2] if camera is COARSE else CAPTURE[:rows, :columns]
     options = {"wavelength": None if options["method"] == "ray" else 633, **options}
-    return [result.image for result in reconstruct(image, list(distances), camera=camera, **options)]
+    return [result.image for result in mp.reconstruct(image, list(distances), camera=camera, **options)]
 
 
 def operator(camera=SMALL, count=6, **options):
-    return CaptureOperator(camera, POSITIONS[:count], **{"wavelength": 633, **options})
+    return mp.CaptureOperator(camera, POSITIONS[:count], **{"wavelength": 633, **options})
 
 
 def spread(camera):
-    return [point_spread_function(camera, POSITIONS[0], wavelength=633, method="full_field")]
+    return [mp.point_spread_function(camera, POSITIONS[0], wavelength=633, method="full_field")]
 
 
 def full_fields():
@@ -82,7 +70,7 @@ def full_fields():
 
 def signed_rays(lenses=4, pixels=16, spp=4, **parameters):
     scene = scene_of(sensor(lenses, pixels, **parameters), **bars(240.0))
-    return [render_capture(scene, model="wave", method="signed_rays", spp=spp).image]
+    return [mp.render_capture(scene, model="wave", method="signed_rays", spp=spp).image]
 
 
 def convolutions():
@@ -145,7 +133,7 @@ WORKS = {
         mla_lattice="hexagonal", mla_focal_length="0.48, 0.512, 0.55"
     ),
     "coherent sums": coherent_sums,
-    "stored operator": lambda: [StoredOperator(TINY, POSITIONS[:3], wavelength=633).forward(WEIGHTS[:3, 0])],
+    "stored operator": lambda: [mp.StoredOperator(TINY, POSITIONS[:3], wavelength=633).forward(WEIGHTS[:3, 0])],
     "full field on a turned array": lambda: spread(TINY.replace(mla_rotation=7.0)),
     "sum of full fields": lambda: [full_fields().forward(WEIGHTS[:2, 0]), full_fields().adjoint(CAPTURE[:64, :64])],
     "convolution": convolutions,
@@ -166,8 +154,8 @@ WORKS = {
 }
 WORKS |= camera_works.WORKS
 ADJOINTS = {
-    "adjoint": lambda: [CaptureOperator(CAMERA, POSITIONS, wavelength=633, pupil_weights=PUPILS).adjoint(CAPTURE)],
-    "adjoint on a turned array": lambda: [CaptureOperator(TURNED, POSITIONS[:6], wavelength=633).adjoint(CAPTURE)],
+    "adjoint": lambda: [mp.CaptureOperator(CAMERA, POSITIONS, wavelength=633, pupil_weights=PUPILS).adjoint(CAPTURE)],
+    "adjoint on a turned array": lambda: [mp.CaptureOperator(TURNED, POSITIONS[:6], wavelength=633).adjoint(CAPTURE)],
     "deconvolved": lambda: refocused(TINY, [253.0], method="deconvolved", iterations=3),
 }
 HANDED = {
@@ -245,11 +233,11 @@ def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
     """Written from the device's memory, and taken back into it; threads of a device add in any order."""
     whole = capture(CAMERA, POSITIONS, WEIGHTS)
     path = tmp_path / "raw.checkpoint"
-    with pytest.raises(StoppedError), stopped_before(len), Checkpoint(path) as keeper:
-        capture(CAMERA, POSITIONS, WEIGHTS, job=Job(keeper=keeper))
+    with pytest.raises(StoppedError), stopped_before(len), mp.Checkpoint(path) as keeper:
+        capture(CAMERA, POSITIONS, WEIGHTS, job=mp.Job(keeper=keeper))
     calls = []
-    with Checkpoint(path, "resume") as keeper:
-        resumed = capture(CAMERA, POSITIONS, WEIGHTS, job=Job(lambda *call: calls.append(call), keeper=keeper))
+    with mp.Checkpoint(path, "resume") as keeper:
+        resumed = capture(CAMERA, POSITIONS, WEIGHTS, job=mp.Job(lambda *call: calls.append(call), keeper=keeper))
     assert calls[0][0] > 0
     np.testing.assert_allclose(resumed, whole, rtol=1e-5, atol=1e-6 * whole.max())
 
@@ -257,14 +245,14 @@ def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
 def test_the_estimate_waits_for_the_device(device, monkeypatch):
     waits = []
     monkeypatch.setattr(_backend.Backend, "synchronize", lambda self: waits.append(self))
-    cost = CaptureOperator(CAMERA, POSITIONS, wavelength=633).estimate()
+    cost = mp.CaptureOperator(CAMERA, POSITIONS, wavelength=633).estimate()
     assert cost.seconds > 0 and waits == [device.backend] * len(waits) and len(waits) >= 2
 
 
 def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "cupy", None)
     _backend._cuda.cache_clear()
-    with pytest.raises(InputError, match=r"waves on CUDA need CuPy.*pip install cupy-cuda12x"):
+    with pytest.raises(mp.InputError, match=r"waves on CUDA need CuPy.*pip install cupy-cuda12x"):
         _backend._cuda()
 
 
@@ -323,8 +311,8 @@ def test_cuda_agrees_with_the_processor(work):
 def scene_capture(scene, model, variant, seed):
     """Capture a scene of few pixels with its noise."""
     device_stand_in.forget()
-    loaded = load_scene(scene, variant=variant, parameters={"resolution": "512"})
-    return render_capture(loaded, model=model, spp=16, seed=seed, noise=True)
+    loaded = mp.load_scene(scene, variant=variant, parameters={"resolution": "512"})
+    return mp.render_capture(loaded, model=model, spp=16, seed=seed, noise=True)
 
 
 @pytest.mark.gpu
@@ -347,6 +335,6 @@ def test_waves_on_the_device_agree_with_rays():
     """The letters in focus: diffraction by lenses of many wavelengths moves little light from bin to bin."""
     rays, waves = (scene_capture("letters", model, "cuda_ad_mono", 1) for model in ("ray", "wave"))
     assert waves.image.sum() == pytest.approx(rays.image.sum(), rel=0.02)
-    by_rays, by_waves = (reconstruct(each, 240.0).image for each in (rays, waves))
+    by_rays, by_waves = (mp.reconstruct(each, 240.0).image for each in (rays, waves))
     known = np.isfinite(by_rays) & np.isfinite(by_waves)
     assert np.corrcoef(by_rays[known], by_waves[known])[0, 1] > 0.98

@@ -4,19 +4,11 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import (
-    CaptureOperator,
-    InputError,
-    PlenopticCamera,
-    Spectrum,
-    load_scene,
-    reconstruct,
-    render_capture,
-)
+import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.runtime import limits
 from mitsuba_plenoptic.runtime.limits import GIB, VARIABLE, check_memory, require_memory, work_limit
 
-CAMERA = PlenopticCamera(detector_width=0.256, resolution=(128, 128))
+CAMERA = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128))
 
 
 @pytest.fixture(autouse=True)
@@ -38,18 +30,18 @@ def test_the_limit_is_the_devices_where_a_cuda_variant_is_active(device):
     device.free = 8 * GIB
     assert work_limit(1.0) == 6 * GIB
     with pytest.raises(
-        InputError, match=r"a field: it would need 7.0 GiB of device memory, at most 6.0 GiB are allowed"
+        mp.InputError, match=r"a field: it would need 7.0 GiB of device memory, at most 6.0 GiB are allowed"
     ):
         check_memory(7 * GIB, "a field", most=16 * GIB)
     # What is read and decoded lies in the machine's memory.
     require_memory(700 * GIB, "a picture")
-    with pytest.raises(InputError, match="it would need 800 GiB of memory, at most 768 GiB"):
+    with pytest.raises(mp.InputError, match="it would need 800 GiB of memory, at most 768 GiB"):
         require_memory(800 * GIB, "a picture")
 
 
 def test_without_a_device_the_limit_is_the_machines():
     assert work_limit(1.0) == 768 * GIB
-    with pytest.raises(InputError, match="it would need 800 GiB of memory"):
+    with pytest.raises(mp.InputError, match="it would need 800 GiB of memory"):
         check_memory(800 * GIB, "a field", most=1024 * GIB)
 
 
@@ -66,26 +58,26 @@ def test_caches_are_emptied_before_a_refusal_and_only_then(device, flushed):
     assert not flushed and device.kept
     check_memory(3 * GIB, "a field")
     assert flushed == [1 * GIB] and not device.kept
-    with pytest.raises(InputError, match=r"7.0 GiB of device memory, at most 6.0 GiB"):
+    with pytest.raises(mp.InputError, match=r"7.0 GiB of device memory, at most 6.0 GiB"):
         check_memory(7 * GIB, "a field", most=16 * GIB)
 
 
 def test_caches_are_emptied_between_the_sums_of_a_job(device, flushed):
-    operator = CaptureOperator(CAMERA, [(0, 0, 240)], spectrum=Spectrum.lines(633, 550, 500))
+    operator = mp.CaptureOperator(CAMERA, [(0, 0, 240)], spectrum=mp.Spectrum.lines(633, 550, 500))
     assert operator.forward([[1, 1, 1]]).any() and len(flushed) == 3
 
 
 def test_captures_and_reconstructions_name_the_device(device):
     device.free = 2**20
-    with pytest.raises(InputError, match="GiB of device memory"):
-        reconstruct(np.ones(CAMERA.shape, np.float32), 240.0, camera=CAMERA, wavelength=633, method="coherent")
-    with pytest.raises(InputError, match=r"capture of .* GiB of device memory"):
-        render_capture(load_scene("white", parameters={"resolution": "512"}), spp=4)
+    with pytest.raises(mp.InputError, match="GiB of device memory"):
+        mp.reconstruct(np.ones(CAMERA.shape, np.float32), 240.0, camera=CAMERA, wavelength=633, method="coherent")
+    with pytest.raises(mp.InputError, match=r"capture of .* GiB of device memory"):
+        mp.render_capture(mp.load_scene("white", parameters={"resolution": "512"}), spp=4)
 
 
 def test_without_cupy_the_machine_limits_what_rays_need(device, monkeypatch):
     def missing():
-        raise InputError("waves on CUDA need CuPy")
+        raise mp.InputError("waves on CUDA need CuPy")
 
     monkeypatch.setattr("mitsuba_plenoptic.runtime.backend._cuda", missing)
     assert work_limit(1.0) == 768 * GIB
