@@ -15,13 +15,11 @@ import mitsuba as mi
 
 from .camera import PlenopticCamera
 from .errors import naming
-from .io.captures import Capture
-from .io.checkpoints import hash_of
+from .io import Capture, hash_of
 from .light.render_capture import plenoptic_sensor, quiet, render_capture
 from .light.scene import LARGEST_SCENE, load_scene
 from .plugins.other_camera import with_camera
-from .runtime.backend import DEFAULT_VARIANT, set_variant
-from .runtime.files import require_size
+from .runtime import DEFAULT_VARIANT, require_size, set_variant
 from .scene_files import scene_path
 
 

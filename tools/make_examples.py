@@ -19,7 +19,7 @@ import numpy as np
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.io.examples import FOLDER
-from mitsuba_plenoptic.io.truth_files import NAME, truth_path
+from mitsuba_plenoptic.io.truth_files import TRUTH_NAME, truth_path
 
 CAMERA = {"detector_width": "3.072", "resolution": "768"}
 LETTERS = {**CAMERA, "letter_scale": "0.6"}
@@ -48,7 +48,7 @@ def write_example(path: Path, scene: str, parameters: dict[str, str], model: str
         {name: rounded(values, DEPTH_BITS) for name, values in part.items()} for part in (truth.pixels, truth.views)
     )
     mp.write_ground_truth(truth_path(path), replace(truth, pixels=pixels, views=views))
-    about = {**capture.metadata, "parameters": parameters, NAME: truth_path(path).name}
+    about = {**capture.metadata, "parameters": parameters, TRUTH_NAME: truth_path(path).name}
     mp.write_capture(path, replace(capture, image=rounded(capture.image, RADIANCE_BITS), metadata=about))
     print(f"{path}: {path.stat().st_size / 2**10:.0f} KiB; ground truth {truth_path(path).stat().st_size / 2**10:.0f}")
 

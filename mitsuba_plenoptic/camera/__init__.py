@@ -1,12 +1,10 @@
 """A plenoptic camera: the table of its parameters, their checks and forms, and commonly used derived quantities.
 
 Further derived quantities are in `mitsuba_plenoptic.design`.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from .geometry import has_small_lenses as has_small_lenses
-from .plenoptic_camera import PlenopticCamera as PlenopticCamera
-from .plenoptic_camera import are_alike as are_alike
-from .plenoptic_camera import film_numbers as film_numbers
-from .plenoptic_camera import require_camera as require_camera
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -31,8 +31,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..microlens.sampled_grid import read_samples
-from ..runtime.backend import drjit_array, module_of, select
-from ..runtime.files import read_json_value
+from ..runtime import drjit_array, module_of, read_json_value, select
 
 _BLADES = 3, 64
 """Fewest and most blades."""

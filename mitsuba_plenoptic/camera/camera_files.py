@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing
 from ..extension import hook
 from ..presets import PRESETS
-from ..runtime.files import parse_yaml, read_text, read_yaml, require_size
+from ..runtime import parse_yaml, read_text, read_yaml, require_size
 from .plenoptic_camera import PlenopticCamera
 
 _LARGEST_FILE = 2**24

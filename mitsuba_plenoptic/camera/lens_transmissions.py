@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import put, refuse_if, require_count, require_pair, suggest_keywords
 from ..lattice import Lattice
 from ..microlens.sampled_grid import read_samples
-from ..runtime.backend import drjit_array, module_of, select
+from ..runtime import drjit_array, module_of, select
 from .aperture import known_table
 
 _LARGEST, _BRIGHTEST = 4096, 4.0

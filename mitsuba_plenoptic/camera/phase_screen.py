@@ -25,7 +25,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..microlens.sampled_grid import COUNTS, SampledGrid, known_samples, phases, read_samples
-from ..runtime.files import read_json_value
+from ..runtime import read_json_value
 
 _MILLIMETRES = WAVEFRONT_UNIT * 1e-6
 """Unit of the samples."""

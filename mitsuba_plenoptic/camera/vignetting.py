@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from ..errors import put, refuse_if, require_length, require_numbers, short_repr, suggest_keywords
-from ..runtime.backend import module_of, select
+from ..runtime import module_of, select
 from .aperture import known_table
 
 _DEGREES = {1: 0, 3: 1, 6: 2, 10: 3, 15: 4}
@@ -75,7 +75,7 @@ class Vignetting:
 
     def __post_init__(self) -> None:
         put(self, scale=require_length("scale", self.scale))
-        for name in NUMBERS:
+        for name in VIGNETTING_NUMBERS:
             given = getattr(self, name)
             values = (given,) if isinstance(given, (int, float)) else tuple(given) if hasattr(given, "__iter__") else ()
             counts = ", ".join(map(str, _DEGREES))
@@ -95,7 +95,7 @@ class Vignetting:
             name: sum(
                 value * along[i] * up[j] for value, (i, j) in zip(getattr(self, name), powers, strict=False) if value
             )
-            for name in NUMBERS
+            for name in VIGNETTING_NUMBERS
         }
 
     def power(self, px: Any, py: Any, x: Any, y: Any) -> Any:
@@ -133,14 +133,14 @@ class Vignetting:
 
     def to_plain(self) -> dict[str, Any]:
         """Return the coefficients as lists by name, and the scale, for files and headers."""
-        lists = {name: list(getattr(self, name)) for name in NUMBERS}
+        lists = {name: list(getattr(self, name)) for name in VIGNETTING_NUMBERS}
         return {"scale": self.scale} | {name: values for name, values in lists.items() if any(values)}
 
     def __str__(self) -> str:
         return f"Vignetting(radius={short_repr(self.radius)}, ...)"
 
 
-NUMBERS = tuple(field.name for field in fields(Vignetting) if field.name != "scale")
+VIGNETTING_NUMBERS = tuple(field.name for field in fields(Vignetting) if field.name != "scale")
 """Names of the polynomials."""
 
 known_vignetting = partial(known_table, "vignetting", Vignetting)

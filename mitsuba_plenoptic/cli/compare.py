@@ -114,10 +114,8 @@ def compare(
     from ..optics.spectrum import RGB_WAVELENGTHS
 
     # Figures need libraries that take a second to load, which other commands need not wait for.
-    from ..report.comparison import compare as compute
-    from ..report.experiment import Settings
-    from ..report.metrics import ssim_text
-    from ..runtime.backend import DEFAULT_VARIANT
+    from ..report import Settings, comparison, metrics
+    from ..runtime import DEFAULT_VARIANT
 
     parameters = parse_definitions(define)
     if variant is None:
@@ -140,9 +138,9 @@ def compare(
         variant=variant,
     )
     with stage_lines(resume) as stages:
-        results = compute(settings, output, stages=stages, against=against)
+        results = comparison.compare(settings, output, stages=stages, against=against)
     captures = results["captures"]
-    similarity = ssim_text(captures["ssim"])
+    similarity = metrics.ssim_text(captures["ssim"])
     typer.echo(f"Rays against waves: {captures['psnr']:.1f} dB, SSIM {similarity}, energy {captures['energy']:.3f}")
     captures = captures["difference"]
     if captures["all"]["noise"] is None:

@@ -27,16 +27,14 @@ def example(
 
       mitsuba-plenoptic example letters-wave -o wave.exr
     """
-    from ..io import examples
-    from ..io.captures import write_capture
-    from ..io.truth_files import NAME, truth_path, write_ground_truth
-    from ..runtime.files import require_writable
+    from ..io import TRUTH_NAME, examples, truth_path, write_capture, write_ground_truth
+    from ..runtime import require_writable
 
     capture = examples.example(name)
     truth = examples.example_truth(name)
     path = require_writable(output or Path(f"{name}.exr"))
     truth_file = require_writable(truth_path(path))
     write_ground_truth(truth_file, truth)
-    write_capture(path, replace(capture, metadata={**capture.metadata, NAME: truth_file.name}))
+    write_capture(path, replace(capture, metadata={**capture.metadata, TRUTH_NAME: truth_file.name}))
     rows, columns = capture.camera.shape
     typer.echo(f"{path}: capture of {columns} x {rows} pixels, {capture.model} model; ground truth in {truth_file}")

@@ -18,8 +18,8 @@ from .options import CAMERA, Definitions, Unit, wavelength_option
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..io.captures import Capture
-    from ..report.design_sheet import Row
+    from ..io import Capture
+    from ..report import Row
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for other programs, and nothing else.")]
@@ -95,9 +95,9 @@ def info(
     from ..camera import PlenopticCamera
     from ..design import design_warnings, mended
     from ..extension import format_of
-    from ..io.captures import read_capture
-    from ..report.design_sheet import design_sheet
-    from ..runtime.files import require_writable, write_text
+    from ..io import read_capture
+    from ..report import design_sheet
+    from ..runtime import require_writable, write_text
 
     refuse_if((source is None) == (camera is None), "SCENE, --camera: give one of the two")
     source = str(source or camera)
@@ -120,11 +120,11 @@ def info(
         wavelength = capture.wavelength
     if drawing is not None:
         # Brings Matplotlib, which takes a while to load.
-        from ..report.lens_drawing import draw_main_lens
+        from ..report import draw_main_lens
 
         draw_main_lens(drawing, shown_camera)
     if microlens is not None:
-        from ..report.microlens_drawing import draw_microlens
+        from ..report import draw_microlens
 
         draw_microlens(microlens, shown_camera, wavelength)
     rows = design_sheet(shown_camera, wavelength)
@@ -191,7 +191,7 @@ def doctor(as_json: Json = False) -> None:
     Each variant that may work renders a triangle in a process of its own, which takes some seconds. The exit status
     is 0 if captures can be rendered here with the default variant, and 1 if not.
     """
-    from ..report.installation import inspect_installation
+    from ..report import inspect_installation
 
     installation = inspect_installation()
     if as_json:

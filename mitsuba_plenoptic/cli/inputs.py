@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from ..camera import PlenopticCamera
-    from ..report.images import Drawing
-    from ..runtime.batches import BatchMap
+    from ..report import images
+    from ..runtime import BatchMap
 
 COLOURS = "llvm_ad_rgb"
 """Variant for films that record colours."""
@@ -34,8 +34,7 @@ def load_camera(source: str, parameters: dict[str, str], unit: str = "mm") -> tu
 
     A file takes precedence over a preset or scene of the same name.
     """
-    from ..camera import PlenopticCamera
-    from ..camera.camera_files import camera_and_record, states_camera
+    from ..camera import PlenopticCamera, camera_and_record, states_camera
     from ..light.scene import load_scene
 
     # Some scenes are called as a camera; parameters are theirs.
@@ -76,7 +75,7 @@ def light_field(
     truth: Path | bool = False,
 ) -> xr.DataArray:
     """Return the light field that a command reads, by its options `LIGHT_FIELD`."""
-    from ..views.light_field_files import open_light_field
+    from ..views import open_light_field
 
     return open_light_field(
         source,
@@ -88,15 +87,15 @@ def light_field(
     )
 
 
-def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> Drawing:
+def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawing:
     """Return the settings for drawn pictures, the options `PICTURE`; refuse them where the output is not a picture."""
-    from ..report.images import SHOWN, Brightness, Drawing
+    from ..report import images
 
     outputs = [path for path in paths if path is not None]
     for name in ("exposure", "percentile"):
         refuse_if(
-            options[name] is not None and not any(path.suffix.lower() in SHOWN for path in outputs),
-            f"--{name}: it is for pictures ({', '.join(SHOWN)}); {outputs[0]} keeps the values as they are",
+            options[name] is not None and not any(path.suffix.lower() in images.SHOWN for path in outputs),
+            f"--{name}: it is for pictures ({', '.join(images.SHOWN)}); {outputs[0]} keeps the values as they are",
         )
     suffix = outputs[0].suffix.lower()
     figure = options["figure"]
@@ -111,7 +110,7 @@ def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> Drawing:
             f"{outputs[0]}",
         )
         require_count("scale", scale, maximum=64)
-    return Drawing(Brightness(options["exposure"], options["percentile"]), scale, figure)
+    return images.Drawing(images.Brightness(options["exposure"], options["percentile"]), scale, figure)
 
 
 def named_camera(source: str | None) -> PlenopticCamera | None:
@@ -124,7 +123,7 @@ def require_in_sight(source: Path, camera: PlenopticCamera | None, *distances: f
     seen_by = camera
     if camera is None and source.suffix.lower() == ".exr":
         from ..camera import PlenopticCamera
-        from ..io.exr import read_attributes
+        from ..io import read_attributes
 
         record = read_attributes(source).get("camera")
         with naming(source):
@@ -152,7 +151,7 @@ def open_scene(
     from ..light.render_capture import plenoptic_sensor
     from ..light.scene import load_scene
     from ..plugins.other_camera import with_camera
-    from ..runtime.backend import DEFAULT_VARIANT
+    from ..runtime import DEFAULT_VARIANT
 
     replacement = named_camera(camera)
     colours = None if variant else colours_of_film(scene, parameters)
@@ -250,7 +249,7 @@ def parse_definitions(definitions: list[str] | None) -> dict[str, str]:
 
 def batches_on(workers: int | None, scheduler: str | None) -> contextlib.AbstractContextManager[BatchMap | None]:
     """Return the Dask cluster of the requested workers; without workers a context that yields None."""
-    from ..runtime.batches import Cluster
+    from ..runtime import Cluster
 
     asks_cluster = workers is not None or scheduler is not None
     return Cluster(workers=workers, scheduler=scheduler) if asks_cluster else contextlib.nullcontext()

@@ -11,7 +11,7 @@ import typer
 from ..choices import ANIMATED, LIGHT_FIELDS, PICTURES, Axis, ViewMethod
 from ..errors import naming, refuse_if, require_number, require_suffix, warn
 from ..refocus_options import with_parameters
-from ..runtime.progress import progress_bar
+from ..runtime import progress_bar
 from .inputs import drawing_of, light_field, named_camera, require_in_sight
 from .options import (
     LIGHT_FIELD,
@@ -54,8 +54,8 @@ def views(
 
       mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    from ..report.output_files import require_picture_path, write_orbit, write_views
-    from ..runtime.files import require_apart
+    from ..report import require_picture_path, write_orbit, write_views
+    from ..runtime import require_apart
     from ..views import pick_views
 
     require_apart(require_picture_path(output, animated=True), source, options["white"], truth)
@@ -102,8 +102,8 @@ def epi(
 
       mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
-    from ..report.output_files import require_picture_path, write_epipolar_image
-    from ..runtime.files import require_apart
+    from ..report import require_picture_path, write_epipolar_image
+    from ..runtime import require_apart
     from ..views import epipolar_image
 
     require_apart(require_picture_path(output), source, options["white"])
@@ -161,9 +161,8 @@ def stack(
     by, planes = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
-    from ..report.animations import sweep_distances
-    from ..report.output_files import require_picture_path, write_focal_sweep, write_stack
-    from ..runtime.files import require_apart
+    from ..report import require_picture_path, sweep_distances, write_focal_sweep, write_stack
+    from ..runtime import require_apart
     from ..views import focal_stack
 
     require_apart(require_picture_path(output, animated=True), source, options["white"])
@@ -221,11 +220,9 @@ def depth(
 
       mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
-    from ..report.output_files import require_picture_path, write_depth
-    from ..runtime.files import require_apart
-    from ..views import depth_error, depth_map
-    from ..views.depth import beyond_search, is_focused
-    from ..views.light_field_files import open_micro_images
+    from ..report import require_picture_path, write_depth
+    from ..runtime import require_apart
+    from ..views import beyond_search, depth_error, depth_map, is_focused, open_micro_images
 
     require_apart(require_picture_path(output), source, options["white"], truth)
     drawing = drawing_of(options, output)
@@ -308,8 +305,8 @@ def convert(
     if layout is None:
         require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
-    from ..runtime.files import require_apart
-    from ..views.light_field_files import HCI, require_light_field_path, save_light_field
+    from ..runtime import require_apart
+    from ..views import HCI, require_light_field_path, save_light_field
 
     writer = None
     if layout is None:

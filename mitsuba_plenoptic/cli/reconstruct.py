@@ -13,7 +13,7 @@ import typer
 from ..choices import PICTURES, VOLUMES
 from ..errors import refuse_if, require_count
 from ..refocus_options import Option, all_options, with_parameters
-from ..runtime.progress import in_words, progress_bar
+from ..runtime import in_words, progress_bar
 from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear
 from .options import (
     EXPERT,
@@ -40,7 +40,7 @@ from .stopping import checkpoint_of, resumable
 
 if TYPE_CHECKING:
     from ..camera import PlenopticCamera
-    from ..io.captures import Capture
+    from ..io import Capture
 
 
 def _method_options() -> dict[str, Any]:
@@ -129,11 +129,9 @@ def reconstruct(
 
     # Brings libraries that take a while to load.
     from .. import refocus as reconstruction
-    from ..refocus.methods import registered, used_by
-    from ..refocus.results import require_volume_path
-    from ..report.output_files import reconstruction_paths, write_reconstructions
-    from ..runtime.files import require_apart
-    from ..runtime.limits import GIB
+    from ..refocus import registered, require_volume_path, used_by
+    from ..report import reconstruction_paths, write_reconstructions
+    from ..runtime import GIB, require_apart
 
     chosen = registered(method)
     if estimate:
@@ -217,8 +215,8 @@ def sheet(
       mitsuba-plenoptic sheet *.exr -o sheet.png --distance 210 --distance 240
     """
     from ..refocus import read_reconstruction
-    from ..report.images import Brightness
-    from ..runtime.files import require_apart, require_writable
+    from ..report import images
+    from ..runtime import require_apart, require_writable
 
     require_apart(require_writable(output), *results)
     read = [read_reconstruction(path) for path in results]
@@ -230,9 +228,11 @@ def sheet(
         )
     read = [result for result in read if not distance or result.distance in distance]
     # Brings Matplotlib, which takes a while to load.
-    from ..report.plots import contact_sheet
+    from ..report import plots
 
-    contact_sheet(read, Brightness(exposure, percentile).peak([result.image for result in read])).save(output)
+    plots.contact_sheet(read, images.Brightness(exposure, percentile).peak([result.image for result in read])).save(
+        output
+    )
     methods, distances = ({getattr(result, name) for result in read} for name in ("method", "distance"))
     typer.echo(f"{output}: {len(read)} images (methods: {len(methods)}, distances: {len(distances)})")
 
@@ -241,8 +241,8 @@ def _recorded(
     capture: Path, white: Path | None, camera: PlenopticCamera | None, linear: bool, variant: str | None
 ) -> tuple[Capture, Capture | None]:
     """Return a capture and its white reference, after setting the variant."""
-    from ..io.captures import read_capture
-    from ..runtime.backend import set_variant
+    from ..io import read_capture
+    from ..runtime import set_variant
 
     recorded = read_capture(capture, camera=camera, linear=linear)
     reference = None if white is None else read_capture(white, camera=camera, linear=linear)

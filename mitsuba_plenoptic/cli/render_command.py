@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from ..choices import QUANTITIES, RAW_SUFFIXES, AnyMosaic
-from ..runtime.progress import progress_bar
+from ..runtime import progress_bar
 from .inputs import batches_on, open_scene, parse_definitions, refuse_options
 from .options import (
     CameraFile,
@@ -139,15 +139,14 @@ def render(
 
       mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
-    from ..io.captures import Capture, write_capture
-    from ..io.truth_files import NAME, require_quantities, truth_path, write_ground_truth
+    from ..io import TRUTH_NAME, Capture, require_quantities, truth_path, write_capture, write_ground_truth
     from ..light.render_capture import (
         estimate_capture,
         is_wave_capture,
         refuse_by_rays,
         render_capture,
     )
-    from ..runtime.files import remove_leftovers, require_different, require_writable
+    from ..runtime import remove_leftovers, require_different, require_writable
 
     parameters = parse_definitions(define)
     replaced = sensor
@@ -207,7 +206,7 @@ def render(
             from ..views import ground_truth
 
             write_ground_truth(truth_file, ground_truth(loaded, names, sensor=sensor))
-            capture.metadata[NAME] = truth_file.name
+            capture.metadata[TRUTH_NAME] = truth_file.name
             typer.echo(f"{truth_file}: ground truth, {', '.join(names)}")
         write_capture(output, capture)
     if white:
@@ -276,10 +275,10 @@ def expose(
 
       mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
-    from ..io.captures import read_capture, write_capture, write_raw
+    from ..io import read_capture, write_capture, write_raw
     from ..light.detector import Detector
     from ..light.detector import expose as record
-    from ..runtime.files import require_apart, require_writable
+    from ..runtime import require_apart, require_writable
 
     require_apart(require_writable(output), capture)
     detector = Detector(

@@ -10,24 +10,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..runtime.progress import ProgressBar, in_words, is_quiet, moving_bar, plain_lines
-from . import StoppedError
+from ..runtime import ProgressBar, in_words, is_quiet, moving_bar, plain_lines
+from .program import StoppedError
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from ..io.cache import StageOptions
-    from ..io.checkpoints import Checkpoint
+    from ..io import Checkpoint, StageOptions
 
 _log = logging.getLogger(__name__)
 
 
 def checkpoint_of(output: Path, resume: bool, path: Path | None = None) -> Checkpoint:
     """Return the checkpoint of a command's output, next to it or at `path`, that continues as ``--resume`` says."""
-    from ..io.checkpoints import SUFFIX, Checkpoint
-    from ..runtime.files import require_writable
+    from ..io import CHECKPOINT_SUFFIX, Checkpoint
+    from ..runtime import require_writable
 
-    path = require_writable(path or output.with_name(output.name + SUFFIX))
+    path = require_writable(path or output.with_name(output.name + CHECKPOINT_SUFFIX))
     return Checkpoint(path, "resume" if resume else "resume_if_same")
 
 
@@ -61,7 +60,7 @@ def resumable(progress: ProgressBar | None = None, checkpoint: Checkpoint | None
 @contextlib.contextmanager
 def stage_lines(resume: bool) -> Iterator[StageOptions]:
     """Print a line for each finished stage, and show the progress of the current one, while the context is open."""
-    from ..io.cache import StageOptions
+    from ..io import StageOptions
 
     with moving_bar() as bar, plain_lines("starting") as line, resumable():
         tasks: dict[str, TaskID] = {}

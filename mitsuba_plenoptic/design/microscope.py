@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ..camera import PlenopticCamera
-from ..camera.entry import one_if_equal
+from ..camera import PlenopticCamera, one_if_equal
 from ..errors import InputError, refuse_if, require_wavelength
 from ..optics.waves import in_millimetres
 from ..prescription.lens_data import SINGLE

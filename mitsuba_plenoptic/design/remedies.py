@@ -11,9 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from ..camera import PlenopticCamera
-from ..camera.entry import one_if_equal, one_if_single
-from ..camera.parameters import PARAMETERS
+from ..camera import PARAMETERS, PlenopticCamera, one_if_equal, one_if_single
 from ..errors import InputError
 from .quantities import mla_object_distances
 

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..runtime.files import read_text, write_text
-from ..runtime.limits import software
+from ..runtime import read_text, software, write_text
 from .captures import Capture, read_capture, write_capture
-from .checkpoints import SUFFIX, Checkpoint, hash_of, lock_of, locked, write_json
+from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, lock_of, locked, write_json
 from .exr import read_exr, write_exr
 
 Progress = Callable[[int, int], None]
@@ -63,7 +62,8 @@ class Cache:
 
     def capture(self, name: str, inputs: Any, make: Callable[[Progress, Checkpoint], Capture]) -> tuple[Capture, str]:
         """Return a capture, made with a checkpoint, and its key."""
-        with Checkpoint(self.folder / f"{name}{SUFFIX}", "resume" if self.resume else "resume_if_same") as checkpoint:
+        path = self.folder / f"{name}{CHECKPOINT_SUFFIX}"
+        with Checkpoint(path, "resume" if self.resume else "resume_if_same") as checkpoint:
             return self._get(
                 f"{name}.exr", inputs, lambda progress: make(progress, checkpoint), write_capture, read_capture
             )

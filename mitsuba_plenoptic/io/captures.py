@@ -37,8 +37,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime.backend import as_pixels
-from ..runtime.files import atomic_output, require_writable
+from ..runtime import as_pixels, atomic_output, require_writable
 from .exr import read_attributes, read_exr, read_pixels, write_exr
 from .pictures import KEY, StoredPicture, read_numbers
 from .versions import camera_of_waves, is_of_1_0, require_seal, sealed

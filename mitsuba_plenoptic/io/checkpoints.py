@@ -24,17 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_choice, warn
-from ..runtime.backend import backend_of
-from ..runtime.batches import PartialSum, Snapshot
-from ..runtime.files import atomic_output, remove_leftovers, write_text
-from ..runtime.limits import require_memory, software
+from ..runtime import (
+    PartialSum,
+    Snapshot,
+    atomic_output,
+    backend_of,
+    remove_leftovers,
+    require_memory,
+    software,
+    write_text,
+)
 from .versions import KEY, VERSION, stamped
 
 if sys.platform != "win32":
     import fcntl
 
 FORMAT = 2
-SUFFIX = ".checkpoint"
+CHECKPOINT_SUFFIX = ".checkpoint"
 
 Existing = Literal["refuse", "resume", "resume_if_same"]
 

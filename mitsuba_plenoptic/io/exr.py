@@ -13,8 +13,7 @@ import OpenEXR
 
 from ..camera import PlenopticCamera
 from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
-from ..runtime.files import atomic_output, native_output_dropped, require_file
-from ..runtime.limits import require_memory
+from ..runtime import atomic_output, native_output_dropped, require_file, require_memory
 from .versions import require_seal, sealed
 
 ATTRIBUTE = "mitsuba_plenoptic"

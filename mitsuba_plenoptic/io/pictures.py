@@ -19,8 +19,7 @@ from PIL import Image
 from tifffile import EXTRASAMPLE, PHOTOMETRIC
 
 from ..errors import refusing, require_number
-from ..runtime.files import atomic_output, native_output_dropped, require_file
-from ..runtime.limits import require_memory
+from ..runtime import atomic_output, native_output_dropped, require_file, require_memory
 
 TIFF = (".tif", ".tiff")
 

@@ -14,13 +14,13 @@ from ..choices import QUANTITIES
 from ..errors import InputError, naming, refuse_if, require_choice, short_repr
 from .exr import read_exr_parts, write_exr_parts
 
-SUFFIX = ".truth.exr"
+TRUTH_SUFFIX = ".truth.exr"
 """Suffix that replaces a capture's ``.exr``."""
 
-NAME = "ground_truth"
+TRUTH_NAME = "ground_truth"
 """Key of the file in the metadata of its capture."""
 
-COORDINATES = {
+TRUTH_COORDINATES = {
     f"{name}.{letter}": name if len(letters) == 1 else f"{name}_{letter.lower()}"
     for name, letters in QUANTITIES.items()
     for letter in letters
@@ -86,7 +86,7 @@ def channel_planes(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def truth_path(capture: Path) -> Path:
     """Return the path of a capture's ground truth."""
-    return capture.with_name(capture.name.removesuffix(capture.suffix) + SUFFIX)
+    return capture.with_name(capture.name.removesuffix(capture.suffix) + TRUTH_SUFFIX)
 
 
 def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:

@@ -5,7 +5,7 @@ under the name that the camera's ``mla_lattice`` takes. To add a lattice, write 
 """
 
 # Importing a lattice's file registers it.
-from ..runtime.backend import turn
+from ..runtime import turn
 from . import hexagonal as hexagonal
 from . import square as square
 from .arrangement import APERTURES, LATTICES, NO_LATTICE, Lattice, make_lattice, register

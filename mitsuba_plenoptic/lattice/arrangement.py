@@ -23,8 +23,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..runtime.backend import floor, is_zero, maximum, minimum, module_of, sqrt, turn
-from ..runtime.limits import require_memory
+from ..runtime import floor, is_zero, maximum, minimum, module_of, require_memory, sqrt, turn
 from .lens_shifts import Displacement
 
 # Points across a sample for the fraction of it that is aperture.

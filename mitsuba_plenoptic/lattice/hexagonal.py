@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..runtime.backend import floor, maximum, select
+from ..runtime import floor, maximum, select
 from .arrangement import Lattice, register, regular_corners
 
 # Distance of rows over the pitch.

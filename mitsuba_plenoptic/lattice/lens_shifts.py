@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.backend import module_of, turn
+from ..runtime import module_of, turn
 
 Corner = Sequence[float] | NDArray[np.float64]
 """X and y of a corner of a rectangle."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..runtime.backend import floor, maximum
+from ..runtime import floor, maximum
 from .arrangement import Lattice, register, regular_corners
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import rays
-from ..runtime.backend import sqrt
+from ..runtime import sqrt
 from .main_lens import Entrance, MainLens, Pair
 
 

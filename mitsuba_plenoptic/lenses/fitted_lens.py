@@ -29,8 +29,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lattice import turn
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array
-from ..runtime.limits import single_threaded_blas
+from ..runtime import drjit_array, single_threaded_blas
 from .common import FinitePupil
 from .lens_system import LensSystem
 from .main_lens import Pair, Traced

@@ -23,7 +23,7 @@ from ..errors import InputError, refuse_if
 from ..prescription import Paraxial, Prescription, paraxial
 from ..prescription.lens_data import vergence
 from ..prescription.surfaces import height
-from ..runtime.backend import rsqrt
+from ..runtime import rsqrt
 from . import sequential
 from .common import FiniteDistance
 from .main_lens import Pair, Traced

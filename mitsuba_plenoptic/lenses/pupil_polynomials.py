@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
-from ..runtime.backend import minimum, safe_sqrt
+from ..runtime import minimum, safe_sqrt
 from .main_lens import Pair
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
-from ..runtime.limits import single_threaded_blas
+from ..runtime import single_threaded_blas
 from .common import LensNumbers, builds
 from .fitted_lens import WITHIN, FittedLens
 from .lens_system import LensSystem

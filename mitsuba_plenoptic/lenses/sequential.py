@@ -13,7 +13,7 @@ from typing import Any
 
 from ..prescription import Prescription
 from ..prescription.surfaces import LEAST, height
-from ..runtime.backend import safe_sqrt, select
+from ..runtime import safe_sqrt, select
 
 NEWTON_STEPS = 5
 """Newton iterations that find the intersection of a ray with an asphere from that with its conic or plane."""

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
 from ..prescription.objective import Objective
-from ..runtime.backend import rsqrt, safe_sqrt, sqrt
+from ..runtime import rsqrt, safe_sqrt, sqrt
 from .common import LensNumbers, UniformLens, builds
 from .main_lens import Pair, Traced
 

@@ -17,12 +17,12 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera.phase_screen import PhaseScreen
+from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import rays
 from ..optics.waves import in_millimetres, parabola
 from ..prescription.lens_data import SINGLE, vergence
-from ..runtime.backend import sqrt
+from ..runtime import sqrt
 from .common import FinitePupil, LensNumbers, UniformLens, builds
 from .distortion import undistort
 from .main_lens import Pair, Traced

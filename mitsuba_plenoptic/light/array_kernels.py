@@ -27,9 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
-from ..runtime.batches import on_all_cores
-from ..runtime.fft import worker_count
-from ..runtime.limits import require_memory, single_threaded_blas
+from ..runtime import fft, on_all_cores, require_memory, single_threaded_blas
 from .array_field import MOST_PHASE, LensWaves
 from .lens_functions import LensFunctions
 from .lens_kinds import Kind
@@ -435,7 +433,7 @@ class ArrayKernels(LensWaves):
                 result.real[real, farthest + lag, first:] = (flat.real @ weights[0]).T
                 result.imag[imaginary, farthest + lag, first:] = (flat.imag @ weights[1]).T
 
-        on_all_cores(integrate, np.array_split(np.arange(farthest + 1), worker_count()))
+        on_all_cores(integrate, np.array_split(np.arange(farthest + 1), fft.worker_count()))
         other_side = result[:, farthest:, :farthest:-1]
         if across is not None:
             result[:, farthest:, :farthest] = other_side * across

@@ -14,9 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..runtime.backend import backend
-from ..runtime.batches import on_all_cores
-from ..runtime.fft import worker_count
+from ..runtime import active_backend, fft, on_all_cores
 
 _RAYS = 2**20
 """Largest count of rays from the detector that are traced at once."""
@@ -79,7 +77,7 @@ def seconds_by_waves(by_rays: float, rays: float, pixels: float, images: int) ->
 
 def _seconds_of_a_sample() -> float:
     """Return the seconds that a Fourier transform takes for a sample, with one transform on each core."""
-    libraries, workers = backend(), 1 if backend().is_cuda else worker_count()
+    libraries, workers = active_backend(), 1 if active_backend().is_cuda else fft.worker_count()
     image = libraries.arrays.ones((_TRANSFORM, _TRANSFORM), np.float32)
     seconds = []
     for _ in range(2):

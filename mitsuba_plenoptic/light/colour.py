@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..optics.spectrum import WAVELENGTHS, Responses, Spectrum, Table, interpolated
-from ..runtime.backend import drjit_array
+from ..runtime import drjit_array
 
 _STEP = 10.0
 """Step in nanometres between the wavelengths at which reflectances are computed."""

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime.backend import backend, backend_of
-from ..runtime.batches import Box, Part, add, on_all_cores
-from ..runtime.fft import fast_length, resting_drjit
+from ..runtime import Box, Part, active_backend, add, backend_of, fft, on_all_cores
 
 TILE = 1536
 """Approximate width of the convolution of a tile in samples. Narrower ones repeat more of the kernels' borders."""
@@ -47,8 +45,8 @@ class Convolution:
             for count in size or (self.box.rows, self.box.columns)
         )
         self.tile = rows, columns
-        self._size = tuple(fast_length(tile + support - 1) for tile in self.tile)
-        arrays, transforms = backend().arrays, backend().transforms
+        self._size = tuple(fft.fast_length(tile + support - 1) for tile in self.tile)
+        arrays, transforms = active_backend().arrays, active_backend().transforms
         self._spectra = arrays.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
 
         def transform(rank: int) -> None:
@@ -90,7 +88,7 @@ class Convolution:
             square = transforms.irfft2(total, self._size, overwrite_x=True)[: size[0] + 2 * m, : size[1] + 2 * m]
             return Part(_grown(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]), m), square[None])
 
-        with resting_drjit():
+        with fft.resting_drjit():
             for part in on_all_cores(convolved, self._tiles(box)):
                 add(part, wanted, result)
         return result[0]
@@ -117,7 +115,7 @@ class Convolution:
                 image[rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
             return image
 
-        with resting_drjit():
+        with fft.resting_drjit():
             parts = on_all_cores(transformed, tiles)
             return on_all_cores(correlated, iter(self._spectra))
 
@@ -170,7 +168,7 @@ class Block:
 def _convolve(block: Block) -> Part:
     # Kernels of longer wavelengths reach farther.
     pixels = max((each.reached(block.bins) for each in block.convolutions), key=lambda box: box.rows * box.columns)
-    sums = backend().arrays.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
+    sums = active_backend().arrays.zeros((max(block.channels) + 1, pixels.rows, pixels.columns), np.float32)
     for channel, convolution, images in zip(block.channels, block.convolutions, block.images, strict=True):
         sums[channel] += convolution.forward(images, block.bins, pixels)
     return Part(pixels, sums)

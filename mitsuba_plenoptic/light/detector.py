@@ -23,7 +23,7 @@ from ..errors import (
     short_repr,
     suggest_keywords,
 )
-from ..io.captures import Capture, recording_of, require_demosaiced
+from ..io import Capture, recording_of, require_demosaiced
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
 _SMALLEST, _LARGEST = 1e-9, 1e9

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..lattice import Lattice
 from ..lenses.main_lens import Entrance
-from ..runtime.backend import drjit_array
+from ..runtime import drjit_array
 from .optical_system import OpticalSystem
 
 _MARGIN = 3

@@ -28,9 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime.backend import drjit_array
-from ..runtime.batches import on_all_cores
-from ..runtime.limits import single_threaded_blas
+from ..runtime import drjit_array, on_all_cores, single_threaded_blas
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
 

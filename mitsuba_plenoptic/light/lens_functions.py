@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.batches import on_all_cores
+from ..runtime import on_all_cores
 
 _TIED = 1e-3
 """Relative difference of the errors that two functions remove below which both or neither are used, as they differ by

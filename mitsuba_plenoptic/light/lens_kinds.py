@@ -20,13 +20,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.entry import one_if_equal
+from ..camera import PlenopticCamera, one_if_equal
 from ..errors import InputError
 from ..lattice import Displacement
 from ..lattice.lens_shifts import MOST_DEVIATIONS, deviates
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array, module_of
+from ..runtime import drjit_array, module_of
 
 
 def irregularities(camera: PlenopticCamera, i: Any, j: Any) -> tuple[Any, Any, Any]:

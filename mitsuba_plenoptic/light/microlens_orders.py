@@ -45,9 +45,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import Lattice, turn
 from ..optics.waves import in_millimetres
-from ..runtime.backend import array_module, backend_of, drjit_array, empty_packets
-from ..runtime.fft import Field, array_types, as_field, as_words, fast_length, pack, split, unpack, worker_count
-from ..runtime.limits import check_memory
+from ..runtime import array_module, backend_of, check_memory, drjit_array, empty_packets, fft
 from .microlenses import factor_axes, from_centre, transmission
 
 _FLAT = 1e4
@@ -98,7 +96,7 @@ class ArrayFactor(ABC):
 
     def at(self, *coordinates: Any, parameter: ArrayParameter | None = None) -> Any:
         """Return the factor, or its derivative, at Dr.Jit float64 coordinates along its axes, as Complex2f."""
-        types, camera = array_types(coordinates[0]), self._camera
+        types, camera = fft.array_types(coordinates[0]), self._camera
         if camera.lattice.displacement is not None:
             # No factor of such an array is of one coordinate.
             coordinates = camera.lattice.in_regular_array(*coordinates)
@@ -120,7 +118,7 @@ class ArrayFactor(ABC):
                 (place * row_length + node + step, share * weight)
                 for (place, share), (step, weight) in itertools.product(terms, weights)
             ]
-        return sum(unpack(dr.gather(types.UInt64, table, place)) * share for place, share in terms)
+        return sum(fft.unpack(dr.gather(types.UInt64, table, place)) * share for place, share in terms)
 
     def _table(self, amplitudes: NDArray[Any]) -> Any:
         """Return one period of a sum of orders as 64-bit words, with its last sample before it and its first after it.
@@ -133,13 +131,13 @@ class ArrayFactor(ABC):
         kept = [np.sinc(part) ** 3 * np.exp(-1j * math.pi * part) for part in parts]
         spectrum: NDArray[Any] = np.zeros(self._shape, self._precision)
         spectrum[np.ix_(*orders)] = amplitudes / functools.reduce(np.multiply.outer, kept)
-        table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=worker_count())
+        table = scipy.fft.ifftn(spectrum, norm="forward", overwrite_x=True, workers=fft.worker_count())
         padded = empty_packets(tuple(size + 2 for size in table.shape), np.complex64)
         padded[(slice(1, -1),) * table.ndim] = table
         for axis in range(table.ndim):
             lines = np.moveaxis(padded, axis, 0)
             lines[0], lines[-1] = lines[-2], lines[1]
-        return drjit_array(array_module().UInt64, as_words(padded))
+        return drjit_array(array_module().UInt64, fft.as_words(padded))
 
     def _by_position(self, orders: NDArray[Any], axis: int) -> NDArray[Any]:
         """Return the orders of the derivative with respect to the position along an axis, in periods."""
@@ -156,7 +154,7 @@ class AxisFactor(ArrayFactor):
     def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, axis: int) -> None:
         highest = cosine / in_millimetres(wavelength)
         count = int(highest * camera.mla_pitches[axis])
-        super().__init__(camera, (axis,), (fast_length(_PER_ORDER[0] * max(count, 1)),))
+        super().__init__(camera, (axis,), (fft.fast_length(_PER_ORDER[0] * max(count, 1)),))
         self._orders = axis_orders(camera, wavelength, count, axis)
 
     def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
@@ -206,7 +204,9 @@ class PlaneFactor(ArrayFactor):
         sides = camera.lattice.period(len(camera.mla_focal_lengths))
         self._wavelength, self._cosine, self._fine = wavelength, cosine, fine
         self._counts = [int(cosine / in_millimetres(wavelength) * side) for side in sides[::-1]]
-        super().__init__(camera, (0, 1), tuple(fast_length(_PER_ORDER[1] * max(count, 1)) for count in self._counts))
+        super().__init__(
+            camera, (0, 1), tuple(fft.fast_length(_PER_ORDER[1] * max(count, 1)) for count in self._counts)
+        )
         self._moments: dict[tuple[int, int, int | None], NDArray[np.complex64]] = {}
 
     def orders(self, parameter: ArrayParameter | None = None) -> NDArray[Any]:
@@ -243,19 +243,19 @@ class PlaneFactor(ArrayFactor):
             _FINE_BYTES * math.prod(side / pitch * fine for side in sides) + 16 * table,
             f"microlens array of pitch {camera.mla_pitch:g} with {self._counts[1]} x {self._counts[0]} orders",
         )
-        shape = [fast_length(side / pitch * fine, 2) for side in sides[::-1]]
+        shape = [fft.fast_length(side / pitch * fine, 2) for side in sides[::-1]]
         samples = self._samples(shape, axis, power, lens_type)
-        spectrum = scipy.fft.fft2(samples, norm="forward", overwrite_x=True, workers=worker_count())
+        spectrum = scipy.fft.fft2(samples, norm="forward", overwrite_x=True, workers=fft.worker_count())
         order = [np.arange(-count, count + 1) for count in self._counts]
         # Samples are at cell centres, which is half a step from the start of the period.
         waves = order[0][:, None] / (2 * shape[0]) + order[1] / (2 * shape[1])
         held = np.hypot(order[0][:, None] / sides[1], order[1] / sides[0]) * wave <= self._cosine
         return (spectrum[np.ix_(*order)] * np.exp(-2j * math.pi * waves) * held).astype(np.complex64)
 
-    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
+    def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> fft.Field:
         """Return samples of one period of the transmission, at the centres of equal rectangles, on the host."""
         types = array_module()
-        _, row, column = split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
+        _, row, column = fft.split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
         x, y = (
             (types.Float64(place) + 0.5) * dr.opaque(types.Float64, side / count)
             for place, side, count in zip((column, row), self.periods, shape[::-1], strict=True)
@@ -268,8 +268,8 @@ class PlaneFactor(ArrayFactor):
             *offset, which = from_centre(centred, x, y)
             factor = types.Float((offset[axis] / dr.opaque(types.Float64, centred.mla_pitches[axis])) ** power)
             samples *= factor if lens_type is None else dr.select(which == lens_type, factor, 0)
-        packed = pack(samples)
-        return np.asarray(backend_of(packed).to_host(as_field(packed, tuple(shape))))
+        packed = fft.pack(samples)
+        return np.asarray(backend_of(packed).to_host(fft.as_field(packed, tuple(shape))))
 
 
 class MicrolensArray:
@@ -358,14 +358,14 @@ class VaryingArrayFactor:
         value = self.factor.at(*places)
         for parameter, number in numbers.items():
             if dr.grad_enabled(number):
-                change = array_types(value.real).Float(number - dr.detach(number))
+                change = fft.array_types(value.real).Float(number - dr.detach(number))
                 value = value + self.factor.at(*places, parameter=parameter) * change
         return value
 
 
 def _node(place: Any, period: float, count: int) -> tuple[Any, Any]:
     """Return the index of the sample before a position in periods, and the distance from it in samples."""
-    types = array_types(place)
+    types = fft.array_types(place)
     scaled = place * dr.opaque(types.Float64, 1 / period)
     scaled = (scaled - dr.floor(scaled)) * dr.opaque(types.Float64, count)
     node = dr.minimum(types.UInt32(scaled), dr.opaque(types.UInt32, count - 1))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lattice import Lattice, make_lattice, turn
 from ..optics.waves import in_millimetres, parabola, phasor
-from ..runtime.fft import array_types
+from ..runtime import fft
 from .lens_kinds import FigureError, irregularities
 
 _HARD_EDGES = 1.4
@@ -72,7 +72,7 @@ def upright(camera: PlenopticCamera) -> PlenopticCamera:
 def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> Any:
     """Return the transmission with all orders, as Complex2f, at Dr.Jit float64 positions in millimetres."""
     dx, dy, which = from_centre(camera, x, y)
-    types = array_types(x)
+    types = fft.array_types(x)
     lattice, longer = _opaque_lattice(camera, types), 1.0
     # The light of each cell passes its own lens, wherever this lies; displaced cells have no gaps between them.
     u, v = (x, y) if lattice.displacement is None else lattice.displacement.regular(x, y)
@@ -94,7 +94,7 @@ def transmission(camera: PlenopticCamera, wavelength: float, x: Any, y: Any) -> 
 
 def from_centre(camera: PlenopticCamera, x: Any, y: Any) -> tuple[Any, Any, Any]:
     """Return the offsets of Dr.Jit float64 positions from the centres of their lenses, and the types of the lenses."""
-    types = array_types(x)
+    types = fft.array_types(x)
     lattice = _opaque_lattice(camera, types)
     i, j = lattice.cell(x, y)
     cx, cy = lattice.centre(i, j)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.main_lens import Pair
-from ..runtime.batches import SumTask
+from ..runtime import SumTask
 from .detector import mix_pixels
 
 PARTS = 16

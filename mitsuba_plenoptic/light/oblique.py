@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.backend import backend_of
+from ..runtime import backend_of
 
 _LEAST = 1e-9
 """Part of the mean variance that is added to all variances, so that their matrices can be inverted."""

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal
+from ..camera import PlenopticCamera, require_ideal
 from ..lattice import Lattice
 from ..lenses.common import main_lens
 from ..lenses.main_lens import MainLens, PointLight

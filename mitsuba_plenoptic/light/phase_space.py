@@ -32,14 +32,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.aperture import Round
-from ..camera.plenoptic_camera import require_round
+from ..camera import PlenopticCamera, Round, require_round
 from ..errors import InputError, short_repr
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array, empty_packets
-from ..runtime.batches import on_all_cores
-from ..runtime.limits import single_threaded_blas
+from ..runtime import drjit_array, empty_packets, on_all_cores, single_threaded_blas
 from .array_field import MOST_PHASE
 from .array_kernels import SPECTRUM_SAMPLES, ArrayKernels
 from .optical_system import OpticalSystem

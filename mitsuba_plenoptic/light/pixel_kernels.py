@@ -19,8 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime.backend import backend_of, on_cuda
-from ..runtime.limits import single_threaded_blas
+from ..runtime import backend_of, on_cuda, single_threaded_blas
 from .oblique import Oblique, moved
 
 _TAIL = 8

@@ -41,7 +41,7 @@ from ..camera import PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
-from ..runtime.limits import single_threaded_blas
+from ..runtime import single_threaded_blas
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials
 from .oblique import Oblique

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera.aperture import Opening
+from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
 from ..lenses.thin import Wavefront
 from ..optics.waves import in_millimetres

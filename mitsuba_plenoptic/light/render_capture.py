@@ -14,12 +14,9 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..choices import MODELS
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
-from ..io.captures import Capture
-from ..io.checkpoints import Checkpoint
+from ..io import Capture, Checkpoint
 from ..optics import guards
-from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap, Cost, Job
-from ..runtime.limits import require_memory_for
+from ..runtime import BatchMap, Cost, Job, one_at_a_time, require_memory_for
 from .capture_cost import seconds_by_rays
 from .noise import PARTS, PassSpread, require_samples
 from .scene import GONE_PARAMETERS, KNOWN_PARAMETERS, mitsuba_sentence

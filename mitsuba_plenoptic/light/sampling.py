@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..errors import SHORTEST, InputError, refuse_if
 from ..lenses.main_lens import Light, MainLens
-from ..runtime.backend import MILLIMETRES, POINTS, as_array
+from ..runtime import MILLIMETRES, POINTS, as_array
 
 _FARTHEST = 1e16
 """Largest coordinate of a scene point, in millimetres; beyond the longest focal length it counts as infinity."""

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 import mitsuba as mi
 import numpy as np
 
-from ..camera.parameters import PARAMETERS
+from ..camera import PARAMETERS
 from ..errors import (
     SCENE_XML,
     InputError,
@@ -26,9 +26,8 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import missing
-from ..io.exr import read_parts
-from ..runtime.backend import one_at_a_time, set_variant
-from ..runtime.files import require_file, require_size
+from ..io import read_parts
+from ..runtime import one_at_a_time, require_file, require_size, set_variant
 from ..scene_files import scene_path
 from .scene_light import warn_of_metres
 

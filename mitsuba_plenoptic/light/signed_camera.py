@@ -27,13 +27,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.entry import Captures
-from ..camera.vector import Values, shortest_parts, with_gradient, with_parts
+from ..camera import Captures, PlenopticCamera, Values, shortest_parts, with_gradient, with_parts
 from ..errors import InputError, refuse_if
 from ..lenses.main_lens import Pair
 from ..optics import rays
-from ..runtime.backend import drjit_array
+from ..runtime import drjit_array
 from .array_field import Array
 from .array_kernels import REACH, displaced
 from .lens_kinds import LensKinds

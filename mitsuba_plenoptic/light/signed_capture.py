@@ -24,11 +24,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.vector import Values
+from ..camera import PlenopticCamera, Values
 from ..errors import warn
-from ..io.checkpoints import digest
-from ..runtime.batches import Cost, Job, SumTask
+from ..io import digest
+from ..runtime import Cost, Job, SumTask
 from .capture_cost import seconds_by_rays, seconds_by_waves
 from .noise import PARTS, Mended, halves, keep_spread, variance_left, with_spread
 from .phase_space import FINE

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..optics.spectrum import Responses, Spectrum
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array
+from ..runtime import drjit_array
 from .optical_system import OpticalSystem
 from .phase_space import FINE
 from .random_numbers import even_words

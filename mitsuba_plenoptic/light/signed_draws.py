@@ -19,13 +19,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.aperture import Round
+from ..camera import PlenopticCamera, Round
 from ..errors import refuse_if
 from ..lenses.main_lens import Pair
 from ..optics.waves import in_millimetres
-from ..runtime.backend import drjit_array, quotient
-from ..runtime.batches import Box
+from ..runtime import Box, drjit_array, quotient
 from .lens_kinds import LensKinds
 from .phase_space import PhaseSpace, TableNodes
 from .random_numbers import chances_of, even_numbers

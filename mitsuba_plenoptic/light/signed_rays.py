@@ -31,10 +31,17 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..lenses.main_lens import Pair
 from ..optics.rays import pixel_response
-from ..runtime.backend import backend, drjit_array, interleaved, on_cuda, quotient
-from ..runtime.batches import Box, PartialSum
-from ..runtime.fft import busy_drjit
-from ..runtime.limits import single_threaded_blas
+from ..runtime import (
+    Box,
+    PartialSum,
+    active_backend,
+    drjit_array,
+    fft,
+    interleaved,
+    on_cuda,
+    quotient,
+    single_threaded_blas,
+)
 from .array_field import Array
 from .convolution import TILE, Block, Convolution, blocks_of, box_of, margin_of
 from .noise import known_means
@@ -142,7 +149,7 @@ class SignedRaySum:
         spp: int,
         seed: int,
     ) -> None:
-        self.arrays: Any = backend().arrays
+        self.arrays: Any = active_backend().arrays
         self._camera, self._light, self._nodes, self._drawn = camera, light, nodes, drawn
         self._parts, self._seed = parts, seed
         self._step = camera.pixel_size / parts
@@ -189,7 +196,7 @@ class SignedRaySum:
 
     def image(self, total: PartialSum) -> Array:
         """Return the image, the sum of all blocks."""
-        return np.ascontiguousarray(np.moveaxis(backend().to_host(total.sums), 0, -1))
+        return np.ascontiguousarray(np.moveaxis(active_backend().to_host(total.sums), 0, -1))
 
     @cached_property
     def _kernels(self) -> list[list[list[PixelKernels]]]:
@@ -250,7 +257,7 @@ class SignedRaySum:
         dr.eval(pixels)
         before: tuple[Lot, list[Brought | None]] | None = None
         # Dr.Jit's own threads rest while others compute the batches; here they are needed, but for the last lot.
-        with busy_drjit():
+        with fft.busy_drjit():
             for lot in self._lots(box, pixels, seeds):
                 brought = self._collect(lot)
                 # While a lot is added to the images, other threads sum the rays of the next one.
@@ -272,7 +279,7 @@ class SignedRaySum:
     @single_threaded_blas()
     def _add(self, lot: Lot, brought: list[Brought | None], sums: list[Array]) -> None:
         """Add the light of a lot's rays to the images."""
-        libraries = backend()
+        libraries = active_backend()
         arrays, held = self.arrays, libraries.from_drjit
         images = iter(sums)
         for number, node in enumerate(brought):
@@ -370,7 +377,10 @@ class SignedRaySum:
             felt = [
                 [
                     np.stack(
-                        [backend().to_host(image) for image in next(convolutions).adjoint(gradient[channel], bins)]
+                        [
+                            active_backend().to_host(image)
+                            for image in next(convolutions).adjoint(gradient[channel], bins)
+                        ]
                     ).reshape(-1, every)
                     for channel in node.channels
                 ]
@@ -404,7 +414,7 @@ class SignedRaySum:
         """Return the light of some pixels, a fingerprint of a scene and its camera."""
         pixels = self._some(_PROBES // self._parts**2)
         traced = self._trace(self._bins, pixels, np.random.SeedSequence(0))
-        return np.concatenate([backend().to_host(part).ravel() for part in traced])
+        return np.concatenate([active_backend().to_host(part).ravel() for part in traced])
 
     def _some(self, count: int) -> Any:
         """Return the indices of `count` evenly spaced pixels."""

@@ -16,15 +16,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
-from ..camera.aperture import Round
+from ..camera import PlenopticCamera, Round
 from ..design.quantities import turns_cosines
 from ..lattice import Lattice
 from ..lenses.common import chief_points, main_lens
 from ..lenses.main_lens import MainLens, Pair, Traced
 from ..optics import rays
-from ..runtime.backend import array_module, drjit_array
-from ..runtime.fft import rows_and_columns
+from ..runtime import array_module, drjit_array, fft
 from .lens_kinds import FigureError, irregularities
 from .optical_system import OpticalSystem
 
@@ -256,7 +254,7 @@ def detector_rows(camera: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
     together = max(1, _LANES // columns)
     for first in range(0, rows, together):
         last = min(rows, first + together)
-        row, column = rows_and_columns(types, last - first, columns)
+        row, column = fft.rows_and_columns(types, last - first, columns)
         px = dr.gather(types.Float64, x, column)
         py = dr.gather(types.Float64, y, row + dr.opaque(types.UInt32, first))
         yield slice(first, last), px, py

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import put, refuse_if, require_number
 from ..prescription.glass import LINE_D
-from ..runtime.backend import module_of
+from ..runtime import module_of
 from .shape import MicrolensShape, excess_index, known_index, per_millimetre
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime.backend import IMAGE, as_array, drjit_array, module_of, unit_of
-from ..runtime.files import require_file
+from ..runtime import IMAGE, as_array, drjit_array, module_of, require_file, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""

@@ -17,7 +17,7 @@ from ..lattice import Lattice
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import SINGLE
-from ..runtime.files import read_json_value
+from ..runtime import read_json_value
 
 MM_PER_NM = 1e-6
 

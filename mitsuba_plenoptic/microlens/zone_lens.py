@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import put, require_length, require_wavelength
 from ..prescription.glass import LINE_D
-from ..runtime.backend import floor
+from ..runtime import floor
 from .shape import MicrolensShape, per_millimetre
 
 

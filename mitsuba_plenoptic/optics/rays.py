@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..prescription.lens_data import defocus_factor
-from ..runtime.backend import drjit_array, rsqrt
+from ..runtime import drjit_array, rsqrt
 
 Pair = tuple[Any, Any]
 """x and y of slopes or direction cosines."""

@@ -27,8 +27,7 @@ from ..errors import (
     require_wavelength,
     suggest_keywords,
 )
-from ..runtime.backend import as_array
-from ..runtime.files import read_table
+from ..runtime import as_array, read_table
 
 MOST_WAVELENGTHS = 1024
 """Largest number of wavelengths of a spectrum."""

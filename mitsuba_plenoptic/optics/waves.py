@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime.backend import array_module, backend, backend_of, drjit_array, one_at_a_time
-from ..runtime.fft import Field, array_types, as_field, as_words, fft2_packed, pack, rows_and_columns, unpack
+from ..runtime import active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
 from . import guards
 
 _MM_PER_NM = 1e-6
@@ -40,7 +39,7 @@ def phasor(waves: Any) -> Any:
     """
     if not dr.is_array_v(waves):
         return np.exp(2j * math.pi * waves).astype(np.complex64)
-    types = array_types(waves)
+    types = fft.array_types(waves)
     sine, cosine = dr.sincos(types.Float(waves - dr.round(waves)) * (2 * math.pi))
     return types.Complex2f(cosine, sine)
 
@@ -72,7 +71,7 @@ _EDGE = 1 / 8
 """Outer fraction of a window or spectrum that should be dark; a uniform field has 23 % of its power there."""
 
 
-def power(field: Field) -> float:
+def power(field: fft.Field) -> float:
     """Return the sum of the squared moduli of a field."""
     return float(_power_by_row(field).sum())
 
@@ -83,7 +82,7 @@ def rim(size: int) -> int:
 
 
 def band_edge_fraction(
-    spectrum: Field, frequencies: np.ndarray | None = None, weight: np.ndarray | float = 1.0
+    spectrum: fft.Field, frequencies: np.ndarray | None = None, weight: np.ndarray | float = 1.0
 ) -> float:
     """Fraction of a spectrum's power in the outer eighth of the frequencies; zero frequency is first.
 
@@ -107,12 +106,12 @@ def fraction(part: float, whole: float) -> float:
     return float(part / whole) if whole > 0 else 0.0
 
 
-def weighted(weight: np.ndarray, field: Field) -> float:
+def weighted(weight: np.ndarray, field: fft.Field) -> float:
     """Return the sum of the power of rows, each multiplied by a weight."""
     return float((backend_of(field).arrays.asarray(weight.astype(np.float64)) * _power_by_row(field)).sum())
 
 
-def _power_by_row(field: Field) -> NDArray[np.float64]:
+def _power_by_row(field: fft.Field) -> NDArray[np.float64]:
     """Return the sum of squared moduli of each row, computed on the field's device."""
     arrays = backend_of(field).arrays
     # CuPy's transforms along the first axis leave columns contiguous, and not rows.
@@ -140,7 +139,7 @@ class StepGuard:
     `pitch` is the distance between samples in millimetres.
     """
 
-    def __init__(self, field: Field, pitch: float, wavelength: float) -> None:
+    def __init__(self, field: fft.Field, pitch: float, wavelength: float) -> None:
         self._shape = field.shape
         self._cosine = in_millimetres(wavelength) / (2 * pitch)
         self._step = _row_step(field)
@@ -168,7 +167,7 @@ class StepGuard:
             lost = backend_of(waves).arrays.asarray(self._cosine**2 * (rows[:, None] ** 2 + columns**2) >= 1)
             self._evanescent = fraction(weighted(weight, waves * lost), weighted(weight, waves))
 
-    def see_result(self, field: Field) -> None:
+    def see_result(self, field: fft.Field) -> None:
         """Check the field after the step, and report all findings."""
         after, rim = self._of_field(field)
         with guards.watch():
@@ -177,7 +176,7 @@ class StepGuard:
             # if the rows do not represent the field, its power in the rim before the step is unknown
             guards.check_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
-    def _of_field(self, field: Field) -> tuple[float, float]:
+    def _of_field(self, field: fft.Field) -> tuple[float, float]:
         """Total power, and power in the rim of the window."""
         rows = field[:: _row_step(field)]
         high, wide = (rim(size) for size in field.shape)
@@ -187,19 +186,19 @@ class StepGuard:
         return self._step * power(rows), self._step * (weighted(outer, rows) + sides)
 
 
-def _row_step(field: Field) -> int:
+def _row_step(field: fft.Field) -> int:
     # odd, so that the rows do not align with structures that repeat by powers of two
     return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
-def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> Field:
+def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: np.ndarray | None) -> fft.Field:
     """Return some or all rows of a field that is stored as 64-bit words."""
-    field = as_field(packed, shape)
+    field = fft.as_field(packed, shape)
     return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]
 
 
 @one_at_a_time
-def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> Field:
+def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, overwrite: bool = False) -> fft.Field:
     r"""Return a field propagated from one plane to a parallel one.
 
     .. math:: U_d = F^{-1}\left[\exp\left(i (k_z - k) d\right) F[U_0]\right]
@@ -224,7 +223,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     PhysicsError
         If the field is under-sampled or leaves its window; see `guards`.
     """
-    libraries = backend()
+    libraries = active_backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
     given = (libraries.arrays if on_device else np).asarray(field, np.complex64, order="C")
     refuse_if(given.ndim != 2 or given.size == 0, f"field of shape {given.shape}: it must have rows and columns")
@@ -234,10 +233,10 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     pitch, distance = require_number("pitch", pitch, positive=True), require_number("distance", distance)
     wavelength = require_wavelength(wavelength)
     shape, guard = samples.shape, StepGuard(samples, pitch, wavelength)
-    packed = fft2_packed(drjit_array(libraries.types.UInt64, as_words(samples)), shape)
+    packed = fft.fft2_packed(drjit_array(libraries.types.UInt64, fft.as_words(samples)), shape)
     guard.see_spectrum(packed)
     packed = _advance(packed, shape, pitch, distance, wavelength)
-    result = as_field(fft2_packed(packed, shape, inverse=True), shape)
+    result = fft.as_field(fft.fft2_packed(packed, shape, inverse=True), shape)
     result = result if on_device else libraries.to_host(result)
     # Every sample of a transform depends on all others: a single sample that is not finite makes them all so.
     refuse_if(not np.isfinite(complex(result[0, 0])), "field: its samples must be finite")
@@ -246,7 +245,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
 
 def advance(
-    spectrum: Field,
+    spectrum: fft.Field,
     pitch: float | tuple[float, float],
     distance: float,
     wavelength: float,
@@ -255,16 +254,16 @@ def advance(
     part: tuple[int, int] | None = None,
     paraxial: bool = False,
     beyond_paraxial: bool = False,
-) -> Field:
+) -> fft.Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
     The spectrum has zero frequency first. `shift` is the displacement (down, across) of the new samples from the old
     ones, in millimetres. `part` describes a block of rows: the index of its first row, and the number of rows of the
     whole spectrum. `paraxial` and `beyond_paraxial` are as in `transfer`.
     """
-    packed = drjit_array(array_module().UInt64, as_words(spectrum))
+    packed = drjit_array(array_module().UInt64, fft.as_words(spectrum))
     how = {"shift": shift, "paraxial": paraxial, "beyond_paraxial": beyond_paraxial}
-    return as_field(_advance(packed, spectrum.shape, pitch, distance, wavelength, part, **how), spectrum.shape)
+    return fft.as_field(_advance(packed, spectrum.shape, pitch, distance, wavelength, part, **how), spectrum.shape)
 
 
 def _advance(
@@ -277,14 +276,14 @@ def _advance(
     **how: Any,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""
-    types = array_types(packed)
+    types = fft.array_types(packed)
     rows, columns = shape
-    row, column = rows_and_columns(types, rows, columns)
+    row, column = fft.rows_and_columns(types, rows, columns)
     down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
     sx = _cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
     sy = _cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
-    return pack(unpack(packed) * transfer(sx, sy, distance, wavelength, **how))
+    return fft.pack(fft.unpack(packed) * transfer(sx, sy, distance, wavelength, **how))
 
 
 def transfer(
@@ -303,7 +302,7 @@ def transfer(
     \lambda` moves sideways by s d, as a ray of the slope s does (Goodman, "Introduction to Fourier Optics", section
     4.2.3). With `beyond_paraxial`, the ratio of the exact function to Fresnel's is returned.
     """
-    types = array_types(sx)
+    types = fft.array_types(sx)
 
     def in_waves(length: Any) -> Any:
         waves = length / in_millimetres(wavelength)

@@ -30,7 +30,7 @@ from ..optics.spectrum import RGB_WAVELENGTHS
 from ..prescription import Glass
 from ..prescription.glass import LINE_D
 from ..prescription.lens_data import SINGLE
-from ..runtime.backend import drjit_array
+from ..runtime import drjit_array
 
 _STEP = 1.0
 """Step in nanometres of the wavelengths between which refractive indices are interpolated linearly, right to 1e-7."""

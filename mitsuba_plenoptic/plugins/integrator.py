@@ -9,9 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, has_small_lenses
-from ..camera.entry import Captures
-from ..camera.plenoptic_camera import require_ideal, require_known_to
+from ..camera import Captures, PlenopticCamera, has_small_lenses, require_ideal, require_known_to
 from ..errors import InputError, naming, refuse_if, require_accuracy
 from ..extension import hook
 from ..light import colour
@@ -27,7 +25,7 @@ from ..optics.spectrum import Spectrum
 from ..points.accuracy import DEFAULT_ACCURACY
 from ..points.derivatives import DIFFERENTIABLE
 from ..points.scene_points import PointsCapture, require_matte
-from ..runtime.batches import Cost, Job
+from ..runtime import Cost, Job
 from .properties import (
     NAME,
     SHARED,

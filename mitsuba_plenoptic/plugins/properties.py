@@ -16,13 +16,16 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, film_numbers
-from ..camera.aperture import known_image
-from ..camera.entry import Form
-from ..camera.lens_transmissions import known_transmissions
-from ..camera.parameters import PARAMETERS
-from ..camera.phase_screen import known_screen
-from ..camera.vignetting import known_vignetting
+from ..camera import (
+    PARAMETERS,
+    Form,
+    PlenopticCamera,
+    film_numbers,
+    known_image,
+    known_screen,
+    known_transmissions,
+    known_vignetting,
+)
 from ..errors import (
     NO_RECORD,
     InputError,
@@ -52,7 +55,7 @@ from ..optics.spectrum import (
     read_responses,
 )
 from ..prescription.lens_file import read_lens
-from ..runtime.backend import drjit_array, require_unfrozen
+from ..runtime import drjit_array, require_unfrozen
 
 
 def read_plain(props: Any, name: str, default: Any) -> Any:

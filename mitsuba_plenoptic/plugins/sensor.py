@@ -10,10 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera, film_numbers
-from ..camera.documentation import with_sensor_parameters
-from ..camera.entry import Captures, Form
-from ..camera.parameters import PARAMETERS
+from ..camera import PARAMETERS, Captures, Form, PlenopticCamera, film_numbers, with_sensor_parameters
 from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses.common import main_lens
@@ -21,7 +18,7 @@ from ..lenses.main_lens import Pair
 from ..lenses.real_lens import RealLens
 from ..light.scene_light import world_ray
 from ..optics.rays import pixel_response
-from ..runtime.backend import require_unfrozen
+from ..runtime import require_unfrozen
 from .camera_rays import CameraRays, rays_of
 from .properties import read_camera, require_read
 

@@ -11,8 +11,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.vignetting import Vignetting
+from ..camera import PlenopticCamera, Vignetting
 from ..errors import refuse_if
 from ..lenses.collimated import CollimatedLens
 from ..lenses.main_lens import PointLight
@@ -24,9 +23,7 @@ from ..light.optical_system import OpticalSystem, is_paraxial
 from ..light.sampling import Footprint, bundle_footprint, footprint
 from ..optics import guards
 from ..optics.waves import advance, band_edge_fraction, fraction, in_millimetres, phasor, power, rim, soft_edge
-from ..runtime.backend import backend
-from ..runtime.fft import Field, as_field, fast_length, fft, fft2, pack, resting_drjit, rows_and_columns
-from ..runtime.limits import check_memory
+from ..runtime import active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
 
@@ -114,7 +111,7 @@ def grids_around(
     reach = growth * distance * sine / math.sqrt(max(1e-3, 1 - sine**2))
     margin = math.ceil(reach / p) if distance else math.ceil(_WINDOW_EDGE / per_pixel)
     width = np.array([camera.detector_width, camera.detector_height])
-    pixels = [fast_length(size + 2 * margin) for size in camera.crop_size]
+    pixels = [fft.fast_length(size + 2 * margin) for size in camera.crop_size]
     start = -width / 2 + (np.array(camera.crop_offset) - margin) * p
     # The window between pupil and MLA, which is square and aligned with the pixels.
     low = np.minimum((image.centre - image.half_width).min(0), start)
@@ -131,10 +128,10 @@ def grids_around(
         blur = _WINDOW_PER_BLUR * float(image.half_width.max())
         diffracted = max(_PUPIL_SAMPLES * lam / system.lens.cone(positions[:, 2]), blur)
     held = max(_WINDOW_MARGIN * float((high - low).max()), diffracted)
-    wide = fast_length(growth * held / pitch + per_pixel, per_pixel)
+    wide = fft.fast_length(growth * held / pitch + per_pixel, per_pixel)
     before = np.floor((start - (low + high - wide * pitch) / 2) / p).astype(int)
     finest = max(2 * _PUPIL_BAND * steepest / lam, _PUPIL_SAMPLES / radius)
-    coarse = min(wide, fast_length(wide * pitch * finest * refinement))
+    coarse = min(wide, fft.fast_length(wide * pitch * finest * refinement))
     detector_samples = pixels[0] * pixels[1] * per_pixel**2
     check_memory(
         # at the pupil, during propagation to the MLA, or with the doubled grid of the detector
@@ -161,7 +158,7 @@ class SampledField:
 
     # The sum of squared moduli times the squared pitch is the fraction of the power through the pupil. The carrier
     # :math:`\exp(i k d)` of the path from the main lens is omitted. The shape is (rows, columns).
-    samples: Field
+    samples: fft.Field
     # Camera-frame x and y of the first sample, in millimetres.
     origin: tuple[float, float]
     # Distance between samples in millimetres.
@@ -173,9 +170,9 @@ class SampledField:
         return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
 
 
-def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
+def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> fft.Field:
     """Return a field interpolated by its band limit on a grid of another pitch, of either sign."""
-    arrays = backend().arrays
+    arrays = active_backend().arrays
     # Along y, then along x.
     matrices = []
     for start, first, size, count in zip(origin[::-1], field.origin[::-1], shape, field.samples.shape, strict=True):
@@ -193,10 +190,10 @@ def pupil_field(
     incident: SampledField | None = None,
 ) -> SampledField:
     """Return the field of a scene point behind the exit pupil, with the parameters of `full_field`."""
-    types = backend().types
+    types = active_backend().types
     count = grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
-    row, column = rows_and_columns(types, count, count)
+    row, column = fft.rows_and_columns(types, count, count)
     step = dr.opaque(types.Float64, pitch)
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
@@ -207,7 +204,7 @@ def pupil_field(
             waves = lens.paraxial_path(pupil, g, system.wavelength)
         else:
             waves = lens.path(pupil, point, system.wavelength)
-        turned = as_field(pack(phasor(waves)), (count, count))
+        turned = fft.as_field(fft.pack(phasor(waves)), (count, count))
         entering = interpolated(incident, grids.wide_origin, pitch, (count, count)) / np.float32(incident.power**0.5)
         guards.check(guards.APERTURE, 1 - power(entering) * pitch**2)
         return SampledField(entering * turned, grids.wide_origin, pitch)
@@ -232,29 +229,29 @@ def pupil_field(
         f"aperture_radius = {system.camera.aperture_radius:g}: no light passes it on a grid of samples {pitch:g} apart",
     )
     field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(passing))
-    return SampledField(as_field(pack(field), (count, count)), grids.wide_origin, pitch)
+    return SampledField(fft.as_field(fft.pack(field), (count, count)), grids.wide_origin, pitch)
 
 
 def at_mla(
     camera: PlenopticCamera, wavelength: float, grids: FieldGrids, pupil: SampledField, paraxial: bool = False
 ) -> SampledField:
     """Return a field propagated to the finer grid at the MLA, and cropped to the detector's window."""
-    spectrum = backend().empty(pupil.samples.shape, np.complex64)
+    spectrum = active_backend().empty(pupil.samples.shape, np.complex64)
     spectrum[...] = pupil.samples
-    with resting_drjit():
-        spectrum = fft2(spectrum)
+    with fft.resting_drjit():
+        spectrum = fft.fft2(spectrum)
     guards.check(guards.UNDERSAMPLED, band_edge_fraction(spectrum))
     spectrum = advance(spectrum, pupil.pitch, camera.pupil_distance, wavelength, paraxial=paraxial)
     return onto_window(spectrum, grids)
 
 
-def onto_window(spectrum: Field, grids: FieldGrids) -> SampledField:
+def onto_window(spectrum: fft.Field, grids: FieldGrids) -> SampledField:
     """Return the field at the MLA on the finer grid, cropped to the detector's window, from the field's spectrum."""
     (left, top), (columns, rows) = grids.offset, grids.count
-    samples = backend().empty((rows, columns), np.complex64)
-    with resting_drjit():
+    samples = active_backend().empty((rows, columns), np.complex64)
+    with fft.resting_drjit():
         # one axis at a time, so that rows and columns outside the spectrum and the window are not transformed
-        partial = backend().arrays.empty((rows, spectrum.shape[1]), np.complex64)
+        partial = active_backend().arrays.empty((rows, spectrum.shape[1]), np.complex64)
         width, in_rim = rim(grids.wide_mla), 0.0
         for block in blocks(spectrum.shape[1]):
             tall = interpolate(spectrum[:, block], grids.wide_mla, axis=0)
@@ -274,19 +271,19 @@ def blocks(count: int) -> Iterator[slice]:
         yield slice(start, min(count, start + BLOCK))
 
 
-def interpolate(spectrum: Field, count: int, axis: int) -> Field:
+def interpolate(spectrum: fft.Field, count: int, axis: int) -> fft.Field:
     """Return a spectrum's transform back along one axis, with `count` samples in the same window by zero padding."""
     size = spectrum.shape[axis]
     shape = list(spectrum.shape)
     shape[axis] = count
-    arrays = backend().arrays
+    arrays = active_backend().arrays
     padded = arrays.zeros(shape, np.complex64)
     source, target = arrays.moveaxis(spectrum, axis, 0), arrays.moveaxis(padded, axis, 0)
     positive = (size + 1) // 2
     target[:positive] = source[:positive]
     target[count - (size - positive) :] = source[positive:]
     padded *= np.float32(count / size)
-    return fft(padded, axis=axis, inverse=True)
+    return fft.fft(padded, axis=axis, inverse=True)
 
 
 def telecentric_arrival(
@@ -301,11 +298,11 @@ def telecentric_arrival(
 
     Both have the power 1, except for light that misses the detector's window or that vignetting takes.
     """
-    types, count = backend().types, grids.wide_pupil
+    types, count = active_backend().types, grids.wide_pupil
     pitch = grids.pitch * grids.wide_mla / count
     step = in_millimetres(wavelength) / (count * pitch)
     frequencies = []
-    row, column = rows_and_columns(types, count, count)
+    row, column = fft.rows_and_columns(types, count, count)
     for sample in (column, row):
         # Zero frequency comes first, as in transforms.
         index = types.Float64(sample)
@@ -319,11 +316,13 @@ def telecentric_arrival(
     # The field on the stop is a density in position; the density in direction is larger by the focal length.
     scale = lens.pupil_distance * in_millimetres(wavelength) / pitch**2
     shape = count, count
-    packed = as_field(pack(spectrum * types.Float(scale)), shape)
+    packed = fft.as_field(fft.pack(spectrum * types.Float(scale)), shape)
     guards.check(guards.UNDERSAMPLED, band_edge_fraction(packed))
     mla = onto_window(packed, grids)
     # Zero frequency in the middle.
-    stop = backend().arrays.roll(as_field(pack(field), shape), (count // 2, count // 2), (0, 1))[::-1, ::-1]
+    stop = active_backend().arrays.roll(fft.as_field(fft.pack(field), shape), (count // 2, count // 2), (0, 1))[
+        ::-1, ::-1
+    ]
     half = (count - 1) // 2
     return SampledField(stop, (-half * reach, -half * reach), reach), mla
 
@@ -337,24 +336,24 @@ def stop_image_arrival(
     incident: SampledField | None = None,
 ) -> tuple[SampledField, SampledField]:
     """Return the fields of `telecentric_arrival` for an array in the image of the stop."""
-    types, (columns, rows) = backend().types, grids.count
+    types, (columns, rows) = active_backend().types, grids.count
     scale = lens.stop_scale
     origin = tuple(start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
-    row, column = rows_and_columns(types, rows, columns)
+    row, column = fft.rows_and_columns(types, rows, columns)
     pupil = tuple(
         (types.Float64(sample) * dr.opaque(types.Float64, grids.pitch) + dr.opaque(types.Float64, start)) * scale
         for sample, start in zip((column, row), origin, strict=True)
     )
     sample = grids.pitch * abs(scale)
     if incident is None:
-        field = as_field(pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))
+        field = fft.as_field(fft.pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))
     else:
         point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-        turned = as_field(pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
+        turned = fft.as_field(fft.pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
         first, pitch = (origin[0] * scale, origin[1] * scale), grids.pitch * scale
         field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
-        with resting_drjit():
-            guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft2(field.copy())))
+        with fft.resting_drjit():
+            guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft.fft2(field.copy())))
     mla = SampledField(field * np.float32(abs(scale)), (origin[0], origin[1]), grids.pitch)
     stop = SampledField(
         field[::-1, ::-1],
@@ -374,7 +373,7 @@ def _stop_field(
     vignetting: Vignetting | None = None,
 ) -> Any:
     """Return the field at positions on the stop, with power 1 before vignetting, its edge softened over one sample."""
-    types = backend().types
+    types = active_backend().types
     point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
 
     def soften(inside: Any) -> Any:

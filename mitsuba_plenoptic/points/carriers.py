@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 from ..lenses.thin import ThinLens
 from ..optics.waves import in_millimetres, phasor
-from ..runtime.backend import array_module, backend, backend_of, on_cuda
-from ..runtime.fft import Field, fast_length, fft
+from ..runtime import active_backend, array_module, backend_of, fft, on_cuda
 from .arrival import blocks
 from .nonuniform import PlaneWaves
 
@@ -68,10 +67,10 @@ class Carrier(Protocol):
 
     shift: NDArray[np.complex128]
 
-    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
+    def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
         """Yield blocks of rows of the sum of the waves with given amplitudes (n,) on the pupil's samples."""
 
-    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
+    def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
 
     def common(self, pupil: tuple[Any, Any]) -> Any:
@@ -129,7 +128,7 @@ class Spheres:
         self._distance, self._images = _images(lens, points)
         self._reach = _reach(self._images, grid)
         # What is beyond the window is faded out there, so that nothing comes in on the other side.
-        self._count = 2 * fast_length(self._reach * (1 + _FADED))
+        self._count = 2 * fft.fast_length(self._reach * (1 + _FADED))
         # At the pupil's centre paths are zero.
         self.shift = np.exp(2j * math.pi * self._path((self._images**2).sum(1)))
         self._waves = PlaneWaves((grid.middle - self._images) / (grid.pitch * self._count), self._count)
@@ -142,12 +141,12 @@ class Spheres:
     @classmethod
     def memory(cls, lens: ThinLens, points: NDArray[np.float64], grid: PupilGrid) -> float:
         """Return an upper bound, in bytes, of the memory of the sums, apart from memory that grows with the points."""
-        count = fast_length(cls.window(lens, points, grid))
+        count = fft.fast_length(cls.window(lens, points, grid))
         # The points' plane is a part of the window, as wide as the images.
         held = 2 * (2 * _reach(_images(lens, points)[1], grid) - grid.count) / count
         return 8.0 * count * (grid.count + count / 2) + PlaneWaves.memory(count, min(1.0, held / 2))
 
-    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
+    def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
         """Yield blocks of rows of the sum of the waves with these amplitudes (n,) on the samples of the pupil."""
         arrays = backend_of(amplitudes).arrays
         wide = arrays.empty((self._count, self._grid.count), np.complex64)
@@ -160,16 +159,16 @@ class Spheres:
         for rows in blocks(self._grid.count):
             yield rows, found[rows]
 
-    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
+    def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
         """Return each wave's inner product with samples, which come in blocks of rows."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         wide = arrays.zeros((self._count, self._grid.count), np.complex64)
         for rows, block in samples:
             wide[self._inner][rows] = block
         for columns in blocks(self._grid.count):
             wide[:, columns] = _to_frequencies(wide[:, columns], 0)
 
-        def spectra() -> Iterator[tuple[slice, Field]]:
+        def spectra() -> Iterator[tuple[slice, fft.Field]]:
             for rows in blocks(self._count):
                 padded = arrays.zeros((rows.stop - rows.start, self._count), np.complex64)
                 padded[:, self._inner] = wide[rows]
@@ -199,7 +198,7 @@ class Spheres:
         first = self._count // 2 - self._grid.count // 2
         return slice(first, first + self._grid.count)
 
-    def _kernel(self, rows: slice) -> Field:
+    def _kernel(self, rows: slice) -> fft.Field:
         """Return rows of the sphere's spectrum, with zero frequency in the middle."""
         quarter = _spectrum(self._count, self._grid.pitch, self._reach, self._distance, self._wavelength, on_cuda())
         order = backend_of(quarter).arrays.asarray(np.abs(np.arange(self._count) - self._count // 2))
@@ -212,7 +211,7 @@ def _sphere(square: Any, radius: float, wavelength: float) -> Any:
 
 
 @functools.lru_cache(maxsize=1)
-def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float, cuda: bool) -> Field:
+def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength: float, cuda: bool) -> fft.Field:
     """Return the spectrum of a sphere, which is even along both axes, at frequencies that are not negative.
 
     The sphere fades out beyond `reach` samples in its window of `count` samples. The last layer's spectrum is cached,
@@ -228,7 +227,7 @@ def _spectrum(count: int, pitch: float, reach: float, radius: float, wavelength:
         quarter[rows] = phasor(-_sphere(square[rows, None] + square, radius, wavelength)) * (edge[rows, None] * edge)
     for part in (quarter.real, quarter.imag):
         part[...] = scipy.fft.dctn(part, type=1)
-    return backend().arrays.asarray(quarter)
+    return active_backend().arrays.asarray(quarter)
 
 
 def _images(lens: ThinLens, points: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -248,13 +247,13 @@ def _reach(images: NDArray[np.float64], grid: PupilGrid) -> float:
     return grid.count / 2 + float(np.abs(images - grid.middle).max()) / grid.pitch
 
 
-def _to_samples(spectrum: Field, axis: int) -> Field:
+def _to_samples(spectrum: fft.Field, axis: int) -> fft.Field:
     """Return the inverse transform along an axis whose zero is in the middle, without a factor."""
     roll, half = backend_of(spectrum).arrays.roll, spectrum.shape[axis] // 2
-    return roll(fft(roll(spectrum, -half, axis), axis=axis, inverse=True, norm="forward"), half, axis)
+    return roll(fft.fft(roll(spectrum, -half, axis), axis=axis, inverse=True, norm="forward"), half, axis)
 
 
-def _to_frequencies(samples: Field, axis: int) -> Field:
+def _to_frequencies(samples: fft.Field, axis: int) -> fft.Field:
     """Return the adjoint of `_to_samples`."""
     roll, half = backend_of(samples).arrays.roll, samples.shape[axis] // 2
-    return roll(fft(roll(samples, -half, axis), axis=axis), half, axis)
+    return roll(fft.fft(roll(samples, -half, axis), axis=axis), half, axis)

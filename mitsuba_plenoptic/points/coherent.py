@@ -22,9 +22,7 @@ from ..lenses.main_lens import MainLens
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import Footprint, footprint
 from ..optics.waves import advance
-from ..runtime.backend import as_array, backend
-from ..runtime.fft import Field, fft, fft2, resting_drjit
-from ..runtime.limits import check_memory
+from ..runtime import active_backend, as_array, check_memory, fft
 from .arrival import FieldGrids, SampledField, at_mla, blocks, grids_around
 from .carriers import PupilGrid
 from .full_field import detector_spectrum, pass_brightness, pass_microlenses, pixel_integrals
@@ -68,7 +66,7 @@ class CoherentFields:
 
     def at(self, amplitudes: NDArray[np.complex64], plane: str) -> SampledField:
         """Return the field of points with these amplitudes in one of the planes, on the backend's device."""
-        grid, arrays = self._pupil, backend().arrays
+        grid, arrays = self._pupil, active_backend().arrays
         inner = arrays.zeros((grid.count, grid.count), np.complex64)
         for part, layer in self._layers:
             layer.add(arrays.asarray(amplitudes[part]), inner)
@@ -81,8 +79,8 @@ class CoherentFields:
         if plane == "array":
             return array
         spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
-        with resting_drjit():
-            return SampledField(fft2(spectrum, inverse=True), array.origin, array.pitch)
+        with fft.resting_drjit():
+            return SampledField(fft.fft2(spectrum, inverse=True), array.origin, array.pitch)
 
     def intensity(self, amplitudes: NDArray[np.complex64]) -> NDArray[np.float32]:
         """Return the intensity of the field on the detector, integrated over each recorded pixel."""
@@ -90,34 +88,34 @@ class CoherentFields:
         spectrum = detector_spectrum(self.system, self.grids, array.samples, microlenses=True)
         del array
         dr.flush_malloc_cache()
-        return backend().to_host(pixel_integrals(self.system.camera, spectrum, self.grids))
+        return active_backend().to_host(pixel_integrals(self.system.camera, spectrum, self.grids))
 
     def adjoint(self, samples: Any, plane: str) -> NDArray[np.complex64]:
         """Return the inner product of each point's field with samples of one of the planes."""
         camera, grids = self.system.camera, self.grids
-        field: Field = backend().arrays.array(samples, np.complex64)
+        field: fft.Field = active_backend().arrays.array(samples, np.complex64)
         if plane == "detector":
             # Back to the array, and through the microlenses.
-            with resting_drjit():
-                spectrum = fft2(field)
+            with fft.resting_drjit():
+                spectrum = fft.fft2(field)
             wavelength = camera.medium_wavelength(self.system.wavelength)
             spectrum = advance(spectrum, grids.pitch, -camera.space_behind[0], wavelength)
-            with resting_drjit():
-                field = fft2(spectrum, inverse=True).conj()
+            with fft.resting_drjit():
+                field = fft.fft2(spectrum, inverse=True).conj()
             pass_microlenses(self.system, grids, field)
             pass_brightness(self.system, grids, field)
             field = field.conj()
         if plane != "pupil":
             # Back from the array to the pupil.
-            with resting_drjit():
+            with fft.resting_drjit():
                 spectrum = _whole_spectrum(_whole_spectrum(field, grids, axis=1), grids, axis=0)
             spectrum = advance(spectrum, self._pupil_pitch, -camera.pupil_distance, self.system.wavelength)
-            with resting_drjit():
-                field = fft2(spectrum, inverse=True)
-        field = backend().arrays.ascontiguousarray(field[self._pupil.rows, self._pupil.columns])
+            with fft.resting_drjit():
+                field = fft.fft2(spectrum, inverse=True)
+        field = active_backend().arrays.ascontiguousarray(field[self._pupil.rows, self._pupil.columns])
         result = np.empty(len(self._points), np.complex64)
         for part, layer in self._layers:
-            result[part] = backend().to_host(layer.adjoint(field))
+            result[part] = active_backend().to_host(layer.adjoint(field))
         return result
 
     def shape(self, plane: str) -> tuple[int, int]:
@@ -146,13 +144,13 @@ def _footprint(lens: MainLens, points: NDArray[np.float64]) -> Footprint:
     return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def _whole_spectrum(field: Field, grids: FieldGrids, axis: int) -> Field:
+def _whole_spectrum(field: fft.Field, grids: FieldGrids, axis: int) -> fft.Field:
     """Return the wide window's spectrum along one axis, from the detector's window: adjoint of `onto_window`."""
-    arrays, count = backend().arrays, grids.wide_pupil
+    arrays, count = active_backend().arrays, grids.wide_pupil
     negative, parts = count // 2, []
     for block in blocks(field.shape[1 - axis]):
         part = field[block] if axis == 1 else field[:, block]
-        spectrum = fft(embedded(part, grids.offset[1 - axis], grids.wide_mla, axis), axis=axis)
+        spectrum = fft.fft(embedded(part, grids.offset[1 - axis], grids.wide_mla, axis), axis=axis)
         kept = taken(spectrum, 0, count - negative, axis), taken(spectrum, -negative, negative, axis)
         parts.append(arrays.concatenate(kept, axis))
     return arrays.ascontiguousarray(arrays.concatenate(parts, 1 - axis))

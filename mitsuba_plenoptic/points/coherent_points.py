@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import require_choice
 from ..optics import guards
-from ..runtime.backend import backend, one_at_a_time
+from ..runtime import active_backend, one_at_a_time
 from .arrival import SampledField
 from .coherent import PLANES, complex_array
 
@@ -65,7 +65,7 @@ class CoherentPoints:
         given = complex_array("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
         with guards.watch():
             found = self.coherent_fields.at(given, require_choice("plane", plane, PLANES))
-        return SampledField(backend().to_host(found.samples), found.origin, found.pitch)
+        return SampledField(active_backend().to_host(found.samples), found.origin, found.pitch)
 
     @one_at_a_time
     def field_adjoint(self, samples: Any, *, plane: str = "detector") -> NDArray[np.complex64]:

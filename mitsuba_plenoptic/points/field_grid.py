@@ -24,7 +24,7 @@ from ..light.microlenses import diffraction, repetition, scattering, upright
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import footprint
 from ..optics.waves import in_millimetres
-from ..runtime.fft import check_samples, fast_length
+from ..runtime import fft
 
 _PITCH_PER_PIXEL = 1.1
 """Largest distance of samples over a pixel, within `_FINER`: larger pixels average the fringes of steep light."""
@@ -132,7 +132,7 @@ class Grid:
         largest = in_millimetres(wavelength) / (2 * half_band)
         largest = min(largest, max(_PITCH_PER_PIXEL * camera.pixel_size, largest / _FINER))
         steps = repetition(camera)[1] * camera.image_growth
-        check_samples(float((steps / largest).max()), "from lens to lens")
+        fft.check_samples(float((steps / largest).max()), "from lens to lens")
         origin = -np.array([camera.detector_width, camera.detector_height]) / 2
         return cls(
             camera,
@@ -201,7 +201,7 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
     moved = spread / _TAILS + 2 * distance / medium * steepest
     width = np.maximum.reduce([_WIDTH_PER_BLUR * blur + spread / 3, blur + moved, np.full_like(blur, spread)])
     width += np.abs(aside).max(1)
-    check_samples(
+    fft.check_samples(
         float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
         "from the axis",
     )
@@ -222,9 +222,9 @@ def _place(grid: Grid, positions: NDArray[np.float64]) -> Placement:
 
 def _ladder(minimum: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return sample counts rounded up to a few fast FFT lengths, so that many points share one length."""
-    counts = [fast_length(16)]
+    counts = [fft.fast_length(16)]
     while counts[-1] < minimum.max(initial=0):
-        length = fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
+        length = fft.fast_length(math.ceil(counts[-1] * _WIDTH_STEP))
         # rows separated by a multiple of 2 KiB map to the same few lines of the processor's cache
-        counts.append(length if length % 256 else fast_length(length + 1))
+        counts.append(length if length % 256 else fft.fast_length(length + 1))
     return np.array(counts)[np.searchsorted(counts, minimum)]

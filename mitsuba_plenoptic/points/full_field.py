@@ -34,10 +34,7 @@ from ..light.microlenses import transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards
 from ..optics.waves import advance, in_millimetres, power
-from ..runtime.backend import backend
-from ..runtime.batches import BatchMap, Box, Cost, Job, Part, PartialSum
-from ..runtime.fft import Field, as_field, fft2, irfft, pack, resting_drjit, rfft, rows_and_columns
-from ..runtime.limits import check_memory
+from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, check_memory, fft
 from .arrival import (
     FieldGrids,
     SampledField,
@@ -99,7 +96,7 @@ def full_field(
     spectrum = detector_spectrum(system, grids, mla.samples, microlenses)
     del mla
     dr.flush_malloc_cache()
-    return backend().to_host(pixel_integrals(system.camera, spectrum, grids))
+    return active_backend().to_host(pixel_integrals(system.camera, spectrum, grids))
 
 
 def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microlenses: bool = True) -> PointFields:
@@ -107,10 +104,10 @@ def point_fields(system: OpticalSystem, position: NDArray[np.float64], *, microl
     grids = field_grids(system, position, 1.0, 1.0)
     pupil, mla = _arrival(system, position, grids)
     spectrum = detector_spectrum(system, grids, mla.samples.copy(), microlenses)
-    with resting_drjit():
-        detector = fft2(spectrum, inverse=True)
+    with fft.resting_drjit():
+        detector = fft.fft2(spectrum, inverse=True)
     planes = (pupil, mla, SampledField(detector, mla.origin, mla.pitch))
-    return PointFields(*(SampledField(backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
+    return PointFields(*(SampledField(active_backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
 def _arrival(
@@ -131,7 +128,7 @@ def _arrival(
     return pupil, at_mla(system.camera, system.wavelength, grids, pupil, paraxial)
 
 
-def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, microlenses: bool) -> Field:
+def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: fft.Field, microlenses: bool) -> fft.Field:
     """Return the spectrum, on the detector, of the field that reaches the MLA, whose memory is reused."""
     if microlenses and system.microlenses.axes:
         pass_brightness(system, grids, samples)
@@ -139,22 +136,22 @@ def detector_spectrum(system: OpticalSystem, grids: FieldGrids, samples: Field, 
         pass_microlenses(system, grids, samples)
         if before > 0:
             guards.check(guards.MICROLENS, 1 - power(samples) / before)
-    with resting_drjit():
-        spectrum = fft2(samples)
+    with fft.resting_drjit():
+        spectrum = fft.fft2(samples)
     camera = system.camera
     return advance(spectrum, grids.pitch, camera.space_behind[0], camera.medium_wavelength(system.wavelength))
 
 
-def pass_brightness(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
+def pass_brightness(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> None:
     """Multiply a field before the array, in place, by the square root of the brightness of the lenses it meets."""
     table, lattice = system.camera.mla_transmissions, system.lattice
     if table is not None:
         for block, x, y in _places(grids):
             amplitude = dr.sqrt(table.at(lattice, *lattice.cell(x, y)))
-            samples[block] *= backend().from_drjit(amplitude).reshape(samples[block].shape).astype(np.float32)
+            samples[block] *= active_backend().from_drjit(amplitude).reshape(samples[block].shape).astype(np.float32)
 
 
-def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -> None:
+def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> None:
     """Multiply a field directly before the array, in place, by the transmission of the microlenses."""
     if any(map(any, (system.camera.mla_jitter, system.camera.mla_figure_error))):
         samples *= _irregular(system, grids)
@@ -162,66 +159,67 @@ def pass_microlenses(system: OpticalSystem, grids: FieldGrids, samples: Field) -
     for factor in system.microlenses.factors(grids.bend):
         if len(factor.axes) == 2:
             for block, x, y in _places(grids):
-                samples[block] *= as_field(pack(factor.at(x, y)), samples[block].shape)
+                samples[block] *= fft.as_field(fft.pack(factor.at(x, y)), samples[block].shape)
             continue
         (axis,) = factor.axes
         count, start = grids.count[axis], grids.wide_origin[axis] + grids.offset[axis] * grids.pitch
-        position = backend().types.Float64(dr.arange(backend().types.UInt32, count)) * grids.pitch + start
-        line = as_field(pack(factor.at(position)), (count,))
+        position = active_backend().types.Float64(dr.arange(active_backend().types.UInt32, count)) * grids.pitch + start
+        line = fft.as_field(fft.pack(factor.at(position)), (count,))
         samples *= line if axis == 0 else line[:, None]
 
 
-def _irregular(system: OpticalSystem, grids: FieldGrids) -> Field:
+def _irregular(system: OpticalSystem, grids: FieldGrids) -> fft.Field:
     """Return the transmission of an irregular array, without the directions that the grid would alias."""
-    types, (columns, rows) = backend().types, grids.count
+    types, (columns, rows) = active_backend().types, grids.count
     pitch, shape = grids.pitch / _FINER, (_FINER * rows, _FINER * columns)
     check_memory(40.0 * math.prod(shape), f"irregular array of {columns} x {rows} samples")
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
-    row, column = rows_and_columns(types, *shape)
+    row, column = fft.rows_and_columns(types, *shape)
     x, y = types.Float64(column) * pitch + left, types.Float64(row) * pitch + top
-    fine = as_field(pack(transmission(system.camera, system.wavelength, x, y)), shape)
+    fine = fft.as_field(fft.pack(transmission(system.camera, system.wavelength, x, y)), shape)
     lam = in_millimetres(system.wavelength)
-    with resting_drjit():
-        spectrum = fft2(fine)
+    with fft.resting_drjit():
+        spectrum = fft.fft2(fine)
         down, across = (
-            backend().arrays.asarray(np.rint(np.fft.fftfreq(size) * size).astype(int)) for size in (rows, columns)
+            active_backend().arrays.asarray(np.rint(np.fft.fftfreq(size) * size).astype(int))
+            for size in (rows, columns)
         )
         cosines = [np.fft.fftfreq(size, grids.pitch) * lam for size in (rows, columns)]
-        spectrum = spectrum[down[:, None], across] * backend().arrays.asarray(
+        spectrum = spectrum[down[:, None], across] * active_backend().arrays.asarray(
             np.hypot(cosines[0][:, None], cosines[1]) <= grids.bend
         )
-        return fft2(backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
+        return fft.fft2(active_backend().arrays.ascontiguousarray(spectrum), inverse=True) / np.float32(_FINER**2)
 
 
-def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: Field) -> float:
+def _passed_power(system: OpticalSystem, grids: FieldGrids, samples: fft.Field) -> float:
     """Return the power, in units of a sample, of the part of a field within the microlenses' apertures."""
     if system.lattice.fills:
         return power(samples)
     total, cosine = 0.0, in_millimetres(system.wavelength) / (2 * grids.pitch)
     for block, x, y in _places(grids):
-        passed = backend().from_drjit(system.microlenses.open_fraction(cosine, x, y))
-        intensity = backend().arrays.abs(samples[block]).reshape(-1) ** 2
+        passed = active_backend().from_drjit(system.microlenses.open_fraction(cosine, x, y))
+        intensity = active_backend().arrays.abs(samples[block]).reshape(-1) ** 2
         total += float((intensity * passed).sum(dtype=np.float64))
     return total
 
 
 def _places(grids: FieldGrids) -> Iterator[tuple[slice, Any, Any]]:
     """Yield blocks of rows of the detector's window, with x and y of their samples."""
-    types = backend().types
+    types = active_backend().types
     left, top = (start + offset * grids.pitch for start, offset in zip(grids.wide_origin, grids.offset, strict=True))
     columns = grids.count[0]
     for block in blocks(grids.count[1]):
-        row, column = rows_and_columns(types, block.stop - block.start, columns)
+        row, column = fft.rows_and_columns(types, block.stop - block.start, columns)
         x = types.Float64(column) * grids.pitch + dr.opaque(types.Float64, left)
         y = types.Float64(row) * grids.pitch + dr.opaque(types.Float64, top + block.start * grids.pitch)
         yield block, x, y
 
 
-def pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids) -> NDArray[np.float32]:
+def pixel_integrals(camera: PlenopticCamera, spectrum: fft.Field, grids: FieldGrids) -> NDArray[np.float32]:
     """Return the intensity integrated over each recorded pixel, exactly for the band-limited field."""
-    arrays = backend().arrays
+    arrays = active_backend().arrays
     height, width = camera.shape
-    with resting_drjit():
+    with fft.resting_drjit():
         partial = interpolate(spectrum, 2 * spectrum.shape[0], axis=0)
         rows = arrays.empty((partial.shape[0], width), np.float32)
         for block in blocks(partial.shape[0]):
@@ -238,10 +236,10 @@ def pixel_integrals(camera: PlenopticCamera, spectrum: Field, grids: FieldGrids)
 def _along_pixels(intensity: NDArray[np.float32], grids: FieldGrids, count: int) -> NDArray[np.float32]:
     """Return rows of the doubled grid integrated over the recorded pixels: their spectrum times the pixel's sinc."""
     size, per_pixel = intensity.shape[1], 2 * grids.per_pixel
-    spectrum = rfft(intensity, axis=1)
+    spectrum = fft.rfft(intensity, axis=1)
     pixel = np.sinc(np.fft.rfftfreq(size) * per_pixel) * per_pixel * grids.pitch / 2
-    spectrum *= backend().arrays.asarray(pixel.astype(np.float32))
-    integrals = irfft(spectrum, size, axis=1)
+    spectrum *= active_backend().arrays.asarray(pixel.astype(np.float32))
+    integrals = fft.irfft(spectrum, size, axis=1)
     first = grids.margin * per_pixel + grids.per_pixel
     return integrals[:, first::per_pixel][:, :count]
 

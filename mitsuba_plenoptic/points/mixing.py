@@ -13,8 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..light.optical_system import OpticalSystem
 from ..optics.spectrum import Spectrum
-from ..runtime.backend import POINTS, as_array
-from ..runtime.batches import Job
+from ..runtime import POINTS, Job, as_array
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT, _ROUNDING = 0.1, 1e-6

@@ -19,8 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime.backend import backend, backend_of
-from ..runtime.fft import Field, fast_length, fft
+from ..runtime import active_backend, backend_of, fft
 from .arrival import blocks
 
 _WIDTH = 8
@@ -43,7 +42,7 @@ class PlaneWaves:
     """
 
     def __init__(self, frequencies: NDArray[np.float64], count: int) -> None:
-        libraries = backend()
+        libraries = active_backend()
         self.count = count
         self._length = length(count)
         place = frequencies * self._length
@@ -78,7 +77,7 @@ class PlaneWaves:
         held = band * length(count) + 2 * _WIDTH
         return 8.0 * held * (2.0 * count + held)
 
-    def forward(self, amplitudes: Field) -> Iterator[tuple[slice, Field]]:
+    def forward(self, amplitudes: fft.Field) -> Iterator[tuple[slice, fft.Field]]:
         """Yield blocks of rows of the sum of plane waves with given amplitudes (n,)."""
         parts = self._spread.T @ amplitudes.view(np.float32).reshape(-1, 2)
         spread = backend_of(parts).arrays.ascontiguousarray(parts).view(np.complex64).reshape(self._shape)
@@ -86,7 +85,7 @@ class PlaneWaves:
         for rows in blocks(self.count):
             yield rows, _to_samples(tall[rows], self._low[0], self._length, self.count, 1) * self._correction
 
-    def adjoint(self, samples: Iterator[tuple[slice, Field]]) -> Field:
+    def adjoint(self, samples: Iterator[tuple[slice, fft.Field]]) -> fft.Field:
         """Return each plane wave's inner product with samples, which come in blocks of rows."""
         arrays = backend_of(self._correction).arrays
         tall = arrays.empty((self.count, self._shape[1]), np.complex64)
@@ -101,28 +100,28 @@ class PlaneWaves:
 
 def length(count: int) -> int:
     """Return the length of the transforms for a number of samples."""
-    return fast_length(_OVERSAMPLING * count + 2 * _WIDTH)
+    return fft.fast_length(_OVERSAMPLING * count + 2 * _WIDTH)
 
 
-def _to_samples(spectrum: Field, first: int, size: int, count: int, axis: int) -> Field:
+def _to_samples(spectrum: fft.Field, first: int, size: int, count: int, axis: int) -> fft.Field:
     """Return `count` samples around the origin along an axis; `first` is the index of the lowest frequency given."""
-    whole = fft(embedded(spectrum, first, size, axis), axis=axis, inverse=True, norm="forward")
+    whole = fft.fft(embedded(spectrum, first, size, axis), axis=axis, inverse=True, norm="forward")
     return taken(whole, -(count // 2), count, axis)
 
 
-def _to_frequencies(samples: Field, first: int, size: int, count: int, axis: int) -> Field:
+def _to_frequencies(samples: fft.Field, first: int, size: int, count: int, axis: int) -> fft.Field:
     """Return the adjoint of `_to_samples`, with `count` frequencies."""
-    whole = fft(embedded(samples, -(samples.shape[axis] // 2), size, axis), axis=axis)
+    whole = fft.fft(embedded(samples, -(samples.shape[axis] // 2), size, axis), axis=axis)
     return taken(whole, first, count, axis)
 
 
-def taken(values: Field, first: int, count: int, axis: int) -> Field:
+def taken(values: fft.Field, first: int, count: int, axis: int) -> fft.Field:
     """Return `count` values along an axis from an index on, modulo the number of the values."""
     parts = [values[(slice(None),) * axis + (there,)] for _, there in _runs(first, count, values.shape[axis])]
     return backend_of(values).arrays.concatenate(parts, axis)
 
 
-def embedded(values: Field, first: int, size: int, axis: int) -> Field:
+def embedded(values: fft.Field, first: int, size: int, axis: int) -> fft.Field:
     """Return values placed from an index on, modulo `size`, along an axis of `size` samples that are otherwise 0."""
     shape = list(values.shape)
     shape[axis] = size

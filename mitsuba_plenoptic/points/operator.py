@@ -10,19 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.aperture import NOT_ROUND, Round
-from ..camera.plenoptic_camera import require_ideal, require_no_glass, require_no_shape
+from ..camera import NOT_ROUND, PlenopticCamera, Round, require_ideal, require_no_glass, require_no_shape
 from ..errors import InputError, refuse_if, require_choice, require_flag, require_wavelength, suggest_keywords
-from ..io.checkpoints import digest
+from ..io import digest
 from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
 from ..optics import guards
 from ..optics.spectrum import Spectrum
-from ..runtime.backend import one_at_a_time
-from ..runtime.batches import Cost, Job, LongSum, SumTask
+from ..runtime import Cost, Job, LongSum, SumTask, one_at_a_time
 from .accuracy import chosen_accuracy
 from .coherent import CoherentFields
 from .coherent_points import CoherentPoints

@@ -21,8 +21,7 @@ from ..lenses.fitted_lens import VaryingLens, VaryingLight
 from ..lenses.main_lens import Light, MainLens
 from ..light.microlens_orders import ArrayFactor, VaryingArrayFactor
 from ..optics.waves import in_millimetres, phasor, smooth_edge, soft_edge, transfer
-from ..runtime.backend import array_module, drjit_array, is_zero, on_cuda
-from ..runtime.fft import Field, fast_length, split
+from ..runtime import array_module, drjit_array, fft, is_zero, on_cuda
 from .field_grid import Grid, Placement
 from .pupil_weights import PupilWeights
 from .seen_pupil import SeenPupil
@@ -119,7 +118,7 @@ class PatchFactors:
         finest = float((in_millimetres(grid.wavelength) / (self.samples * grid.pitch)).min())
         half = 2 * grid.cosine / finest
         # Orders that would be aliased into the band are omitted; a few more samples represent the others.
-        self.mla_samples = max(self.samples, fast_length(0.87 * (self.samples + half)))
+        self.mla_samples = max(self.samples, fft.fast_length(0.87 * (self.samples + half)))
         self._highest = min(self.samples + half, 2 * self.mla_samples - self.samples - half) / 2 * finest
         # Each axis has a factor: the curvature and the microlenses' factor of its coordinate. A factor of both is
         # separate.
@@ -144,7 +143,7 @@ class PatchFactors:
         mine = [None if part is None else part[points] for part in own]
         return [*mine, None if transfer is None else self.directions_of(transfer, points)]
 
-    def directions_of(self, transfer: Field, points: slice) -> Field:
+    def directions_of(self, transfer: fft.Field, points: slice) -> fft.Field:
         """Return the part of a transfer function, (points, along y, along x), that the fields of points contain."""
         return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
 
@@ -192,7 +191,7 @@ class PatchFactors:
         types, lens, grid, placement = self._types, elements.lens(), self._grid, self._placement
         _, size, _ = self.shapes[0]
         index = dr.arange(types.UInt32, len(self._positions) * size * size)
-        patch, row, column = split(types, index, size, size)
+        patch, row, column = fft.split(types, index, size, size)
 
         def value(values: NDArray[Any]) -> Any:
             return self._each(values, patch)
@@ -277,7 +276,7 @@ class PatchFactors:
         """
         types, placement = self._types, self._placement
         shape = len(self._positions), self.mla_samples
-        _, patch, sample = split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
+        _, patch, sample = fft.split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
         m = self._position(patch, sample, axis)
         image, growth = self._each(placement.image[:, axis], patch), elements.growth
         mu = (m - image) * growth
@@ -298,7 +297,7 @@ class PatchFactors:
     def _on_plane(self, elements: Elements) -> Any:
         """Return the factor of both coordinates, (n, along y, along x): microlenses if not separable, brightness."""
         types, size = self._types, self.mla_samples
-        patch, row, column = split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
+        patch, row, column = fft.split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
         x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
         product = types.Complex2f(types.Float(self._grid.brightness(x, y, self._mla_steps)))
         for factor in elements.array(self._highest):
@@ -310,7 +309,7 @@ class PatchFactors:
         """Return the transfer function from MLA to detector."""
         types = self._types
         rows, columns = self.shapes[-1]
-        _, row, column = split(types, dr.arange(types.UInt32, rows * columns), rows, columns)
+        _, row, column = fft.split(types, dr.arange(types.UInt32, rows * columns), rows, columns)
         sx, sy = (
             (types.Float64(index) + self._constant(float(self._low[axis] - self.samples // 2)))
             * self._constant(self._steps[axis])

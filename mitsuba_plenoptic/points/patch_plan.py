@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..light.optical_system import OpticalSystem
 from ..optics import guards
-from ..runtime.backend import backend, backend_of, on_cuda
-from ..runtime.batches import BatchMap, Box, Cost, Job, Part, PartialSum
-from ..runtime.fft import resting_drjit
-from ..runtime.limits import check_memory
+from ..runtime import BatchMap, Box, Cost, Job, Part, PartialSum, active_backend, backend_of, check_memory, fft, on_cuda
 from .accuracy import ZONES, band_for, find_patterns, wavefront_step
 from .field_grid import Band, Grid, place
 from .patch_factors import Fields, chunks_of, fields_memory
@@ -208,15 +205,15 @@ class PatchPlan:
 
     def _sum_of(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> Part:
         """Return the part of the sum due to a chunk, computed at once in this thread."""
-        with resting_drjit():
+        with fft.resting_drjit():
             return self.scatter(chunk, weights).prepare()()
 
     def _timed(self, chunk: NDArray[np.int64], weights: NDArray[np.float64]) -> tuple[Part, float]:
         """Return the part of the sum due to a chunk, and the seconds that its computation took."""
-        backend().synchronize()
+        active_backend().synchronize()
         start = time.perf_counter()
         part = self._sum_of(chunk, weights)
-        backend().synchronize()
+        active_backend().synchronize()
         return part, time.perf_counter() - start
 
     def _sent(self, chunks: list[NDArray[np.int64]], weights: NDArray[np.float64]) -> float:
@@ -345,7 +342,7 @@ class PatchSum:
     def __init__(self, plan: PatchPlan, weights: NDArray[np.float64]) -> None:
         self._plan, self._weights = plan, weights
         self._chunks, self.items = plan.lit_chunks(weights)
-        self.arrays: Any = backend().arrays
+        self.arrays: Any = active_backend().arrays
         self.box, self.channels = plan._recorder.box, weights.shape[1]
 
     def batches(self, first: int) -> Iterator[Scatter]:

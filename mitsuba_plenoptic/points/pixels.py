@@ -20,8 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..lattice import turn
-from ..runtime.backend import Backend, backend_of, drjit_array
-from ..runtime.fft import split
+from ..runtime import Backend, backend_of, drjit_array, fft
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -301,7 +300,7 @@ class TurnedSamples:
         for top in range(0, height, together):
             lines = slice(top, min(height, top + together))
             count = (lines.stop - top) * width
-            _, row, column = split(types, dr.arange(types.UInt32, count), lines.stop - top, width)
+            _, row, column = fft.split(types, dr.arange(types.UInt32, count), lines.stop - top, width)
             x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
             y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
             first, entry = [], []

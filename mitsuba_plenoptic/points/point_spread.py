@@ -13,8 +13,7 @@ from ..light.lens_kinds import regular_array
 from ..light.optical_system import OpticalSystem
 from ..light.sampling import check_positions
 from ..optics import guards
-from ..runtime.backend import POINTS, as_array, one_at_a_time
-from ..runtime.batches import Job, Threads
+from ..runtime import POINTS, Job, Threads, as_array, one_at_a_time
 from . import full_field
 from .full_field import PointFields
 from .operator import CaptureOperator

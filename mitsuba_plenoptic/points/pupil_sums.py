@@ -28,8 +28,7 @@ from ..errors import InputError
 from ..lenses.thin import ThinLens
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres, phasor, soft_edge
-from ..runtime.backend import array_module, backend
-from ..runtime.fft import Field, as_field, pack, rows_and_columns
+from ..runtime import active_backend, array_module, fft
 from .arrival import blocks
 from .carriers import Carrier, PupilGrid, Spheres, Tilts
 
@@ -78,7 +77,7 @@ class Layer:
         made: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
         self._carrier = made
         nodes = self._nodes(points)
-        held = backend().arrays.asarray
+        held = active_backend().arrays.asarray
         self._interpolation = [held(_interpolation(nodes, grid.along(axis) / self._half)) for axis in (0, 1)]
         x, y = (part.ravel() * self._half for part in np.meshgrid(nodes, nodes))
         some = np.linspace(0, len(points) - 1, min(len(points), _BASIS)).astype(int)
@@ -100,7 +99,7 @@ class Layer:
         padded = [np.pad(part, ((0, self.rank - len(part)), (0, 0))) for part in parts]
         self._of_points = list(held((np.concatenate(padded, 1) * self._carrier.shift).astype(np.complex64)))
 
-    def add(self, amplitudes: Field, field: Field) -> None:
+    def add(self, amplitudes: fft.Field, field: fft.Field) -> None:
         """Add the field of points with given amplitudes (n,) to samples of the grid."""
         common = self._common()
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
@@ -109,13 +108,13 @@ class Layer:
                 waves *= common[rows]
                 field[rows] += waves
 
-    def adjoint(self, field: Field) -> Field:
+    def adjoint(self, field: fft.Field) -> fft.Field:
         """Return the inner product of each point's field with samples of the grid."""
         given = self._common().conj() * field
-        total = backend().arrays.zeros(self._of_points[0].shape, np.complex64)
+        total = active_backend().arrays.zeros(self._of_points[0].shape, np.complex64)
         for on_pupil, of_points in zip(self._on_pupil, self._of_points, strict=True):
 
-            def products(on_pupil: Field = on_pupil) -> Iterator[tuple[slice, Field]]:
+            def products(on_pupil: fft.Field = on_pupil) -> Iterator[tuple[slice, fft.Field]]:
                 for rows in blocks(self._grid.count):
                     yield rows, given[rows] * self._values(on_pupil, rows).conj()
 
@@ -127,10 +126,10 @@ class Layer:
         """Half the side, in mm, of the square of nodes between which the fields are interpolated."""
         return self._grid.pitch * (self._grid.count // 2 + 1)
 
-    def _common(self) -> Field:
+    def _common(self) -> fft.Field:
         """Return the common factor of all points' fields on the samples, of modulus 1 in the pupil."""
         types, grid = array_module(), self._grid
-        row, column = rows_and_columns(types, grid.count, grid.count)
+        row, column = fft.rows_and_columns(types, grid.count, grid.count)
         x, y = (
             (types.Float64(index) - grid.count // 2) * dr.opaque(types.Float64, grid.pitch)
             + dr.opaque(types.Float64, float(start))
@@ -138,9 +137,9 @@ class Layer:
         )
         cover = types.Float(soft_edge(self._lens.inside((x, y)) / grid.pitch))
         light = phasor(self._carrier.common((x, y))) * cover
-        return as_field(pack(light), (grid.count, grid.count))
+        return fft.as_field(fft.pack(light), (grid.count, grid.count))
 
-    def _values(self, on_pupil: Field, rows: slice) -> Field:
+    def _values(self, on_pupil: fft.Field, rows: slice) -> fft.Field:
         """Return values on the pupil at rows of the samples, interpolated from the values at the nodes."""
         along_x, along_y = self._interpolation
         return along_y[rows] @ on_pupil @ along_x.T

@@ -10,10 +10,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera.aperture import Opening
+from ..camera import Opening
 from ..errors import refuse_if
-from ..runtime.backend import IMAGE, as_array, drjit_array
-from ..runtime.fft import array_types
+from ..runtime import IMAGE, as_array, drjit_array, fft
 
 BORDER = 2
 """Cells beyond each side of the square for which there are coefficients of complex amplitudes."""
@@ -124,7 +123,7 @@ class PupilWeights:
             amplitude += across * down * dr.sqrt(weights[0])
         power = sums[0]
         if complex_:
-            power, amplitude = sums[0] ** 2 + sums[1] ** 2, array_types(point).Complex2f(*sums)
+            power, amplitude = sums[0] ** 2 + sums[1] ** 2, fft.array_types(point).Complex2f(*sums)
         elif self.sampled:
             amplitude = dr.sqrt(power)
         slant = [dr.gather(Float, drjit_array(Float, part), point) for part in self.slant.T]

@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.aperture import NOT_ROUND
-from ..camera.entry import Captures
-from ..camera.plenoptic_camera import require_known_to
+from ..camera import NOT_ROUND, Captures, PlenopticCamera, require_known_to
 from ..light.detector import mix_pixels
 from ..light.optical_system import OpticalSystem
 from ..light.walk import Passage, Walk

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
 from ..lattice import turn
-from ..runtime.backend import backend
-from ..runtime.batches import Box
+from ..runtime import Box, active_backend
 from .field_grid import Grid
 from .pixels import PixelIntegrals, TurnedSamples
 
@@ -88,11 +87,11 @@ class Recorder:
     def integrate(self, samples: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
         """Return the integrals of one channel over the pixels in `window`, as `record` does."""
         upright = samples if self._upright is None else self._upright.forward(samples)
-        return backend().to_host(self._pixels_of(move).forward(upright))
+        return active_backend().to_host(self._pixels_of(move).forward(upright))
 
     def spread(self, image: NDArray[np.float32], move: str | None = None) -> NDArray[np.float32]:
         """Return the adjoint of `record`: grid samples from an image."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         channels = []
         for channel in np.moveaxis(image[self.window], -1, 0):
             samples = self._pixels_of(move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))

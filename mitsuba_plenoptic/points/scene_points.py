@@ -22,17 +22,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera
-from ..camera.plenoptic_camera import require_ideal
+from ..camera import PlenopticCamera, require_ideal
 from ..errors import InputError, refuse_if, warn
-from ..io.checkpoints import digest
+from ..io import digest
 from ..light.entrance import Entrances, LensWindow
 from ..light.optical_system import OpticalSystem
 from ..light.scene_light import SceneLight, refuse_negative, world_ray
 from ..optics.spectrum import Spectrum
-from ..runtime.backend import drjit_array
-from ..runtime.batches import Cost, Job
-from ..runtime.limits import require_memory_for
+from ..runtime import Cost, Job, drjit_array, require_memory_for
 from .operator import CaptureOperator
 from .pupil_weights import PupilWeights, slants
 from .units import radiance_weight

@@ -14,7 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera.vignetting import Vignetting
+from ..camera import Vignetting
 from ..lenses.main_lens import Light, MainLens, Pair
 
 _RADII, _ANGLES = 24, 48

@@ -18,9 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from ..optics.waves import in_millimetres
-from ..runtime.backend import array_module, backend, backend_of, drjit_array
-from ..runtime.batches import Box, Part
-from ..runtime.fft import fft2, resting_drjit, split
+from ..runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
 from .windows import Windows, add_on_device, products_on_device
@@ -81,7 +79,7 @@ class CellSum:
     def __init__(self, cells: CopyCells, size: NDArray[np.int64], channels: int, patterns: int) -> None:
         self._cells, self._size, self._channels = cells, size, channels
         self._shape = size // cells.width + 1 + cells.count
-        self._arrays = backend().arrays
+        self._arrays = active_backend().arrays
         self._sums = self._arrays.zeros((channels * int(self._shape.prod()), int(cells.width.prod())), np.float32)
         planes = max(patterns, _TOGETHER // int((cells.count * cells.width).prod()))
         self.planes = self._arrays.zeros((planes, *(cells.count * cells.width).tolist()), np.float32)
@@ -121,7 +119,7 @@ class CellSum:
         held = len(self._held)
         shape = len(self._sums), held * int(self._cells.count.prod())
         matrix: Any = scipy.sparse.csr_array((values, (rows, columns)), shape=shape)
-        libraries = backend()
+        libraries = active_backend()
         if libraries.is_cuda:
             matrix = libraries.sparse.csr_matrix(matrix)
         self._sums += matrix @ self._cells.cut(self.planes[:held])
@@ -165,7 +163,7 @@ class CopySum:
             together,
             0,
         )
-        channels, self._arrays = self._weights[0].shape[1], backend().arrays
+        channels, self._arrays = self._weights[0].shape[1], active_backend().arrays
         # Cells depend only on the distances between copies, along the axes of `places`.
         cells = CopyCells.of([position - position[0] for position in positions], samples)
         self._cells = None if cells is None else cells.sum(size, channels, together)
@@ -222,7 +220,7 @@ class PatchTile:
         self.box = reached(batch.corner, batch.samples, copies)
         low = np.array([self.box.left, self.box.top])
         self._places = [corner + copy.shifts - low for corner, copy in zip(batch.corner, copies, strict=True)]
-        self._arrays = backend().arrays
+        self._arrays = active_backend().arrays
         # The intensities of several points would not fit into a core's cache together.
         together = batch.together if batch.libraries.is_cuda else 1
         self._block = min(batch.sizes.block, together * batch.samples**2)
@@ -349,7 +347,7 @@ def arrived_power(fields: Fields) -> NDArray[np.float64]:
     """Return the sum (n,) of the samples of the intensity of each point, of unit power."""
     whole = Copies(np.zeros((1, 2), np.int64), np.ones((1, 1), np.float32))
     count = len(fields.positions)
-    with resting_drjit():
+    with fft.resting_drjit():
         return PatchTile(PatchBatch(fields, np.ones(count)), [whole] * count).powers()
 
 
@@ -368,9 +366,9 @@ def aperture_power(fields: Fields) -> NDArray[np.float64]:
         pupil = batch.pupil[points]
         field = arrays.zeros((len(pupil), size, size), np.complex64)
         field[:, :directions, :directions] = pupil
-        with resting_drjit():
-            intensity: Any = arrays.abs(fft2(field, inverse=True)) ** 2
-        patch, row, column = split(types, dr.arange(types.UInt32, len(pupil) * size**2), size, size)
+        with fft.resting_drjit():
+            intensity: Any = arrays.abs(fft.fft2(field, inverse=True)) ** 2
+        patch, row, column = fft.split(types, dr.arange(types.UInt32, len(pupil) * size**2), size, size)
         x, y = (
             dr.gather(types.Float64, drjit_array(types.Float64, start), patch)
             + types.Float64(index) * dr.opaque(types.Float64, float(step))

@@ -14,8 +14,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime.backend import Backend, backend_of, drjit_array
-from ..runtime.fft import Field, split
+from ..runtime import Backend, backend_of, drjit_array, fft
 
 _LANES = 2**24
 """Samples of windows that one kernel of a device adds."""
@@ -34,7 +33,7 @@ class Windows:
         return cls(np.repeat(np.arange(len(starts)), [len(each) for each in starts]), np.concatenate(starts))
 
 
-def part_of(table: Field, starts: NDArray[np.int64], size: tuple[int, int]) -> Field:
+def part_of(table: fft.Field, starts: NDArray[np.int64], size: tuple[int, int]) -> fft.Field:
     """Return windows (n, rows, columns) of a table, with given first rows and columns (n, 2)."""
     libraries, (rows, columns) = backend_of(table), size
     if len(starts) == 1:
@@ -61,7 +60,7 @@ def add_on_device(
     every, channels = np.nonzero(weights)
     for first in range(0, len(every), step := max(1, _LANES // (rows * columns))):
         window, channel = every[first : first + step], channels[first : first + step]
-        entry, row, column = split(types, dr.arange(types.UInt32, len(window) * rows * columns), rows, columns)
+        entry, row, column = fft.split(types, dr.arange(types.UInt32, len(window) * rows * columns), rows, columns)
         places = (channel * height + windows.start[window, 0]) * width + windows.start[window, 1]
         place = _each(types, places, entry) + row * dr.opaque(types.UInt32, width) + column
         source = _each(types, windows.patch[window] * (rows * columns), entry)
@@ -79,7 +78,7 @@ def products_on_device(planes: NDArray[np.float32], values: NDArray[np.float32],
     _, rows, columns = values.shape
     given, patches = (drjit_array(types.Float, array) for array in (planes, values))
     count = len(windows.patch) * channels
-    _, entry, row = split(types, dr.arange(types.UInt32, count * rows), count, rows)
+    _, entry, row = fft.split(types, dr.arange(types.UInt32, count * rows), count, rows)
     first = (np.arange(channels) * height + windows.start[:, :1]) * width + windows.start[:, 1:]
     place = _each(types, first.ravel(), entry) + row * dr.opaque(types.UInt32, width)
     source = _each(types, np.repeat(windows.patch * (rows * columns), channels), entry)
@@ -117,7 +116,7 @@ def gathered_on_device(
     factors = [drjit_array(types.Float, row[window] * weights[window, channel]) for row in moments]
     count = int(windows.patch[-1]) + 1
     ends = np.searchsorted(windows.patch[window], np.arange(count + 1))
-    patch, row, column = split(types, dr.arange(types.UInt32, count * rows * columns), rows, columns)
+    patch, row, column = fft.split(types, dr.arange(types.UInt32, count * rows * columns), rows, columns)
     inside = row * dr.opaque(types.UInt32, width) + column
 
     def step(k: Any) -> list[Any]:

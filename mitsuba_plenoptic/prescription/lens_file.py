@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from ..errors import NO_RECORD, InputError, refusing
 from ..extension import format_of, place
-from ..runtime.files import read_yaml, require_file
+from ..runtime import read_yaml, require_file
 from . import BUNDLED, Prescription, bundled_prescription
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
 from .lens_data import LensData, known_kind

@@ -25,7 +25,7 @@ from ..errors import (
     short_repr,
     warn,
 )
-from ..runtime.backend import safe_sqrt
+from ..runtime import safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 from .lens_data import SINGLE, LensData, require_alone, vergence

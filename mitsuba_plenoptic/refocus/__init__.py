@@ -6,24 +6,20 @@ A new method is a module with a function that `methods.method` registers, import
 import importlib
 from typing import Any
 
+import lazy_loader
+
 from ..errors import did_you_mean
 from ..extension import entries, missing, place
-from ..refocus_options import FOOTPRINTS
+from ..refocus_options import FOOTPRINTS as FOOTPRINTS
 
-# in the order in which help and messages name them
-from . import ray, wave_methods  # noqa: F401
-from .api import reconstruct
-from .estimates import estimate_reconstruction
-from .methods import METHODS
-from .results import Reconstruction, Volume, read_reconstruction, write_reconstruction, write_volume
-
-# Modules that register methods.
-for _package, _, _module in entries("methods"):
-    importlib.import_module(f"{_package}.{_module}")
+# `__init__.pyi` names, besides what is public, what other folders and extensions may use.
+_of_stub, __dir__, _in_stub = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    """Return an object that an extension adds to this package, such as `CoherentRefocus`."""
+    """Return a name of the stub, or an object that an extension adds to this package, such as `CoherentRefocus`."""
+    if name in _in_stub:
+        return _of_stub(name)
     for package, added, text in entries("names"):
         if added == f"refocus.{name}":
             return place(package, text)
@@ -42,3 +38,7 @@ __all__ = [
     "write_reconstruction",
     "write_volume",
 ]
+
+# Modules that register methods, in the order in which help and messages name them.
+for _module in (f"{__name__}.ray", f"{__name__}.wave_methods", *(f"{at}.{name}" for at, _, name in entries("methods"))):
+    importlib.import_module(_module)

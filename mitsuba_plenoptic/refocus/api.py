@@ -11,23 +11,17 @@ from typing import Any, overload
 
 import numpy as np
 
-from ..camera import PlenopticCamera
-from ..camera.entry import Captures
-from ..camera.plenoptic_camera import require_known_to, require_no_shape
+from ..camera import Captures, PlenopticCamera, require_known_to, require_no_shape
 from ..errors import (
     InputError,
     argument,
     require_count,
     suggest_keywords,
 )
-from ..io.captures import Capture
-from ..io.checkpoints import Checkpoint
+from ..io import Capture, Checkpoint
 from ..optics import guards
 from ..refocus_options import all_options, with_options
-from ..runtime.backend import one_at_a_time
-from ..runtime.batches import BatchMap
-from ..runtime.limits import GIB, memory_asked
-from ..runtime.progress import Forecast, in_words
+from ..runtime import GIB, BatchMap, Forecast, in_words, memory_asked, one_at_a_time
 from .displacement import is_known
 from .methods import (
     METHODS,
@@ -135,7 +129,7 @@ def reconstruct(
     white : Capture or array, optional
         A capture of a uniform white field that fills the view, by the same camera at the same wavelengths, with one
         channel or as many as the capture has. It is scaled to a radiance of 1, channel by channel, so that images
-        stay in units of the capture (see `mitsuba_plenoptic.views.white_image.recorded_white`). It is refocused by the
+        stay in units of the capture (see `mitsuba_plenoptic.views.white.recorded_white`). It is refocused by the
         same method, and images are divided by it. For unfocused cameras with thin main lenses, displacements of the
         light by borders, diffraction and interference are also corrected to first order (see
         `mitsuba_plenoptic.refocus.displacement`). This takes the time of one refocusing for the white and of two

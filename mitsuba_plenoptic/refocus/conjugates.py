@@ -30,7 +30,7 @@ from ..lenses.real_lens import RealLens
 from ..lenses.thin import ThinLens
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics.waves import in_millimetres
-from ..runtime.backend import array_module
+from ..runtime import array_module
 
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""

@@ -33,7 +33,7 @@ from ..design import focus_type
 from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import in_millimetres, soft_edge
-from ..runtime.limits import require_memory
+from ..runtime import require_memory
 
 _PLANE = 8
 """Width of the plane in which the pupil is spread, in radii of the pupil."""

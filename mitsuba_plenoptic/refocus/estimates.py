@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, argument
-from ..io.captures import Capture
-from ..runtime.batches import Cost
-from ..runtime.limits import memory_asked
-from ..runtime.progress import Forecast
+from ..io import Capture
+from ..runtime import Cost, Forecast, memory_asked
 from .api import reconstruct
 
 _REFUSED = ("progress", "checkpoint")

@@ -35,22 +35,7 @@ from ..light.lens_kinds import irregularities
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import advance, in_millimetres, parabola, phasor, soft_edge
-from ..runtime.backend import backend, drjit_array
-from ..runtime.fft import (
-    Field,
-    as_field,
-    as_words,
-    fast_length,
-    fft,
-    fft2,
-    irfft,
-    pack,
-    resting_drjit,
-    rfft,
-    split,
-    unpack,
-)
-from ..runtime.limits import check_memory, single_threaded_blas
+from ..runtime import active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, field_subsamples
@@ -157,7 +142,7 @@ class LensTile:
         spread = self.camera.reduced_distance * in_millimetres(self.wavelength) / (2 * self.pitch)
         window = (source + self.cell_width) / 2 + self._chief_shift + spread
         # The pixels themselves must have room.
-        return fast_length(max(window / self.pitch, self.pixels * self.subsamples))
+        return fft.fast_length(max(window / self.pitch, self.pixels * self.subsamples))
 
     @property
     def _chief_shift(self) -> float:
@@ -199,16 +184,16 @@ class LensTile:
         return (np.arange(count) - (count - 1) / 2) * self.pupil_pitch
 
     @cached_property
-    def to_pupil(self) -> Field:
+    def to_pupil(self) -> fft.Field:
         r"""Matrix from the cell to the pupil along an axis, :math:`\exp(-i k P \mu / b) d\mu / (\lambda b)^{1/2}`."""
         wave_path = in_millimetres(self.wavelength) * self.camera.mla_distance
         matrix = phasor(np.outer(self.pupil, self.cell) / -wave_path) * np.float32(self.pitch / math.sqrt(wave_path))
-        return backend().arrays.asarray(matrix)
+        return active_backend().arrays.asarray(matrix)
 
     @cached_property
-    def transfer(self) -> Field:
+    def transfer(self) -> fft.Field:
         """Transfer function from detector to MLA."""
-        ones = backend().arrays.ones((self.padded, self.padded), np.complex64)
+        ones = active_backend().arrays.ones((self.padded, self.padded), np.complex64)
         z, wavelength = self.camera.detector_distance, self.camera.medium_wavelength(self.wavelength)
         return advance(ones, self.pitch, z, wavelength, paraxial=is_paraxial(self.camera))
 
@@ -229,7 +214,7 @@ class LensTile:
     @property
     def batch(self) -> int:
         """Number of lenses that are transformed together."""
-        samples = _CUDA_BATCH_SAMPLES if backend().is_cuda else _BATCH_SAMPLES
+        samples = _CUDA_BATCH_SAMPLES if active_backend().is_cuda else _BATCH_SAMPLES
         return max(1, samples // max(self.object_samples, self.pupil.size, self.padded) ** 2)
 
 
@@ -267,8 +252,8 @@ class LensBatch:
     row: np.ndarray
     column: np.ndarray
     source: list[np.ndarray]
-    shift: list[Field]
-    tilt: list[Field]
+    shift: list[fft.Field]
+    tilt: list[fft.Field]
     focal_length: np.ndarray
     aperture: np.ndarray | None
 
@@ -421,11 +406,11 @@ def reconstruct_lens_by_lens(
     check_memory(tile.memory + 4.0 * math.prod(shape) * (len(distances) + 2), "wave reconstruction lens by lens")
     conjugates = conjugates or ThinConjugates(OpticalSystem(camera, wavelength))
     lit = lenses.lit(image)
-    arrays = backend().arrays
+    arrays = active_backend().arrays
     amplitude = arrays.sqrt(arrays.asarray(image))
     totals = [arrays.zeros(shape) for _ in distances]
     # Stopped once, as stopping takes as long as the transforms of a lens.
-    with resting_drjit():
+    with fft.resting_drjit():
         for position in range(0, len(lit), tile.batch):
             batch = lenses.batch(lit[position : position + tile.batch])
             fields = pupil_fields(amplitude, tile, batch, relay=relay)
@@ -442,22 +427,22 @@ def reconstruct_lens_by_lens(
     return [on_bins(total, lenses) for total in totals]
 
 
-def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> Field:
+def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, relay: bool) -> fft.Field:
     """Return the fields of some lenses at the main lens, relative to a spherical wave from the lens's centre.
 
     They start from a capture's square root; complex64 (n, pupil, pupil). The microlenses act with `relay` only.
     """
-    arrays = backend().arrays
+    arrays = active_backend().arrays
     count, size = len(batch.bin), batch.row.shape[1]
     field = arrays.zeros((count, tile.padded, tile.padded), np.complex64)
     field[:, :size, :size] = amplitude[arrays.asarray(batch.row), arrays.asarray(batch.column)]
     for factor in batch.source:
         field[:, :size, :size] *= arrays.asarray(factor)
-    with resting_drjit():
-        field = fft2(field)
+    with fft.resting_drjit():
+        field = fft.fft2(field)
         for factor in (tile.transfer, *batch.shift):
             field *= arrays.asarray(factor)
-        cell = fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
+        cell = fft.fft2(field, inverse=True)[:, : tile.cell.size, : tile.cell.size]
         lens = phasor(parabola(tile.cell**2, batch.focal_length[:, None], tile.wavelength)) if relay else np.float32(1)
         cell = cell * arrays.asarray(batch.tilt[0] * lens)[:, :, None]
         cell *= arrays.asarray(batch.tilt[1] * lens)[:, None, :]
@@ -467,26 +452,26 @@ def pupil_fields(amplitude: np.ndarray, tile: LensTile, batch: LensBatch, *, rel
     return arrays.ascontiguousarray(fields)
 
 
-def _product(fields: Field, matrix: Field) -> Field:
+def _product(fields: fft.Field, matrix: fft.Field) -> fft.Field:
     """Return the product of a matrix (p, i) with fields (n, i, j) over i, transposed: (n, j, p)."""
-    return backend().arrays.tensordot(fields, matrix, (1, 1))
+    return active_backend().arrays.tensordot(fields, matrix, (1, 1))
 
 
 def object_patches(
-    fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
+    fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
 ) -> np.ndarray:
     """Return the power of each lens's light at the samples around its bin, upright; float32 (n, samples, samples)."""
     camera = tile.camera
     focused = _aim(fields, tile, batch, distance, conjugates)
-    size, arrays = tile.object_samples, backend().arrays
+    size, arrays = tile.object_samples, active_backend().arrays
     folded = arrays.zeros((len(fields), size, size), np.complex64)
     for top, left in itertools.product(range(0, tile.pupil.size, size), repeat=2):
         part = focused[:, top : top + size, left : left + size]
         folded[:, : part.shape[1], : part.shape[2]] += part
     lit = min(size, tile.pupil.size)
-    with resting_drjit():
-        folded[:, :lit] = fft(folded[:, :lit], axis=2)
-        folded = fft(folded, axis=1)
+    with fft.resting_drjit():
+        folded[:, :lit] = fft.fft(folded[:, :lit], axis=2)
+        folded = fft.fft(folded, axis=1)
     intensity = folded.real**2
     intensity += folded.imag**2
     # Areas over the distance, which may be infinite.
@@ -496,19 +481,21 @@ def object_patches(
     return intensity[:, ::-1, ::-1] * np.float32(scale**2)
 
 
-def passing_power(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> float:
+def passing_power(
+    fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates
+) -> float:
     """Return the power of lenses' fields that passes the pupil, in pixel values times areas."""
     aimed = _aim(fields, tile, batch, distance, conjugates)
     return float((abs(aimed) ** 2).sum(dtype=np.float64)) * tile.pupil_pitch**2
 
 
-def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Field:
+def _aim(fields: fft.Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> fft.Field:
     """Return pupil fields multiplied by the pupil, and by the phase from the lens's centre to its image."""
-    types = backend().types
+    types = active_backend().types
     camera, wave = tile.camera, in_millimetres(tile.wavelength)
     n, count = len(fields), tile.pupil.size
     index = dr.arange(types.UInt32, n * count * count)
-    lens, row, column = split(types, index, count, count)
+    lens, row, column = fft.split(types, index, count, count)
     P = drjit_array(types.Float64, tile.pupil)
     u, v = dr.gather(types.Float64, P, column), dr.gather(types.Float64, P, row)
     x, y, ax, ay = (
@@ -535,8 +522,8 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     # The patch is centred on a bin, not on the lens's image.
     waves -= (u * ax + v * ay) * dr.opaque(types.Float64, 1 / (tile.lenses * tile.pupil_pitch))
     inside = soft_edge(types.Float(conjugate.inside((Px, Py)) / tile.pupil_pitch))
-    aimed = unpack(drjit_array(types.UInt64, as_words(fields))) * phasor(waves) * inside
-    return as_field(pack(aimed), fields.shape)
+    aimed = fft.unpack(drjit_array(types.UInt64, fft.as_words(fields))) * phasor(waves) * inside
+    return fft.as_field(fft.pack(aimed), fields.shape)
 
 
 def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
@@ -555,7 +542,7 @@ def on_bins(total: np.ndarray, lenses: LensSet) -> np.ndarray:
         into.append(slice(inside.start * tile.oversample, inside.stop * tile.oversample))
         out.append(slice((inside.start - first) * tile.oversample, (inside.stop - first) * tile.oversample))
     # Integrals of dark bins are zero up to rounding, on either side.
-    image[tuple(into)] = backend().to_host(total[tuple(out)]).clip(0)
+    image[tuple(into)] = active_backend().to_host(total[tuple(out)]).clip(0)
     return image
 
 
@@ -573,7 +560,9 @@ def integrated(power: np.ndarray, tile: LensTile, axis: int) -> np.ndarray:
     response = per_bin * np.sinc(frequency * per_bin) * np.exp(1j * np.pi * frequency * (per_bin - 1))
     # As many samples as bins or more: those at the bins' starts; fewer: as many as bins, of the same polynomial.
     bins = count if per_bin > 1 else count // tile.samples * tile.oversample
-    with resting_drjit():
-        spectrum = rfft(power, axis=axis) * backend().arrays.asarray((response * (bins / count)).astype(np.complex64))
-        found = irfft(spectrum, bins, axis=axis)
+    with fft.resting_drjit():
+        spectrum = fft.rfft(power, axis=axis) * active_backend().arrays.asarray(
+            (response * (bins / count)).astype(np.complex64)
+        )
+        found = fft.irfft(spectrum, bins, axis=axis)
     return found[(slice(None),) * axis + (slice(None, None, round(per_bin) if per_bin > 1 else 1),)]

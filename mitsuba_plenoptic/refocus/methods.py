@@ -27,14 +27,11 @@ from ..errors import (
     warn,
 )
 from ..extension import missing
-from ..io.captures import Capture, require_demosaiced
-from ..io.checkpoints import Checkpoint
+from ..io import Capture, Checkpoint, require_demosaiced
 from ..light.optical_system import OpticalSystem
 from ..optics.waves import in_millimetres
 from ..refocus_options import Option, all_options, options_of_methods
-from ..runtime.backend import as_array
-from ..runtime.batches import BatchMap
-from ..runtime.limits import require_memory_for
+from ..runtime import BatchMap, as_array, require_memory_for
 
 _MOST_RESULTS = 32
 """Results of a camera that are remembered by each function."""

@@ -31,11 +31,10 @@ from numpy.typing import NDArray
 from ..camera import PlenopticCamera
 from ..light.optical_system import is_paraxial
 from ..optics.waves import advance, in_millimetres, parabola, phasor
-from ..runtime.backend import backend, drjit_array
-from ..runtime.fft import Field, as_field, fft, pack, split
+from ..runtime import active_backend, drjit_array, fft
 from .planning import AxisStep, Directions, LensAxis, Step
 
-Rows = Iterable[tuple[slice, Field]]
+Rows = Iterable[tuple[slice, fft.Field]]
 """Blocks of rows of a field, from the first on, with their numbers. What is left out is dark.
 
 A block holds until the next one is asked for.
@@ -65,49 +64,49 @@ class ThinElement:
         point: tuple[float, float] | None = None,
     ) -> None:
         self._step, self._function = step, function
-        self.along_x: Field | None = None
-        self.along_y: Field | None = None
+        self.along_x: fft.Field | None = None
+        self.along_y: fft.Field | None = None
         self._lit = np.ones(step.y.count, bool)
         if function is not None and point is not None:
             x, y = point
             line = _evaluate(np.append(step.x.source, x), np.array([y]), function)[0]
             self._function, self.along_x = None, line[:-1]
             self.along_y = _evaluate(np.array([x]), step.y.source, function)[:, 0] * line[-1].conj()
-            self._lit = backend().to_host(self.along_y) != 0
+            self._lit = active_backend().to_host(self.along_y) != 0
 
     def lit(self, rows: slice) -> list[slice]:
         """Return runs of the rows in which the element transmits light."""
         runs = np.flatnonzero(np.diff(self._lit[rows], prepend=False, append=False)).reshape(-1, 2)
         return [slice(rows.start + first, rows.start + end) for first, end in runs.tolist()]
 
-    def through(self, rows: slice, samples: Field, out: Field) -> None:
+    def through(self, rows: slice, samples: fft.Field, out: fft.Field) -> None:
         """Write rows of a field, multiplied by all factors but the one along y, to `out`."""
         factor = self._factor(rows)
         if factor is None:
             out[...] = samples
         else:
-            backend().arrays.multiply(samples, factor, out=out)
+            active_backend().arrays.multiply(samples, factor, out=out)
 
-    def back(self, rows: slice, samples: Field, scale: float) -> Field:
+    def back(self, rows: slice, samples: fft.Field, scale: float) -> fft.Field:
         """Return rows of a field, multiplied by the conjugates of all factors and by a scale."""
         for factor in (self._factor(rows), None if self.along_y is None else self.along_y[rows, None]):
             samples = samples if factor is None else samples * factor.conj()
         return samples * np.float32(scale)
 
-    def _factor(self, rows: slice) -> Field | None:
+    def _factor(self, rows: slice) -> fft.Field | None:
         if self._function is None:
             return self.along_x
         return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
 
 
-def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> Field:
+def _evaluate(x: np.ndarray, y: np.ndarray, function: Callable[[Any, Any], Any]) -> fft.Field:
     """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
-    types = backend().types
-    _, row, column = split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
+    types = active_backend().types
+    _, row, column = fft.split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
     at = [
         dr.gather(types.Float64, drjit_array(types.Float64, values), index) for values, index in ((x, column), (y, row))
     ]
-    return as_field(pack(function(*at)), (len(y), len(x)))
+    return fft.as_field(fft.pack(function(*at)), (len(y), len(x)))
 
 
 class FieldWorkspace:
@@ -117,18 +116,18 @@ class FieldWorkspace:
     """
 
     def __init__(self, steps: Iterable[Step], report: Callable[[int], None] = lambda transformed: None) -> None:
-        self.libraries = backend()
+        self.libraries = active_backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
         self._transformed, self._report = 0, report
         columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
         self._columns = self.libraries.arrays.empty((columns, rows + -rows % _PAGE + _STAGGER), np.complex64)
-        self._buffers: dict[str, Field] = {}
+        self._buffers: dict[str, fft.Field] = {}
 
-    def columns(self, step: Step) -> Field:
+    def columns(self, step: Step) -> fft.Field:
         """Return the memory of a step's columns, shared with the last step's columns."""
         return self._columns[: step.x.held]
 
-    def array(self, name: str, shape: tuple[int, int]) -> Field:
+    def array(self, name: str, shape: tuple[int, int]) -> fft.Field:
         """Return an uninitialised array, valid until the same name is requested again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
@@ -141,14 +140,14 @@ class FieldWorkspace:
         for first in range(0, count, block):
             yield slice(first, min(first + block, count))
 
-    def blocks(self, field: Field) -> Rows:
+    def blocks(self, field: fft.Field) -> Rows:
         """Yield all rows of a field in blocks, which are views of the field."""
         for rows in self.runs(len(field)):
             yield rows, field[rows]
 
-    def fft(self, field: Field, *, inverse: bool = False) -> Field:
+    def fft(self, field: fft.Field, *, inverse: bool = False) -> fft.Field:
         """Transform rows in place; forward transforms are divided by the length, inverse ones are not."""
-        found = fft(field, axis=1, inverse=inverse, norm="forward")
+        found = fft.fft(field, axis=1, inverse=inverse, norm="forward")
         self._transformed += field.size
         self._report(self._transformed)
         return found
@@ -200,7 +199,7 @@ def propagate_vjp(
 
 def to_directions(
     source: Rows, element: ThinElement, step: Step, workspace: FieldWorkspace
-) -> Iterator[tuple[slice, Field]]:
+) -> Iterator[tuple[slice, fft.Field]]:
     """Yield the lowest frequencies of a field behind an element, as contiguous blocks (some along x, all along y).
 
     Zero frequency comes first on both axes, negative frequencies last. Transforms are divided by their lengths.
@@ -261,7 +260,7 @@ class ParaxialPath:
             return phasor(parabola(x * x + y * y, -distance, wavelength))
 
         self._element = ThinElement(step, curved, (0.0, 0.0))
-        asarray = backend().arrays.asarray
+        asarray = active_backend().arrays.asarray
         self._along_x, self._along_y = (
             asarray(phasor(samples.samples * (samples.samples / 2 - axis.first) / wave_path))
             * np.float32(math.sqrt(wave_path) / samples.pitch)
@@ -304,7 +303,7 @@ def _in_order(lines: slice, count: int, moved: int | None = None) -> Iterator[tu
         yield slice(border, lines.stop - lines.start), slice(0, lines.stop - lines.start - border)
 
 
-def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
+def _to_rows(columns: fft.Field, step: Step, workspace: FieldWorkspace) -> Rows:
     """Yield rows from columns, transformed back and cut to their first samples."""
     x, y = step.x, step.y
     block = workspace.array("next rows", (workspace.block, x.held))
@@ -316,7 +315,7 @@ def _to_rows(columns: Field, step: Step, workspace: FieldWorkspace) -> Rows:
         yield rows, _from_lowest(part, x, workspace)
 
 
-def _from_lowest(part: Field, axis: AxisStep, workspace: FieldWorkspace) -> Field:
+def _from_lowest(part: fft.Field, axis: AxisStep, workspace: FieldWorkspace) -> fft.Field:
     """Return the destination samples of rows, from the rows' lowest frequencies."""
     if axis.held < axis.new_padded:
         low, high = _lowest(axis.new_padded, axis.held)
@@ -367,7 +366,7 @@ class Integrals:
 
     def _places(self, lines: slice) -> tuple[Any, Any]:
         """Return the samples before the edges of lines, and the distances of the edges from these samples."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         # Beyond the samples all is dark; an edge there is as good as one just outside.
         edges = arrays.clip(arrays.asarray(self._edges_of(lines)), -self._half - 2, self._half + 2)
         position = edges + (self._half + _MARGIN)
@@ -383,7 +382,7 @@ class Integrals:
 
     def forward(self, values: Any, lines: slice = slice(None)) -> Any:
         """Return integrals over bins, (lines, bins), of sampled lines, (lines, count), or of a field's power."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         found = arrays.empty((len(values), self._shape[1]))
         start = lines.indices(self._shape[0])[0]
         for block in self._blocks(lines):
@@ -401,7 +400,7 @@ class Integrals:
 
     def _padded(self, values: Any) -> tuple[Any, int]:
         """Return lines with ordered samples and dark margins, and the number of values per sample."""
-        arrays, middle, half = backend().arrays, _MARGIN + self._half, self._half
+        arrays, middle, half = active_backend().arrays, _MARGIN + self._half, self._half
         shape, kind = (len(values), self._size), values.dtype
         if self._buffer is None or self._buffer.shape != shape or self._buffer.dtype != kind:
             self._buffer = arrays.zeros(shape, kind)
@@ -418,7 +417,7 @@ class Integrals:
 
     def vjp(self, bins: Any) -> Any:
         """Return the transpose of `forward`, from (lines, bins) to (lines, count), for all lines."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         found = arrays.empty((self._shape[0], self._size - 2 * _MARGIN))
         for block in self._blocks(slice(None)):
             (before, f), mine = self._places(block), bins[block]
@@ -471,7 +470,7 @@ class BinSums:
 
     def forward(self, power: Iterable[tuple[slice, Any]]) -> Any:
         """Return the sums over bins of blocks of power, or of a field's power, (directions along y, along x)."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         along_x = arrays.empty(self._shape)
         for lines, part in power:
             along_x[lines] = self._along_x.forward(part, lines)
@@ -482,12 +481,12 @@ class BinSums:
 
     def jvp(self, change: Any) -> Any:
         """Return the change of the sums for a change of the power, after `forward` of that power."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         along_x = arrays.where(self._lit_x, self._along_x.forward(change), 0)
         return (arrays.where(self._lit, self._along_y.forward(along_x.T), 0) * self._scale).T
 
     def vjp(self, bins: Any) -> Any:
         """Return the transpose of `jvp`, applied to bins."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         along_x = self._along_y.vjp(arrays.where(self._lit, bins.T, 0) * self._scale).T
         return self._along_x.vjp(arrays.where(self._lit_x, along_x, 0))

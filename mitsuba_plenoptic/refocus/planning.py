@@ -45,8 +45,7 @@ from ..errors import refuse_if
 from ..light.microlenses import bend
 from ..optics import guards, rays
 from ..optics.waves import in_millimetres
-from ..runtime.fft import fast_length
-from ..runtime.limits import check_memory, work_limit
+from ..runtime import check_memory, fft, work_limit
 
 Span = tuple[int, int]
 Window = tuple[Span, Span]
@@ -355,7 +354,7 @@ def _detector_step(camera: PlenopticCamera, wavelength: float, axis: int, lit: S
     wanted = math.ceil((high - low) / pitch - 1e-6)  # the width of cells is often a multiple of the pitch
     start = (low + high) / 2 - (wanted - 1) / 2 * pitch
     # Few pixels may belong to wide cells.
-    padded = fast_length(max(count + 2 * spread, wanted))
+    padded = fft.fast_length(max(count + 2 * spread, wanted))
     return AxisStep(first, pitch, count, padded, padded, float(start), wanted)
 
 
@@ -379,14 +378,14 @@ def _main_lens_steps(
     # The samples of the main lens hold the directions of what leaves it for the object planes.
     extents = [object_extent(camera, distance, axis, lit) for distance in distances]
     leaving = GUARD * max(max(map(abs, light)) for light, _ in extents)
-    length = fast_length(max(2 * b * leaving / ways[0].new_pitch, *(way.wanted for way in ways)))
+    length = fft.fast_length(max(2 * b * leaving / ways[0].new_pitch, *(way.wanted for way in ways)))
     pitch = wave * b / (length * ways[0].new_pitch)
     half = min(math.ceil(radius / pitch), (length - 1) // 2)
     count = 2 * half + 1
     onto = [AxisStep(way.start, way.new_pitch, way.wanted, length, count, way.start, way.wanted) for way in ways]
 
     samples = _DIRECTION_SAMPLES if oversample == 1 else _FINE_DIRECTION_SAMPLES
-    padded = fast_length(max(samples * 2 * radius / pitch, count))
+    padded = fft.fast_length(max(samples * 2 * radius / pitch, count))
     cosine = wave / (padded * pitch)
     most = [min(math.ceil(max(map(abs, seen)) / cosine) + 2, (padded - 1) // 2) for _, seen in extents]
     start = -half * pitch
@@ -404,8 +403,8 @@ def _beyond_paraxial(
     # Farthest towards the corner of the directions.
     displaced = distance * steepest * (1 / math.sqrt(max(1 - 2 * steepest**2, _LEAST_COSINE)) - 1)
     pitch, more = on_array.pitch, 2 * (displaced + beside)
-    padded = fast_length(count + more / pitch)
-    new_padded = min(fast_length(padded * pitch * 2 * steepest / wave), padded)
+    padded = fft.fast_length(count + more / pitch)
+    new_padded = min(fft.fast_length(padded * pitch * 2 * steepest / wave), padded)
     new_pitch = padded * pitch / new_padded
     wanted = min(math.ceil((on_array.wanted * pitch + more) / new_pitch), new_padded)
     middle = on_array.start + (on_array.wanted - 1) / 2 * pitch

@@ -21,16 +21,14 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..design import focus_type, lens_footprint
 from ..errors import MOST_PIXELS, refuse_if, short_repr
-from ..io.captures import Capture
+from ..io import Capture
 from ..light.detector import SHARP
 from ..light.optical_system import OpticalSystem
 from ..light.walk import follow_back
 from ..optics import rays
 from ..optics.waves import soft_edge
-from ..runtime.backend import backend
-from ..runtime.fft import blur, convolve
-from ..runtime.limits import check_memory, single_threaded_blas
-from ..views.white_image import PupilFraction, mean_response, recorded_white, white_image
+from ..runtime import active_backend, check_memory, fft, single_threaded_blas
+from ..views import PupilFraction, mean_response, recorded_white, white_image
 from .conjugates import RealConjugates, ThinConjugates
 from .displacement import brought_back, displacements, is_known, rising, tilt
 from .lens_by_lens import (
@@ -43,7 +41,7 @@ from .lens_by_lens import (
     tile_lenses,
 )
 from .methods import Progress, Task, once_a_camera, portion
-from .ray_sums import ray_sums
+from .projection import ray_sums
 from .splatting import thin_places
 from .straight import passed_light, straightened_image
 
@@ -183,12 +181,12 @@ class LensSpread:
     def forward(self, power: np.ndarray) -> np.ndarray:
         """Return bins: the power of fine bins, spread over lenses and summed."""
         rows, columns = (size // self._fine for size in power.shape)
-        return blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
+        return fft.blur(power, self._aperture).reshape(rows, self._fine, columns, self._fine).sum((1, 3))
 
     def vjp(self, bins: np.ndarray) -> np.ndarray:
         """Return the transpose of `forward`, applied to bins."""
         fine = bins.repeat(self._fine, 0).repeat(self._fine, 1)
-        whole = convolve(fine, self._aperture[::-1, ::-1])
+        whole = fft.convolve(fine, self._aperture[::-1, ::-1])
         rows, columns = (k - 1 - (k - 1) // 2 for k in self._aperture.shape)
         return whole[rows : rows + fine.shape[0], columns : columns + fine.shape[1]]
 
@@ -342,7 +340,7 @@ def _throughput(camera: PlenopticCamera, wavelength: float, relay: bool) -> floa
     pixels whose own ray passes the main lens count.
     """
     around = _around_axis(camera, 2 if camera.lenses_are_bins else 3)
-    tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), backend().arrays
+    tile, arrays = LensTile(around, wavelength, _THROUGHPUT_LENSES, 1), active_backend().arrays
     check_memory(tile.memory, "wave reconstruction of a white micro-image")
     lenses = LensSet(tile)
     inside = soft_edge((camera.aperture_radius - np.hypot(tile.pupil, tile.pupil[:, None])) / tile.pupil_pitch)
@@ -376,7 +374,7 @@ def _traced_throughput(
     conjugates = RealConjugates.of(OpticalSystem(camera, wavelength), [distance], 1)
     tile = LensTile(conjugates.camera, wavelength, _THROUGHPUT_LENSES, 1)
     check_memory(tile.memory, "wave reconstruction of white micro-images")
-    white, lenses, libraries = white_pixels(camera), LensSet(tile), backend()
+    white, lenses, libraries = white_pixels(camera), LensSet(tile), active_backend()
     # Rays bring no light back from beyond the sharp micro-images.
     counted = np.where(white_pixels(camera.replace(**SHARP)) > 0, white, 0)
     lit = lenses.lit(white)
@@ -408,7 +406,7 @@ def _lens_patches(
     which came through part of the lens from within the pupil, returns as if through the lens's centre and misses the
     pupil. So some bins receive more light than others. All lenses are treated like the one next to the axis.
     """
-    around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), backend()
+    around, count, libraries = _around_axis(camera, 2), tile_lenses(camera, [distance]), active_backend()
     lenses = LensSet(LensTile(around, wavelength, count, oversample))
     batch = lenses.batch(np.array([lenses.find(0, 0)]))
     amplitude = libraries.arrays.asarray(np.sqrt(_micro_image(around, (0, 0))[0]).astype(np.float32))
@@ -420,7 +418,7 @@ def _lens_patches(
     comb = np.zeros([(count - 1) * samples + 1 for count in everywhere.bins[::-1]])
     column, row = everywhere.bin[everywhere.lit(np.ones(camera.shape, bool))].T
     comb[row * samples, column * samples] = 1
-    return on_bins(libraries.arrays.asarray(convolve(comb, patch)), everywhere)
+    return on_bins(libraries.arrays.asarray(fft.convolve(comb, patch)), everywhere)
 
 
 def _micro_image(camera: PlenopticCamera, index: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from .methods import Task, method
+from .projection import pupil_radius, ray_sums
 from .radiance import captures, light_of_bins, to_radiance
-from .ray_sums import pupil_radius, ray_sums
 
 
 @method("ray", waves=False)

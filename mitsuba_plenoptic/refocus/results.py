@@ -18,10 +18,9 @@ from ..camera import PlenopticCamera
 from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed
-from ..io.exr import read_exr, write_exr
-from ..runtime.files import atomic_output, require_writable
-from ..runtime.limits import require_memory
-from ..views.light_field_files import require_zarr
+from ..io import read_exr, write_exr
+from ..runtime import atomic_output, require_memory, require_writable
+from ..views import require_zarr
 
 _EVEN = 1e-3
 """Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""

@@ -23,8 +23,7 @@ from ..camera import PlenopticCamera
 from ..design import lens_footprint, pixel_footprint
 from ..light.walk import Passage, Walk, detector_rows, follow_back, on_plane
 from ..optics import rays
-from ..runtime.backend import array_module
-from ..runtime.limits import require_memory
+from ..runtime import array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16

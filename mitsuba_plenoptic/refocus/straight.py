@@ -35,7 +35,7 @@ from ..camera import PlenopticCamera
 from ..lattice import Displacement
 from ..lattice.lens_shifts import WARP_POWERS
 from ..light.lens_kinds import regular_array
-from ..views.white_image import white_image
+from ..views import white_image
 from .methods import once_a_camera
 
 _BLOCK = 2**20

@@ -58,9 +58,7 @@ from ..light.microlenses import is_separable, transmission
 from ..light.optical_system import OpticalSystem, is_paraxial
 from ..optics import guards, rays
 from ..optics.waves import parabola, phasor, power, soft_edge
-from ..runtime.backend import array_module, backend
-from ..runtime.fft import Field, resting_drjit
-from ..runtime.limits import check_memory, work_limit
+from ..runtime import active_backend, array_module, check_memory, fft, work_limit
 from .conjugates import Conjugates, FieldZone, RealConjugates, ThinConjugates, undistorted
 from .lens_by_lens import LensTile, fine_bins, reconstruct_lens_by_lens, tile_lenses
 from .methods import Progress, Task, method, portion, work_of
@@ -255,12 +253,12 @@ def reconstruct_subsets(
         slice(first - offset, end - offset) for (first, end), offset in zip(lit, camera.crop_offset, strict=True)
     )
     passed = 0.0
-    with resting_drjit():
+    with fft.resting_drjit():
         for field in fields.at_pupil(np.sqrt(image[inside[::-1]])):
             passed += fields.power(field)
             for total, parts, step, bins in zip(totals, zones, grids.to_objects, sums, strict=True):
                 for zone in parts:
-                    found = backend().to_host(bins.forward(fields.to_object(field, zone, step)))
+                    found = active_backend().to_host(bins.forward(fields.to_object(field, zone, step)))
                     part = zone.part(found.shape)
                     total[part] += found[part]
     progress(1.0)
@@ -339,7 +337,7 @@ class BackwardFields:
     def _subsets(self) -> list[tuple[int, int]]:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
-    def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[Field]:
+    def at_pupil(self, amplitude: NDArray[np.float32]) -> Iterator[fft.Field]:
         """Yield every subset's field directly before the main lens, in lines along y, zero outside the pupil.
 
         Each field is valid until the next one is requested.
@@ -361,7 +359,7 @@ class BackwardFields:
                 self._add_within(field, self._path(strip).forward(displaced, self._workspace))
             yield field
 
-    def _at_pupil(self) -> Field:
+    def _at_pupil(self) -> fft.Field:
         """Return a zero field on the main lens, in lines along y."""
         field = self._workspace.array("pupil", (self._grids.pupil[0].count, self._grids.pupil[1].count))
         field[...] = 0
@@ -371,11 +369,11 @@ class BackwardFields:
         """Return the paraxial path of a strip from the array to the main lens."""
         return ParaxialPath(strip.to_main_lens, self._grids.pupil, self._camera.mla_distance, self._wavelength)
 
-    def to_object(self, field: Field, zone: FieldZone, step: Directions) -> Rows:
+    def to_object(self, field: fft.Field, zone: FieldZone, step: Directions) -> Rows:
         """Yield the field at the directions of an object plane, from the field directly before the main lens."""
         return to_directions(self._workspace.blocks(field), _main_lens(step, zone), step, self._workspace)
 
-    def vjp(self, gradients: Iterable[Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
+    def vjp(self, gradients: Iterable[fft.Field], zone: FieldZone, step: Directions) -> NDArray[np.float64]:
         """Return the gradient with respect to the amplitudes, from the gradients of all subsets' fields."""
         workspace = self._workspace
         arrays = workspace.libraries.arrays
@@ -400,7 +398,7 @@ class BackwardFields:
             found.append(real.reshape(shape).sum((1, 3), dtype=np.float64))
         return np.concatenate(found)
 
-    def power(self, field: Field) -> float:
+    def power(self, field: fft.Field) -> float:
         """Return the power of a field that passes the pupil, in pixel values times pixels."""
         x, y = self._grids.pupil
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
@@ -430,7 +428,7 @@ class BackwardFields:
                 part = arrays.repeat(part, n, axis)
             yield slice(rows.start * n, rows.stop * n), part
 
-    def _add_within(self, field: Field, blocks: Rows) -> None:
+    def _add_within(self, field: fft.Field, blocks: Rows) -> None:
         """Add lines to a field within the pupil, with the pupil's edge softened over one sample."""
         for lines, samples in blocks:
             numbers, places, passed = self._pupil.edge(lines)
@@ -441,7 +439,7 @@ class BackwardFields:
                 chord = self._pupil.chord(number)
                 field[number, chord] += line[chord]
 
-    def _whole(self, blocks: Rows, step: Step) -> Field:
+    def _whole(self, blocks: Rows, step: Step) -> fft.Field:
         """Return the field at the destination samples of a step, gathered from blocks of rows."""
         field = self._workspace.libraries.arrays.empty(step.shape, np.complex64)
         for rows, samples in blocks:
@@ -453,7 +451,7 @@ class _Pupil:
     """Samples of a round pupil, line by line along y, with fractions for samples on the edge."""
 
     def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         (across, along), (x, y) = (axis.pitch for axis in axes), (axis.samples for axis in axes)
         outer, inner = (
             np.sqrt(np.maximum((radius + side * math.hypot(across, along)) ** 2 - x**2, 0)) for side in (0.5, -0.5)

@@ -1,11 +1,8 @@
-"""Figures about captures and reconstructions: design sheets, pictures, comparisons."""
+"""Figures about captures and reconstructions: design sheets, pictures, comparisons.
 
-import importlib
-from typing import Any
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
+"""
 
+import lazy_loader
 
-def __getattr__(name: str) -> Any:
-    # The libraries of figures take a third of a second to load, which few commands need.
-    if name == "plots":
-        return importlib.import_module(".plots", __name__)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

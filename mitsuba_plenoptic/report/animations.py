@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..choices import ANIMATED
 from ..errors import argument, refuse_if, require_number
-from ..runtime.files import atomic_output
+from ..runtime import atomic_output
 from .images import enlarge, enlargement, to_bytes
 
 

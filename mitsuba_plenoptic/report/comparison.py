@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import refuse_if
-from ..io.cache import StageOptions
+from ..io import StageOptions
 from .comparison_page import write_report
 from .edge import square_sharpness
-from .experiment import EDGE_TILT, METHODS, TITLES, Experiment, Settings, open_store, run_experiment
+from .experiment import COMPARED_METHODS, EDGE_TILT, METHOD_TITLES, Experiment, Settings, open_store, run_experiment
 from .images import Brightness, luminance
 from .metrics import (
     capture_difference,
@@ -123,16 +123,11 @@ def _against_points(experiment: Experiment) -> dict[str, float] | None:
     return {"relative_error": round(relative_error(wave, points), 5), "energy": round(energy, 5)}
 
 
-def find(rows: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
-    """Return the first row of a table that has the given values."""
-    return next(row for row in rows if all(row[name] == value for name, value in values.items()))
-
-
 def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
     rows = []
     distances = experiment.settings.distances
     truths = [experiment.truths[distance] for distance in distances]
-    for method in METHODS:
+    for method in COMPARED_METHODS:
         images = [experiment.images[method.name, distance] for distance in distances]
         scale = common_scale(images, truths)
         for distance, image, truth in zip(distances, images, truths, strict=True):
@@ -178,7 +173,7 @@ def _edges(experiment: Experiment) -> list[dict[str, Any]]:
         scale = camera.mla_distance / (low[2] * camera.mla_pitch)
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
-        for method in TITLES:
+        for method in METHOD_TITLES:
             try:
                 width, mtf50 = square_sharpness(experiment.image(method, distance), row, column, side)
             except ValueError:
@@ -231,7 +226,7 @@ _ACROSS = 4
 @styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw every method at every distance next to the thin lens, with a note under each, in rows of four."""
-    names = ["truth", *(method.name for method in METHODS)]
+    names = ["truth", *(method.name for method in COMPARED_METHODS)]
     distances = experiment.settings.distances
     window = lit_window(list(experiment.truths.values()))
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
@@ -245,7 +240,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
             show(axes, window.of(experiment.image(name, distance)), "", peak=peak)
             object_bar(axes, experiment.camera, distance, window)
             side = f"{distance:g} mm" if across == 0 else ""
-            annotate(axes, title=TITLES[name], side=side, foot=notes.get((name, distance), ""))
+            annotate(axes, title=METHOD_TITLES[name], side=side, foot=notes.get((name, distance), ""))
     plot.save_both(path)
 
 
@@ -289,7 +284,7 @@ def figure_interference(path: Path, experiment: Experiment, notes: Mapping[tuple
             annotate(
                 axes,
                 title=f"{distance:g} mm" if down == 0 else "",
-                side=TITLES[name] if across == 0 else "",
+                side=METHOD_TITLES[name] if across == 0 else "",
                 foot=notes.get((name, distance), ""),
             )
     plot.colour_bar(mesh, panels, "radiance beyond the limit")

@@ -13,13 +13,13 @@ from markupsafe import Markup
 from PIL import Image
 
 from .. import design
-from ..io.checkpoints import write_json
-from ..runtime.limits import software
-from .design_sheet import design_sheet
-from .experiment import SLIDER_METHODS, TITLES, Experiment
+from ..io import write_json
+from ..runtime import software
+from .experiment import METHOD_TITLES, SLIDER_METHODS, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
 from .pages import Block, Page, Section, Table, pictures_in, prose, template
+from .sheet import design_sheet
 from .windows import Window, Zoom, lit_window
 
 _EXPLANATIONS = {
@@ -66,7 +66,7 @@ def write_report(
     widgets: Any = template("comparison.html").module
     viewer = widgets.viewer(captures(experiment, window), geometry, [zoom.title for zoom in zooms])
     height, width = window.of(next(iter(experiment.truths.values()))).shape[:2]
-    titles = {name: TITLES[name] for name in _EXPLANATIONS}
+    titles = {name: METHOD_TITLES[name] for name in _EXPLANATIONS}
     first = distances.index(experiment.settings.distances[0])
     sheet = groupby(design_sheet(camera, wavelength), key=lambda row: row.group)
     warnings = [
@@ -132,14 +132,15 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
 def _method_text() -> Markup:
     text = Markup("<p>One bin per microlens, from the wave capture.")
     for name, explanation in _EXPLANATIONS.items():
-        text += Markup(" <strong>{}</strong>: {}.").format(TITLES[name], prose(explanation))
+        text += Markup(" <strong>{}</strong>: {}.").format(METHOD_TITLES[name], prose(explanation))
     return text + Markup("</p>")
 
 
 def _numbers(measured: Mapping[str, Any]) -> list[Block]:
     """Return the tables of reconstructions and of edges."""
     rows = [
-        row | {"title": TITLES[row["method"]], "ssim": ssim_text(row["ssim"])} for row in measured["reconstructions"]
+        row | {"title": METHOD_TITLES[row["method"]], "ssim": ssim_text(row["ssim"])}
+        for row in measured["reconstructions"]
     ]
     blocks: list[Block] = [
         Table(
@@ -166,7 +167,7 @@ def _numbers(measured: Mapping[str, Any]) -> list[Block]:
             "10 to 90 % (mm)": "{width_mm:.3f}",
             "MTF50 (1/mm)": "{mtf50_per_mm:.2f}",
         }
-        edges = [row | {"title": TITLES[row["method"]]} for row in measured["edges"]]
+        edges = [row | {"title": METHOD_TITLES[row["method"]]} for row in measured["edges"]]
         caption = "Slanted edges in focus, after ISO 12233: width in the object's plane, frequency at half contrast."
         blocks.append(Table(columns, edges, caption, words=2))
     return blocks

@@ -15,7 +15,7 @@ from scipy.interpolate import make_lsq_spline
 from scipy.ndimage import gaussian_filter
 
 from ..errors import refuse_if, refusing
-from ..runtime.backend import as_array
+from ..runtime import as_array
 
 _REACH = 16
 """Pixels on each side of an edge, at most, that are looked at."""

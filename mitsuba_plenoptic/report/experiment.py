@@ -17,13 +17,10 @@ from ..camera import PlenopticCamera
 from ..capture_spec import CaptureSpec
 from ..choices import Against
 from ..errors import naming, refuse_if, require_choice
-from ..io.cache import Cache, Progress, StageOptions
-from ..io.captures import Capture
-from ..io.checkpoints import Checkpoint
+from ..io import Cache, Capture, Checkpoint, Progress, StageOptions
 from ..light.render_capture import pass_counts
 from ..plugins.other_camera import with_camera
-from ..refocus import Reconstruction, reconstruct
-from ..refocus.methods import require_distances
+from ..refocus import Reconstruction, reconstruct, require_distances
 from .images import luminance
 
 
@@ -122,7 +119,7 @@ class RefocusMethod(NamedTuple):
     source: str = "wave"
 
 
-METHODS = (
+COMPARED_METHODS = (
     RefocusMethod("ray_of_ray", "Rays, of the ray capture", {"method": "ray", "footprint": "lens"}, "ray"),
     RefocusMethod("ray_point", "Rays, one bin a pixel", {"method": "ray", "footprint": "point"}),
     RefocusMethod("ray", "Rays, lens footprint", {"method": "ray", "footprint": "lens"}),
@@ -131,7 +128,7 @@ METHODS = (
     # The limit in which no two lenses interfere.
     RefocusMethod("limit", "One lens at a time", {"method": "partial", "interleave": "auto"}),
 )
-TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method in METHODS}}
+METHOD_TITLES = {"truth": "Thin lens (truth)", **{method.name: method.title for method in COMPARED_METHODS}}
 
 # Those that the report's slider shows; the others differ in details only and the last one takes long.
 SLIDER_METHODS = ("ray", "coherent", "partial")
@@ -292,7 +289,7 @@ def run_experiment(
     sources = {"ray": (ray, ray_key)}
 
     def refocus(*names: str) -> None:
-        for method in (method for method in METHODS if method.name in names):
+        for method in (method for method in COMPARED_METHODS if method.name in names):
             # Lens by lens, a plane near focus takes much less by itself than with others.
             groups = [distances] if method.name in SLIDER_METHODS else [[distance] for distance in settings.distances]
             for together in groups:
@@ -391,7 +388,7 @@ def against_ordinary(
         edge_key = {"camera": middle.to_dict(), "edge": distance}
         recorded[name] = captured(store, f"edge_{name}", spec, edge_scene(middle, distance), edge_key)
     edges = {ORDINARY: recorded[ORDINARY][0].image}
-    for method in METHODS:
+    for method in COMPARED_METHODS:
         if method.name in SLIDER_METHODS:
             images = refocused(store, f"edge_{method.name}", *recorded["plenoptic"], [distance], method.options)
             edges[method.name] = images[distance]

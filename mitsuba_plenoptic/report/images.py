@@ -14,7 +14,7 @@ from PIL import Image
 
 from ..choices import ANIMATED
 from ..errors import InputError, require_number
-from ..runtime.files import atomic_output
+from ..runtime import atomic_output
 
 SHOWN = (".png", ".pdf", *ANIMATED)
 """Suffixes of files that show radiances as brightness."""

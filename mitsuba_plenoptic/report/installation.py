@@ -20,9 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 import drjit
 import mitsuba
 
-from ..runtime import llvm
-from ..runtime.backend import DEFAULT_VARIANT
-from ..runtime.fft import worker_count
+from ..runtime import DEFAULT_VARIANT, fft, llvm
 
 _MISSING = "not installed"
 
@@ -89,7 +87,7 @@ def inspect_installation() -> Installation:
     python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     names = [name for name in mitsuba.variants() if "_ad_" in name]
     tried = [name for name in names if (cuda if name.startswith("cuda") else not problem)]
-    with ThreadPoolExecutor(worker_count()) as pool:
+    with ThreadPoolExecutor(fft.worker_count()) as pool:
         faults = dict(zip(tried, pool.map(trial, tried), strict=True))
     packages = ("mitsuba-plenoptic", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
     sections = {

@@ -17,7 +17,7 @@ from ..lenses import sequential
 from ..lenses.common import main_lens
 from ..prescription.glass import LINE_C, LINE_D, LINE_F
 from ..prescription.surfaces import height
-from ..runtime.files import require_writable
+from ..runtime import require_writable
 from .plots import INK, Plot, bare, scale_bar, styled
 
 _ACROSS = 201

@@ -12,9 +12,9 @@ import scipy
 import skimage.metrics
 
 from ..camera import PlenopticCamera
-from ..io.captures import Capture
-from ..runtime.backend import as_array
-from ..views.white_image import white_image
+from ..io import Capture
+from ..runtime import as_array
+from ..views import white_image
 
 _WINDOW = 7
 """Pixels across the window of the structural similarity."""

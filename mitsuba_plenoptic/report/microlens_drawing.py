@@ -13,7 +13,7 @@ from ..camera import PlenopticCamera
 from ..errors import require_wavelength
 from ..optics.waves import in_millimetres, parabola
 from ..prescription.glass import LINE_D
-from ..runtime.files import require_writable
+from ..runtime import require_writable
 from .plots import INK, Plot, styled
 
 _SAMPLES = 256

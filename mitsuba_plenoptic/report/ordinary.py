@@ -15,12 +15,12 @@ from scipy.ndimage import uniform_filter
 from ..errors import refusing
 from ..optics.waves import in_millimetres
 from .edge import window_sharpness
-from .experiment import ORDINARY, SLIDER_METHODS, TITLES, Experiment, Ordinary
+from .experiment import METHOD_TITLES, ORDINARY, SLIDER_METHODS, Experiment, Ordinary
 from .images import Brightness, luminance
 from .pages import Section, Table, pictures_in
 from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 
-_TITLES = {ORDINARY: "Ordinary camera", **{name: TITLES[name] for name in SLIDER_METHODS}}
+_TITLES = {ORDINARY: "Ordinary camera", **{name: METHOD_TITLES[name] for name in SLIDER_METHODS}}
 
 
 def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, Any]:

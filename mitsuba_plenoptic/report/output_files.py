@@ -14,11 +14,10 @@ import xarray as xr
 
 from ..choices import ANIMATED, PICTURES
 from ..errors import refuse_if
-from ..io.exr import image_channels, write_exr_parts
-from ..io.truth_files import COORDINATES
+from ..io import TRUTH_COORDINATES, image_channels, write_exr_parts
 from ..refocus import Reconstruction, write_reconstruction
-from ..runtime.files import require_writable
-from ..views.viewpoints import view_mosaic
+from ..runtime import require_writable
+from ..views import view_mosaic
 from .animations import write_animation
 from .images import Drawing, enlarge, enlargement, write_png
 
@@ -76,7 +75,7 @@ def write_views(path: str | Path, lf: xr.DataArray, drawing: Drawing = _AUTOMATI
 
     The light field's ground truth, if any, is added to each part, in the channels of ground truth files.
     """
-    truth = {channel: lf.coords[name].values for channel, name in COORDINATES.items() if name in lf.coords}
+    truth = {channel: lf.coords[name].values for channel, name in TRUTH_COORDINATES.items() if name in lf.coords}
     parts = {
         f"v={float(lf.v[j]):.4g} u={float(lf.u[i]):.4g}": image_channels(np.asarray(lf.values[j, i]))
         | {name: values[j, i] for name, values in truth.items()}

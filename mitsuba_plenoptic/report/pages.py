@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 from PIL import Image
 
-from ..runtime.files import write_text
+from ..runtime import write_text
 from .images import data_url
 
 

@@ -27,10 +27,10 @@ from matplotlib.transforms import Bbox, ScaledTranslation, blended_transform_fac
 
 from ..camera import PlenopticCamera, are_alike
 from ..errors import refuse_if
-from ..io.pictures import linear_of
+from ..io import linear_of
 from ..refocus import Reconstruction
-from ..runtime.files import atomic_output
-from ..views.coordinates import camera_of
+from ..runtime import atomic_output
+from ..views import camera_of
 from .images import Brightness, srgb, to_bytes
 from .windows import Window, Zoom
 

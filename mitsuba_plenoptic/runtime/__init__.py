@@ -1,1 +1,8 @@
-"""Means of computation and their limits: processor or device, memory, batches, threads and workers."""
+"""Means of computation and their limits: processor or device, memory, batches, threads and workers.
+
+`__init__.pyi` names what other folders and extensions may use; it is imported when it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

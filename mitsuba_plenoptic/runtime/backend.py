@@ -196,7 +196,7 @@ class Backend:
             self.arrays.cuda.Device().synchronize()
 
 
-def backend() -> Backend:
+def active_backend() -> Backend:
     """Return the libraries for the active variant: CUDA's for a CUDA variant, the processor's elsewhere."""
     return _cuda() if on_cuda() else _processor()
 
@@ -230,7 +230,7 @@ def backend_of(array: Any) -> Backend:
 
 
 def array_module() -> Any:
-    """Return Dr.Jit's types for the active variant; unlike `backend` this needs no CuPy."""
+    """Return Dr.Jit's types for the active variant; unlike `active_backend` this needs no CuPy."""
     global _started
     require_own_process()
     _started = True

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, refuse_if, require_count, require_module
-from .backend import backend, on_cuda, set_variant
+from .backend import active_backend, on_cuda, set_variant
 from .fft import resting_drjit, stop_threads, worker_count
 from .limits import single_threaded_blas, software
 
@@ -105,11 +105,11 @@ class Threads:
         count: int | None = None,
     ) -> None:
         # Threads that batches are computed on by default: each takes memory, and Dr.Jit's part is done by one of them.
-        self.workers = self.threads = 1 if backend().is_cuda else count or min(worker_count(), 16)
+        self.workers = self.threads = 1 if active_backend().is_cuda else count or min(worker_count(), 16)
 
     def __call__(self, batches: Iterable[Batch]) -> Generator[Any, None, None]:
         """Yield the results of batches, computed a few ahead of the next one due; on CUDA, by the calling thread."""
-        if backend().is_cuda:
+        if active_backend().is_cuda:
             yield from (batch.prepare()() for batch in batches)
             return
         pending: deque[Future[Any]] = deque()
@@ -271,7 +271,7 @@ class Job:
                 image = task.combine(self._sum(task, state, done, items))
                 state = Snapshot(count, np.add(state.image, image, out=state.image))
                 # The next sum has arrays of other sizes.
-                backend().release()
+                active_backend().release()
             done += task.items
         refuse_if(state.sums > count, f"checkpoint: it is damaged: {state.sums} sums are no part of {count}")
         return state.image

@@ -3,16 +3,10 @@
 A light field is an `xarray.DataArray`; `coordinates` says what its axes mean.
 """
 
-from .coordinates import camera_of, depth_range, disparity, distance_of, grid_of
-from .decode import decode
-from .depth import DepthError, depth_error, depth_map
-from .grid_estimation import estimate_lens_grid
-from .ground_truth import ground_truth
-from .lens_grid import LensGrid, lens_grid
-from .lens_images import MicroImages, micro_images
-from .refocusing import FourierRefocuser, focal_stack, refocus, shift_and_add
-from .viewpoints import epipolar_image, lens_mosaic, pick_views, view, view_mosaic
-from .white_image import white_image
+import lazy_loader
+
+# `__init__.pyi` names, besides what is public, what other folders and extensions may use.
+__getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
 
 __all__ = [
     "DepthError",

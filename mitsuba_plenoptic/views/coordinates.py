@@ -27,8 +27,8 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
 from ..optics import rays
 from ..prescription.lens_data import image_distance
-from ..runtime.backend import MILLIMETRES, require_pixels, require_units
-from .lens_grid import LensGrid
+from ..runtime import MILLIMETRES, require_pixels, require_units
+from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
 

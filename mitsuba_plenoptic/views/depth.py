@@ -14,8 +14,7 @@ import xarray as xr
 from ..camera import are_alike
 from ..design import focus_types
 from ..errors import InputError, require_count, require_number, suggest_keywords
-from ..runtime.batches import Progress, counted
-from ..runtime.limits import require_memory
+from ..runtime import Progress, counted, require_memory
 from .agreement import finer_stripes, view_disagreement
 from .coordinates import camera_of, depth_range, disparity, distance_of, require_light_field, view_steps
 from .lens_agreement import LensComparison

@@ -20,9 +20,9 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..lenses.common import main_lens
 from ..prescription.objective import Objective
-from ..runtime.limits import require_memory
+from ..runtime import require_memory
 from .coordinates import DIMS, labelled
-from .white_image import MINIMUM_WEIGHT, divide_by_weight, recorded_white
+from .white import MINIMUM_WEIGHT, divide_by_weight, recorded_white
 
 _SAMPLES = 64
 """Positions along a lens at which the stop is looked up."""

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.ndimage
 
 from ..errors import refuse_if
-from ..runtime.backend import as_pixels
-from .lens_grid import LensGrid, covering_grid, lattice_rows, reduced
+from ..runtime import as_pixels
+from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Part of a step by which a wave may miss a wave of a lattice.
 _HELD = 0.1

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from ..camera.plenoptic_camera import require_round
+from ..camera import require_round
 from .lens_images import MicroImages
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window.

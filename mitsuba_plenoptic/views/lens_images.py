@@ -14,12 +14,12 @@ import xarray as xr
 
 from ..camera import PlenopticCamera
 from ..errors import InputError, advice, refuse_if
-from ..io.captures import Capture
-from ..runtime.limits import require_memory
+from ..io import Capture
+from ..runtime import require_memory
 from .coordinates import camera_of, grid_of, view_steps
-from .decode import checked_images, sample_lenses, view_window
-from .lens_grid import LensGrid, bin_grid, lens_grid, lens_types
-from .white_image import divide_by_weight
+from .decoding import checked_images, sample_lenses, view_window
+from .grid import LensGrid, bin_grid, lens_grid, lens_types
+from .white import divide_by_weight
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,25 @@ from ..camera import PlenopticCamera, are_alike
 from ..choices import LIGHT_FIELDS, RAW_SUFFIXES
 from ..errors import InputError, argument, content_of, naming, refuse_if, refusing, require_module
 from ..extension import format_of, place
-from ..io.captures import Capture, read_capture, states_detector
-from ..io.exr import read_attributes, read_pixels
-from ..io.pictures import TIFF, read_numbers, read_picture
-from ..io.truth_files import NAME, SUFFIX, GroundTruth, read_ground_truth
-from ..runtime.files import atomic_output, require_file, require_writable
-from ..runtime.limits import require_memory
-from . import MicroImages, decode, estimate_lens_grid, micro_images
+from ..io import (
+    TIFF,
+    TRUTH_NAME,
+    TRUTH_SUFFIX,
+    Capture,
+    GroundTruth,
+    read_attributes,
+    read_capture,
+    read_ground_truth,
+    read_numbers,
+    read_picture,
+    read_pixels,
+    states_detector,
+)
+from ..runtime import atomic_output, require_file, require_memory, require_writable
 from .coordinates import camera_of, require_light_field
+from .decoding import decode
+from .grid_estimation import estimate_lens_grid
+from .lens_images import MicroImages, micro_images
 from .mosaics import read_mosaic, stated_mosaic, write_mosaic
 
 # The suffix that LFToolbox gives to pictures with the samples of each lens together.
@@ -194,9 +205,9 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     """Return the ground truth of a capture, from a given file or the capture's own; None if there is none."""
     if not isinstance(truth, bool):
         return read_ground_truth(truth)
-    name = capture.metadata.get(NAME)
+    name = capture.metadata.get(TRUTH_NAME)
     # A name from a file leads nowhere but to its own folder.
-    if not truth or not isinstance(name, str) or Path(name).name != name or not name.endswith(SUFFIX):
+    if not truth or not isinstance(name, str) or Path(name).name != name or not name.endswith(TRUTH_SUFFIX):
         return None
     if not (path.parent / name).is_file():
         return None

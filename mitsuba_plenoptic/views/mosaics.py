@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import refuse_if, require_choice, require_count
-from ..io.pictures import StoredPicture, read_picture, write_picture
+from ..io import StoredPicture, read_picture, write_picture
 from .coordinates import light_field, require_light_field
 from .viewpoints import lens_mosaic, view_mosaic
 

@@ -11,8 +11,7 @@ import xarray as xr
 
 from ..choices import ViewMethod
 from ..errors import refuse_if, require_choice, require_number, suggest_keywords
-from ..runtime.batches import Progress, counted
-from ..runtime.limits import require_memory
+from ..runtime import Progress, counted, require_memory
 from .coordinates import channel_planes, require_light_field, view_steps
 from .coordinates import disparity as disparity_at
 from .viewpoints import as_view

@@ -7,7 +7,7 @@ import pytest
 from cameras import sky
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views.white import white_image
 
 TABLE = np.array([[0.5, 1.0, 1.0, 1.0], [1.0, 1.0, 0.8, 1.0], [1.0, 1.25, 1.0, 1.0], [1.0, 1.0, 1.0, 0.9]])
 

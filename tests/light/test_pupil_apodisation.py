@@ -7,7 +7,7 @@ from scipy.special import j0
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera
 from mitsuba_plenoptic.design import white_mean
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views.white import white_image
 
 A2, A4 = -0.6, 0.2
 

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.io.captures import Capture
 from mitsuba_plenoptic.light.detector import mix_pixels
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views.white import white_image
 
 CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
 """Of 4 x 4 lenses with pixels of 8 micrometres."""

@@ -24,7 +24,7 @@ from cases import (
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Aperture, PlenopticCamera, render_capture, views
-from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.sheet import design_sheet
 from tools.bench.cases import ordinary_cameras
 
 WHITE = {"sky": {"type": "constant"}}

@@ -9,7 +9,7 @@ import pytest
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.lenses.common import main_lens
-from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.sheet import design_sheet
 
 AIR = mp.Objective(20, 0.5)
 FOURIER = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)

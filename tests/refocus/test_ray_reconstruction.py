@@ -7,7 +7,7 @@ import pytest
 
 from mitsuba_plenoptic import Capture, InputError, PlenopticCamera, reconstruct
 from mitsuba_plenoptic.refocus.methods import METHODS, method
-from mitsuba_plenoptic.refocus.ray_sums import axis_bins, bin_image, ray_sums
+from mitsuba_plenoptic.refocus.projection import axis_bins, bin_image, ray_sums
 from mitsuba_plenoptic.views import white_image
 
 

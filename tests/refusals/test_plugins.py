@@ -5,7 +5,7 @@ import pytest
 from cameras import disk, film, write_scene
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.views.white_image import white_image
+from mitsuba_plenoptic.views.white import white_image
 
 
 @pytest.mark.parametrize(

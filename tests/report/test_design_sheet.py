@@ -5,8 +5,8 @@ import math
 import pytest
 
 from mitsuba_plenoptic import PlenopticCamera, design
-from mitsuba_plenoptic.report.design_sheet import design_sheet
 from mitsuba_plenoptic.report.lens_drawing import lateral_colour
+from mitsuba_plenoptic.report.sheet import design_sheet
 
 LINE_C, LINE_F = 656.2725, 486.1327
 """Fraunhofer's lines, in nanometres."""

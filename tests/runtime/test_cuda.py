@@ -75,9 +75,9 @@ def signed_rays(lenses=4, pixels=16, spp=4, **parameters):
 
 def convolutions():
     made = Convolution(SMALL, [np.ones((5, 5), np.float32), _random_image(9, 9)])
-    image = made.forward(_backend.backend().arrays.asarray(_random_image(2, made.box.rows, made.box.columns)))
+    image = made.forward(_backend.active_backend().arrays.asarray(_random_image(2, made.box.rows, made.box.columns)))
     back = made.adjoint(_random_image(*SMALL.shape))
-    return [_backend.backend().to_host(part) for part in (image, *back)]
+    return [_backend.active_backend().to_host(part) for part in (image, *back)]
 
 
 def _random_image(*shape):
@@ -103,7 +103,7 @@ def coherent_sums():
     image = fields.intensity(PHASORS)
     samples = {plane: fields.at(PHASORS, plane).samples for plane in ("pupil", "array", "detector")}
     inner = [fields.adjoint(part, plane) for plane, part in samples.items()]
-    return [image, *(_backend.backend().to_host(part) for part in samples.values()), *inner]
+    return [image, *(_backend.active_backend().to_host(part) for part in samples.values()), *inner]
 
 
 def derivatives():

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import refuse_if
-from ...runtime.limits import single_threaded_blas
+from ...runtime import single_threaded_blas
 from .board_model import NAMES, Observations, predict, predict_centres
 
 # Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...camera import PlenopticCamera, require_camera
-from ...camera.plenoptic_camera import require_no_shape, require_round
+from ...camera import PlenopticCamera, require_camera, require_no_shape, require_round
 from ...errors import InputError, naming, refuse_if, suggest_keywords
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur

@@ -22,8 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...camera import PlenopticCamera
-from ...camera.vector import part_units, parts_of, with_parts
+from ...camera import PlenopticCamera, part_units, parts_of, with_parts
 from ...lenses.distortion import undistorted
 
 CALIBRATED = (

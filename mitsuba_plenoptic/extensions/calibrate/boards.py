@@ -22,7 +22,7 @@ from scipy.special import erf
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_module
-from ...runtime.backend import set_variant
+from ...runtime import set_variant
 from .observations import Board
 
 # Lenses of which a position of the view is the mean.

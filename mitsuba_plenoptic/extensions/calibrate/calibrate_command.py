@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...choices import Model
-from ...cli.inputs import load_camera, refuse_options
-from ...cli.options import CameraFile, Linear, White, numeric, output_option, wavelength_option
+from ...cli import load_camera, options, refuse_options
 from ...errors import content_of, refuse_if
 
 if TYPE_CHECKING:
@@ -34,14 +33,15 @@ def calibrate(
         ),
     ] = None,
     output: Annotated[
-        Path | None, output_option("FILE", "File to write: the camera as JSON; of pictures, corners or centres as CSV.")
+        Path | None,
+        options.output_option("FILE", "File to write: the camera as JSON; of pictures, corners or centres as CSV."),
     ] = None,
-    camera: CameraFile = None,
+    camera: options.CameraFile = None,
     board: Annotated[
         str | None, typer.Option(metavar="COLUMNSxROWS", help="Inner corners along the board and across it.")
     ] = None,
     square: Annotated[
-        float | None, numeric("Distance of neighbouring corners, the scale of all lengths.", "none", unit="MM")
+        float | None, options.numeric("Distance of neighbouring corners, the scale of all lengths.", "none", unit="MM")
     ] = None,
     centres: Annotated[
         Path | None,
@@ -58,12 +58,12 @@ def calibrate(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Also write a page with parameters, poses and residuals.")
     ] = None,
-    white: White = None,
-    linear: Linear = False,
+    white: options.White = None,
+    linear: options.Linear = False,
     dark: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Picture without light, for a camera fitted to a white picture.")
     ] = None,
-    wavelength: Annotated[float | None, wavelength_option("550")] = None,
+    wavelength: Annotated[float | None, options.wavelength_option("550")] = None,
     model: Annotated[Model | None, typer.Option(show_default="wave", help="Light of a fit to a white picture.")] = None,
 ) -> None:
     """Calibrate a real camera from corners of a checkerboard and white images.
@@ -84,7 +84,7 @@ def calibrate(
 
       mitsuba-plenoptic calibrate --evaluate corners.csv --camera camera.json --board 9x5 --square 10
     """
-    from ...runtime.files import require_apart, require_different
+    from ...runtime import require_apart, require_different
     from ..raw.lytro_file import SUFFIXES as LYTRO_SUFFIXES
     from .calibration import Board
 
@@ -150,7 +150,7 @@ def _camera(camera: str | None) -> str:
 
 
 def _output(output: Path | None, suffix: str) -> Path:
-    from ...runtime.files import require_writable
+    from ...runtime import require_writable
 
     if output is None:
         raise typer.BadParameter("name the file to write", param_hint="--output")
@@ -173,8 +173,8 @@ def _evaluate(path: Path, camera: str | None, board: str | None, square: float |
 
 
 def _picture(path: Path, linear: bool) -> np.ndarray:
-    from ...io.captures import Capture
-    from ...views.light_field_files import read_recording
+    from ...io import Capture
+    from ...views import read_recording
 
     recording = read_recording(path, linear)
     return recording.image if isinstance(recording, Capture) else recording
@@ -253,7 +253,7 @@ def _fit(
     model: str | None,
     report: Path | None,
 ) -> None:
-    from ...runtime.files import require_writable
+    from ...runtime import require_writable
     from .white_command import fit_camera
 
     if len(sources) > 1:
@@ -276,7 +276,7 @@ def _calibrate(
     centres: Path | None,
     report: Path | None,
 ) -> None:
-    from ...runtime.files import require_writable
+    from ...runtime import require_writable
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary

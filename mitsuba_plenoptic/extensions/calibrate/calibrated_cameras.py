@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from ...camera import PlenopticCamera
-from ...camera.camera_files import camera_and_record
+from ...camera import PlenopticCamera, camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
 from ...lenses.distortion import undistort
-from ...runtime.files import write_text
+from ...runtime import write_text
 from .board_model import NAMES, camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex

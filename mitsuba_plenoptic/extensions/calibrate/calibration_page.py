@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from ...report.pages import Block, Page, Picture, Section, Table
-from ...report.plots import ACCENT, FAINT, INK, Plot, styled
+from ...report import pages, plots
 from .board_model import UNITS
 from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map, summary
 from .observations import Board, placed
@@ -46,36 +45,38 @@ def write_calibration_report(
         maps.append(("Centres of micro-images", middle, group_means(-calibration.centre_residuals[fitted], cell)[1]))
     caption = f"observed less predicted, outliers left out, means of cells of the detector, enlarged {_ENLARGED} times."
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
-    residuals: list[Block] = [
-        *(Picture(arrows(middle, mean, size).png(), f"{name}: {caption}") for name, middle, mean in maps),
-        Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
+    residuals: list[pages.Block] = [
+        *(pages.Picture(arrows(middle, mean, size).png(), f"{name}: {caption}") for name, middle, mean in maps),
+        pages.Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
         _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),
         _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
     ]
     *lines, error = summary(calibration, 100)
     records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
-    numbers = Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
+    numbers = pages.Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
     sections = [
-        Section("Numbers", [numbers, lines]),
-        Section("Poses", [Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(evaluation)]),
-        Section("Residuals", residuals),
+        pages.Section("Numbers", [numbers, lines]),
+        pages.Section(
+            "Poses", [pages.Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(evaluation)]
+        ),
+        pages.Section("Residuals", residuals),
     ]
     lead = f"{error[0].upper()}{error[1:]} (root mean square of two-dimensional distances, every row counted)."
-    Page("Calibration", lead, sections).write(path)
+    pages.Page("Calibration", lead, sections).write(path)
 
 
-def _poses(evaluation: Evaluation) -> Table:
+def _poses(evaluation: Evaluation) -> pages.Table:
     """Return the position and the error of each board."""
     outliers = np.bincount(evaluation.pose[evaluation.outliers], minlength=len(evaluation.frames))
     columns = {"frame": "{0}", "error, px": "{1:.4f}", "outliers": "{2}"}
     columns |= {f"{axis}, mm": f"{{{column}:.2f}}" for column, axis in enumerate("xyz", 3)}
     positions = np.asarray(evaluation.poses)[:, 3:].T
-    return Table(columns, zip(evaluation.frames, evaluation.pose_errors, outliers, *positions, strict=True))
+    return pages.Table(columns, zip(evaluation.frames, evaluation.pose_errors, outliers, *positions, strict=True))
 
 
-def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> Table:
+def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> pages.Table:
     """Return the errors in ranges of a quantity."""
-    return Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error, px": "{3:.4f}"}, ranges)
+    return pages.Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error, px": "{3:.4f}"}, ranges)
 
 
 def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float, int, float]]:
@@ -88,21 +89,21 @@ def _by(quantity: np.ndarray, residuals: np.ndarray) -> list[tuple[float, float,
     ]
 
 
-@styled
-def arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> Plot:
+@plots.styled
+def arrows(middle: np.ndarray, mean: np.ndarray, size: Sequence[int]) -> plots.Plot:
     """Return a figure of mean residuals as arrows from the middle of each cell of the detector."""
-    plot = Plot(8.0)
+    plot = plots.Plot(8.0)
     axes = _detector(plot, size)
     x, y = (middle + 0.5).T
     axes.quiver(x, y, *(_ENLARGED * mean).T, angles="xy", scale_units="xy", scale=1, color="#9a5b00", width=0.0016)
-    axes.plot(x, y, ".", color=INK, markersize=2)
+    axes.plot(x, y, ".", color=plots.INK, markersize=2)
     return plot
 
 
-@styled
-def lens_errors(lens: ResidualMap, size: Sequence[int]) -> Plot:
+@plots.styled
+def lens_errors(lens: ResidualMap, size: Sequence[int]) -> plots.Plot:
     """Return a figure of the error of each lens, at its micro-image."""
-    plot = Plot(8.0)
+    plot = plots.Plot(8.0)
     axes = _detector(plot, size)
     most = max(float(np.quantile(lens.error, 0.95)), 1e-12)
     x, y = (lens.key[:, 2:] + 0.5).T
@@ -112,32 +113,32 @@ def lens_errors(lens: ResidualMap, size: Sequence[int]) -> Plot:
     return plot
 
 
-def _detector(plot: Plot, size: Sequence[int]) -> Axes:
+def _detector(plot: plots.Plot, size: Sequence[int]) -> Axes:
     """Return axes as wide and as high as the detector, in pixels from its upper left corner."""
     ((axes,),) = plot.panels(1, 1, size[1] / size[0])
     axes.set(xlim=(0, size[0]), ylim=(size[1], 0), frame_on=True)
-    axes.spines[:].set(linewidth=0.5, color=FAINT)
+    axes.spines[:].set(linewidth=0.5, color=plots.FAINT)
     return axes
 
 
-@styled
-def boards(calibration: Calibration, board: Board) -> Plot:
+@plots.styled
+def boards(calibration: Calibration, board: Board) -> plots.Plot:
     """Return a figure of the boards, obliquely from the side, with the camera at the left end of the axis."""
     width = (board.columns - 1) * board.square
     height = (board.rows - 1) * board.square
     outline = np.array([[0, 0], [width, 0], [width, height], [0, height]])
     evaluation = calibration.evaluation
-    plot = Plot(8.0)
+    plot = plots.Plot(8.0)
     ((axes,),) = plot.panels(1, 1, 0.4)
-    axes.axhline(0, color=FAINT, linewidth=0.5)
-    axes.plot(0, 0, "o", color=INK, markersize=5)
-    axes.annotate("camera", (0, 0), (0, -8), textcoords="offset points", va="top", size=8, color=FAINT)
+    axes.axhline(0, color=plots.FAINT, linewidth=0.5)
+    axes.plot(0, 0, "o", color=plots.INK, markersize=5)
+    axes.annotate("camera", (0, 0), (0, -8), textcoords="offset points", va="top", size=8, color=plots.FAINT)
     for frame, pose in zip(evaluation.frames, evaluation.poses, strict=True):
         corner = placed(outline, pose[None], np.zeros(len(outline), dtype=int))
         # Oblique: depth to the right, x towards the reader.
         across = corner[:, 2] + 0.35 * corner[:, 0]
         up = corner[:, 1] - 0.35 * corner[:, 0]
-        axes.fill(across, up, facecolor=f"{ACCENT}26", edgecolor="#9a5b00", linewidth=0.8)
-        axes.annotate(f"{frame}", (across[0], up[0]), size=8, color=FAINT)
+        axes.fill(across, up, facecolor=f"{plots.ACCENT}26", edgecolor="#9a5b00", linewidth=0.8)
+        axes.annotate(f"{frame}", (across[0], up[0]), size=8, color=plots.FAINT)
     axes.set_aspect("equal", adjustable="datalim")
     return plot

@@ -15,10 +15,8 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime.backend import as_pixels
-from ...runtime.files import atomic_output
-from ...runtime.limits import require_memory
-from ...views.lens_grid import lens_types
+from ...runtime import as_pixels, atomic_output, require_memory
+from ...views import lens_types
 from .blur import CutBlur
 from .board_model import numbers_of, predict_centres
 from .boards import Picture, find_board, find_saddles

@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 import scipy.interpolate
 
-from ...camera import PlenopticCamera
-from ...camera.lens_transmissions import LensTransmissions
-from ...camera.vignetting import NUMBERS as OF_VIGNETTING
-from ...camera.vignetting import Vignetting
+from ...camera import VIGNETTING_NUMBERS, LensTransmissions, PlenopticCamera, Vignetting
 from ...prescription.objective import Objective
 from .array_fit import ArrayFit
 from .field_fit import FieldNumbers
@@ -33,7 +30,7 @@ def fitted_camera(
     shrunk = camera.pixel_size / camera.image_growth
     # The widest pupil, which the vignetting of other places makes narrower.
     radius = float((field.terms(position)[:, field.number == 0] @ field.coefficients["radius"]).max())
-    polynomials = {name: field.coefficients[name] for name in OF_VIGNETTING}
+    polynomials = {name: field.coefficients[name] for name in VIGNETTING_NUMBERS}
     polynomials |= {name: -polynomials[name] for name in ("slope_x", "slope_y")}
     polynomials["radius"] = polynomials["radius"] / radius
     changes: dict[str, Any] = {

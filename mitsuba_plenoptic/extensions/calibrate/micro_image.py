@@ -18,7 +18,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime.limits import require_memory
+from ...runtime import require_memory
 
 _WIDEST = 512
 """Samples of the model along a side, about."""

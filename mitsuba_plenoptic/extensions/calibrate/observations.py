@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import NO_RECORD, InputError, refuse_if, refusing, require_count, require_number
-from ...runtime.files import read_text
+from ...runtime import read_text
 from ..raw.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
 from .board_model import Observations

@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from ...errors import refuse_if, require_count, suggest_keywords
 from ...light.detector import Detector
-from ...runtime.backend import IMAGE, as_array
+from ...runtime import IMAGE, as_array
 
 _ORDERS = 2, 4, 6
 """Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high

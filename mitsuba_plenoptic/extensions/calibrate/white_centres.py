@@ -17,10 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import refuse_if
-from ...runtime.backend import as_array
-from ...runtime.files import atomic_output
-from ...views import LensGrid, estimate_lens_grid
-from ...views.grid_estimation import Discs, pixels_around
+from ...runtime import as_array, atomic_output
+from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
 from .adjustment import OUTLIER
 from .array_fit import lattice_index
 from .observations import CENTRE_COLUMNS, DOUBTFUL_COLUMN, Table

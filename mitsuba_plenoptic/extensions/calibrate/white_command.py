@@ -13,11 +13,9 @@ import typer
 from ...camera import PlenopticCamera
 from ...choices import RAW_SUFFIXES
 from ...errors import InputError, naming
-from ...io.captures import Capture
-from ...io.pictures import read_numbers
-from ...runtime.files import write_text
-from ...runtime.progress import progress_bar
-from ...views.light_field_files import read_recording
+from ...io import Capture, read_numbers
+from ...runtime import progress_bar, write_text
+from ...views import read_recording
 from .fitted_camera import stray_fraction
 from .photon_transfer import PhotonTransfer, photon_transfer
 from .white_fit import WhiteFit, fit_white

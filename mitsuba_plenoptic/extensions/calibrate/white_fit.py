@@ -10,7 +10,7 @@ import scipy.ndimage
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime.limits import single_threaded_blas
+from ...runtime import single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, FieldZones, Judgement, WhiteRecording
 from .fitted_camera import fitted_camera

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import refuse_if
-from ...runtime.backend import as_pixels
+from ...runtime import as_pixels
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
 from ...light.render_capture import render_capture
-from ...report.pages import Page, Picture, Section
-from ...report.plots import INK, Plot, annotate, show, show_difference, styled
-from ...runtime.backend import set_variant
+from ...report import pages, plots
+from ...runtime import set_variant
 from .fitted_camera import stray_fraction
 from .white_fit import WhiteFit
 
@@ -31,10 +30,10 @@ def write_white_report(path: Path, fit: WhiteFit, summary: list[str]) -> None:
     caption = "Recorded and simulated pixels of the white picture, their difference, and profiles."
     lines = Markup("<pre>{}</pre>").format("\n".join(summary))
     sections = [
-        Section("Pictures", [Picture(white_figure(fit).png(), caption)]),
-        Section("Numbers", [lines]),
+        pages.Section("Pictures", [pages.Picture(white_figure(fit).png(), caption)]),
+        pages.Section("Numbers", [lines]),
     ]
-    Page("A camera fitted to its white picture", lead, sections).write(path)
+    pages.Page("A camera fitted to its white picture", lead, sections).write(path)
 
 
 def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:
@@ -58,26 +57,28 @@ def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[np.ndarray, np
     return recorded / np.nanmean(fit.brightness), simulated
 
 
-@styled
-def white_figure(fit: WhiteFit) -> Plot:
+@plots.styled
+def white_figure(fit: WhiteFit) -> plots.Plot:
     """Return a figure of recorded and simulated pixels, the mean residual, and lenses off the warped array."""
     recorded, simulated = side_by_side(fit)
     peak = float(np.quantile(recorded, 0.999))
     difference = recorded - simulated
-    plot = Plot(12.3)
+    plot = plots.Plot(12.3)
     upper, lower = plot.panels(2, 3, (recorded.shape[0] / recorded.shape[1], 1))
-    show(upper[0], recorded, "Recorded", peak=peak)
-    show(upper[1], simulated, "Simulated", peak=peak)
+    plots.show(upper[0], recorded, "Recorded", peak=peak)
+    plots.show(upper[1], simulated, "Simulated", peak=peak)
     # Difference, over the light in the middle of micro-images, that has the strongest colour.
-    mesh = show_difference(upper[2], difference, 0.06)
-    annotate(upper[2], title=f"Difference, {np.sqrt((difference**2).mean()):.1%} RMS")
+    mesh = plots.show_difference(upper[2], difference, 0.06)
+    plots.annotate(upper[2], title=f"Difference, {np.sqrt((difference**2).mean()):.1%} RMS")
     plot.colour_bar(mesh, upper[2], "of the light in the middle")
     reach = fit.camera.micro_image_pitch / fit.camera.pixel_size
     middle = len(fit.judgement.difference) // 2
     half = round(reach)
     window = np.s_[middle - half : middle + half + 1, middle - half : middle + half + 1]
-    show_difference(lower[0], fit.judgement.difference[window], 0.03)
-    annotate(lower[0], title=f"Mean micro-image, {fit.judgement.mean_image:.2%} RMS", foot="colours twice as strong")
+    plots.show_difference(lower[0], fit.judgement.difference[window], 0.03)
+    plots.annotate(
+        lower[0], title=f"Mean micro-image, {fit.judgement.mean_image:.2%} RMS", foot="colours twice as strong"
+    )
     _profile(lower[1], fit, recorded, simulated)
     rows, columns = fit.frame.light.shape
     off = np.hypot(*fit.off_array.T)
@@ -85,7 +86,7 @@ def white_figure(fit: WhiteFit) -> Plot:
     marks = lower[2].scatter(x, y, c=off, s=8e4 / len(off) ** 1.1, cmap="viridis", vmin=0, vmax=0.3)
     side = max(rows, columns)
     lower[2].set(xlim=((columns - side) / 2, (columns + side) / 2), ylim=((rows + side) / 2, (rows - side) / 2))
-    annotate(lower[2], title="Lenses off the warped array")
+    plots.annotate(lower[2], title="Lenses off the warped array")
     plot.colour_bar(marks, lower[2], "pixels")
     return plot
 
@@ -105,9 +106,14 @@ def _profile(axes: Axes, fit: WhiteFit, recorded: np.ndarray, simulated: np.ndar
     for image, style, name in ((recorded, "o", "recorded"), (simulated, "-", "simulated")):
         mean = np.bincount(bins, (image / bright).ravel(), minlength=len(edges)) / counts
         axes.plot(
-            edges[:-1] + 0.25, mean[:-1], style, color=INK if style == "-" else "#d1495b", markersize=4, label=name
+            edges[:-1] + 0.25,
+            mean[:-1],
+            style,
+            color=plots.INK if style == "-" else "#d1495b",
+            markersize=4,
+            label=name,
         )
     axes.set(xlim=(0, edges[-1]), xticks=np.arange(0, edges[-1], 4), yticks=np.linspace(0, 1, 6))
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
-    annotate(axes, title="Mean over the distance from the lens", foot="pixels")
+    plots.annotate(axes, title="Mean over the distance from the lens", foot="pixels")

@@ -7,17 +7,15 @@ from typing import Annotated
 
 import typer
 
-from ...cli.inputs import batches_on
-from ...cli.options import OutputFolder, Scheduler, Workers
-from ...cli.stopping import resumable
-from ...runtime.progress import progress_bar
+from ...cli import batches_on, options, resumable
+from ...runtime import progress_bar
 
 
 def dataset(
     recipe: Annotated[Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.")],
-    output: OutputFolder,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
+    output: options.OutputFolder,
+    workers: options.Workers = None,
+    scheduler: options.Scheduler = None,
 ) -> None:
     """Make a data set: random scenes captured by rays and by waves, with ground truth.
 

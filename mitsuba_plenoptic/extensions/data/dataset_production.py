@@ -13,11 +13,9 @@ import numpy as np
 import yaml
 
 from ...errors import naming
-from ...io.checkpoints import locked
-from ...report.images import shrink, write_png
-from ...runtime.backend import set_variant
-from ...runtime.batches import BatchMap, Progress
-from ...runtime.files import remove_leftovers, write_text
+from ...io import locked
+from ...report import images
+from ...runtime import BatchMap, Progress, remove_leftovers, set_variant, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (
@@ -266,9 +264,9 @@ def write_preview(path: Path, samples: DataSet) -> None:
         pictures = [(capture.mean(axis=2) if capture.ndim == 3 else capture) / peak for capture in captures]
         if depth is not None:
             pictures.append(inverse_distance(depth))
-        rows.append(np.concatenate([shrink(picture, 256) for picture in pictures], axis=1))
+        rows.append(np.concatenate([images.shrink(picture, 256) for picture in pictures], axis=1))
     width = min(row.shape[1] for row in rows)
-    write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
+    images.write_png(path, np.concatenate([row[:, :width] for row in rows]), peak=1.0)
 
 
 def inverse_distance(depth: np.ndarray) -> np.ndarray:

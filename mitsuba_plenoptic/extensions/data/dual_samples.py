@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...io.captures import Capture
+from ...io import Capture
 from ...light.render_capture import plenoptic_sensor, render_capture
 from ...plugins.other_camera import with_camera
-from ...runtime.backend import drjit_array
-from ...views.ground_truth import FirstHits
+from ...runtime import drjit_array
+from ...views import FirstHits
 from ..onchip.disparity import blur_radius
 from ..onchip.halves import dual_pixel, photodiode_names, photodiodes
 from ..onchip.photodiode_response import ACROSS

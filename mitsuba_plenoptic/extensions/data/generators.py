@@ -18,8 +18,8 @@ from ...camera import PlenopticCamera
 from ...design import depth_ranges
 from ...errors import refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
-from ...io.captures import Capture
-from ...runtime.backend import drjit_array
+from ...io import Capture
+from ...runtime import drjit_array
 
 _DETAIL = (0.2, 2.0)
 """Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""

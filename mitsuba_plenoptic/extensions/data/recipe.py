@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...camera import PlenopticCamera
-from ...camera.matched import MATCHED
-from ...camera.parameters import PARAMETERS
+from ...camera import MATCHED, PARAMETERS, PlenopticCamera
 from ...choices import MODELS, QUANTITIES
 from ...errors import (
     InputError,
@@ -26,13 +24,12 @@ from ...errors import (
     require_number,
     short_repr,
 )
-from ...io.truth_files import require_quantities
+from ...io import require_quantities
 from ...light.detector import Detector
 from ...light.render_capture import MOST_SAMPLES
 from ...light.scene import UNITS
 from ...presets import PRESETS
-from ...runtime.backend import DEFAULT_VARIANT
-from ...runtime.files import read_yaml
+from ...runtime import DEFAULT_VARIANT, read_yaml
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
 from ..onchip.photodiode_response import require_pixel_pairs

@@ -9,14 +9,12 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...capture_spec import CaptureSpec
-from ...io.captures import Capture
-from ...io.truth_files import GroundTruth
-from ...io.versions import camera_of_waves, is_of_1_0, stamped
+from ...io import Capture, GroundTruth, camera_of_waves, is_of_1_0, stamped
 from ...light.detector import expose
 from ...light.render_capture import render_capture
 from ...light.scene import load_scene
 from ...plugins.other_camera import with_camera
-from ...views.ground_truth import ground_truth
+from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
 from .generators import CaptureGenerator
 from .recipe import Recipe, SamplePlan, generator

@@ -19,10 +19,8 @@ import numpy as np
 from ...capture_spec import scene_fingerprint
 from ...choices import MODELS
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_count, short_repr
-from ...io.checkpoints import differences, write_json
-from ...io.versions import is_of_1_0, stamped
-from ...runtime.files import Sink, atomic_output, h5py_module, read_text, require_file, stored_array
-from ...runtime.limits import require_memory, software
+from ...io import differences, is_of_1_0, stamped, write_json
+from ...runtime import Sink, atomic_output, h5py_module, read_text, require_file, require_memory, software, stored_array
 from .recipe import Recipe
 from .sample import Sample
 

@@ -23,8 +23,7 @@ from scipy.sparse import csr_array, vstack
 from ...camera import PlenopticCamera
 from ...lattice import turn
 from ...points.field_grid import Grid
-from ...runtime.backend import backend_of
-from ...runtime.batches import Box
+from ...runtime import Box, backend_of
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from ...design import resolution_limit
 from ...errors import InputError, argument, refuse_if
-from ...io.checkpoints import digest
-from ...refocus.methods import Found, Progress, Task, method, portion, work_of
-from ...refocus.straight import SOFT_NOISE, softened
-from ...runtime.batches import Job
+from ...io import digest
+from ...refocus import SOFT_NOISE, Found, Progress, Task, method, portion, softened, work_of
+from ...runtime import Job
 from .fourier import response_of
 from .solver import Linear, Solved, State, Values, Work, richardson_lucy
 from .variation import Noise, TotalVariation

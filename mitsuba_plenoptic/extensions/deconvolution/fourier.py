@@ -28,9 +28,7 @@ from ...light.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
 from ...points.full_field import FullFieldPlan
 from ...points.units import radiance_weight
-from ...runtime.backend import backend
-from ...runtime.batches import Job
-from ...runtime.fft import Field, fast_length, fft, irfft, resting_drjit, rfft
+from ...runtime import Job, active_backend, fft
 from .kernels import StoredResponse, require_response_memory
 from .response import Response
 
@@ -68,7 +66,7 @@ class FourierResponse(StoredResponse):
         self._mixing, camera = camera, camera.replace(**SHARP)
         self._camera, self._oversample, self._count = camera, oversample, len(distances)
         bins, pixels = np.array(camera.bin_count), np.array(camera.crop_size)
-        self._size = tuple(fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
+        self._size = tuple(fft.fast_length(float(number)) for number in reversed((pixels + bins - 1).tolist()))
         super().__init__(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
         fine = _fine_camera(camera, wavelength, oversample, deepest)
@@ -81,7 +79,7 @@ class FourierResponse(StoredResponse):
         self._lens, plan = system.lens, FullFieldPlan(system, points, None, 0.0)
         one = np.ones(1, np.float32)
         batches = [plan.batch(plane, one) for plane in range(len(distances))]
-        self._spectra: list[Field] = []
+        self._spectra: list[fft.Field] = []
         spreads = _SPREAD_TIME * len(batches) * math.prod(fine.resolution)
         self.prepared = spreads / (spreads + steps * len(batches) * oversample**2 * math.prod(self._size))
         total = math.ceil(_PROGRESS * len(batches) / self.prepared)
@@ -105,29 +103,29 @@ class FourierResponse(StoredResponse):
 
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
-        libraries, (rows, columns) = backend(), self._size
+        libraries, (rows, columns) = active_backend(), self._size
         total = libraries.arrays.zeros((rows, columns // 2 + 1), np.complex64)
-        with resting_drjit():
+        with fft.resting_drjit():
             for radiance, spectra in zip(values, self._spectra, strict=True):
                 for phase, spectrum in zip(self._phases, spectra, strict=True):
                     total += self._spectrum(radiance[phase]) * libraries.arrays.asarray(spectrum)
             height, width = self._camera.shape
-            found = fft(total, axis=0, inverse=True)[:height]
-            image = libraries.to_host(irfft(found, columns, axis=1)[:, :width])
+            found = fft.fft(total, axis=0, inverse=True)[:height]
+            image = libraries.to_host(fft.irfft(found, columns, axis=1)[:, :width])
         return mix_pixels(np.ascontiguousarray(image), self._mixing)
 
     def adjoint(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """Return the transpose of `forward`, applied to an image."""
-        libraries, columns, result = backend(), self._size[1], []
+        libraries, columns, result = active_backend(), self._size[1], []
         width, height = self._camera.bin_count
-        with resting_drjit():
+        with fft.resting_drjit():
             given = self._spectrum(mix_pixels(image, self._mixing))
             for shape, spectra in zip(self.shapes, self._spectra, strict=True):
                 plane = np.empty(shape, np.float32)
                 for phase, spectrum in zip(self._phases, spectra, strict=True):
                     back = given * libraries.arrays.asarray(spectrum).conj()
-                    back = fft(back, axis=0, inverse=True)[:height]
-                    plane[phase] = libraries.to_host(irfft(back, columns, axis=1)[:, :width])
+                    back = fft.fft(back, axis=0, inverse=True)[:height]
+                    plane[phase] = libraries.to_host(fft.irfft(back, columns, axis=1)[:, :width])
                 result.append(plane)
         return result
 
@@ -139,14 +137,14 @@ class FourierResponse(StoredResponse):
 
     def _spectrum(self, samples: NDArray[np.float32]) -> Any:
         """Return the spectrum of samples that lie in the first corner of the convolutions' period."""
-        arrays, (rows, columns) = backend().arrays, self._size
+        arrays, (rows, columns) = active_backend().arrays, self._size
         wide = arrays.zeros((len(samples), columns), np.float32)
         wide[:, : samples.shape[1]] = arrays.asarray(samples)
         spectrum = arrays.zeros((rows, columns // 2 + 1), np.complex64)
-        spectrum[: len(samples)] = rfft(wide, axis=1)
-        return fft(spectrum, axis=0)
+        spectrum[: len(samples)] = fft.rfft(wide, axis=1)
+        return fft.fft(spectrum, axis=0)
 
-    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> Field:
+    def _kernel_spectra(self, spread: NDArray[np.float32], fine: PlenopticCamera) -> fft.Field:
         """Return the spectra of a plane's kernels, from the middle bin's spread on the fine camera's pixels."""
         o, camera = self._oversample, self._camera
         per_bin = round(camera.pixel_size / fine.pixel_size / o)
@@ -166,7 +164,7 @@ class FourierResponse(StoredResponse):
             )
             for axis in (1, 0)
         ]
-        spectra: Field = backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        spectra: fft.Field = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
         for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
             kernel = _over_pixels(_over_pixels(parts, o, down.start, 0), o, across.start, 1)
             spectrum[...] = self._spectrum(self._wrapped(kernel, low))

@@ -23,9 +23,8 @@ import dataclasses
 import numpy as np
 
 from ...light.detector import SHARP, mix_pixels
-from ...refocus.methods import Task, method, portion, work_of
-from ...refocus.radiance import captures, to_radiance, white_pixels, white_sums
-from ...runtime.batches import Job
+from ...refocus import Task, captures, method, portion, to_radiance, white_pixels, white_sums, work_of
+from ...runtime import Job
 from .fourier import response_of
 
 

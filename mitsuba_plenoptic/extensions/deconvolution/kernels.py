@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...runtime.backend import backend, backend_of
-from ...runtime.batches import Box, Part, on_all_cores
-from ...runtime.limits import require_memory_for
+from ...runtime import Box, Part, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 
 _BLOCK = 8
@@ -94,7 +92,7 @@ def require_response_memory(memory: Callable[[int], float], oversample: int, dis
 
 def make_kernel(cells: BinCells, cell: NDArray[np.int64], spreads: Iterable[list[Part]], together: int = 1) -> Kernel:
     """Return the kernel of a cell's bins from point spreads; `together` x `together` samples are merged into one."""
-    arrays, found = backend().arrays, []
+    arrays, found = active_backend().arrays, []
     for number, parts in enumerate(spreads):
         for part in parts:
             box, sums = merged(part.box, arrays.asarray(part.sums)[0], together)
@@ -178,7 +176,7 @@ class PlaneResponse:
         self._cells = cells
         steps = np.concatenate([kernel.steps for kernel in kernels])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))
-        asarray = backend().arrays.asarray
+        asarray = active_backend().arrays.asarray
         self._zones = [
             _Placed(
                 kernel.blocks,
@@ -196,7 +194,7 @@ class PlaneResponse:
 
     def add_forward(self, values: NDArray[np.float32], samples: Any) -> None:
         """Add the light of bins to the samples."""
-        arrays = backend().arrays
+        arrays = active_backend().arrays
         padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
 
         def work(zone: _Placed) -> None:
@@ -210,7 +208,7 @@ class PlaneResponse:
 
     def adjoint(self, samples: Any) -> NDArray[np.float32]:
         """Return, for each bin, the samples weighted by the bin's light."""
-        arrays, bins = backend().arrays, self.shape[1]
+        arrays, bins = active_backend().arrays, self.shape[1]
         result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
 
         def work(zone: _Placed) -> Any:
@@ -225,7 +223,7 @@ class PlaneResponse:
             for step in range(around.shape[1]):
                 # A step takes every cell to another; only what no bin lights is met twice.
                 result[zone.sources[:, step]] += around[:, step]
-        return np.asarray(backend().to_host(result))[:-1]
+        return np.asarray(active_backend().to_host(result))[:-1]
 
 
 @dataclass(frozen=True)
@@ -240,4 +238,4 @@ class _Placed:
 
 def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> list[Result]:
     """Return the results of zones, computed on all cores; a CUDA device takes its work from one thread."""
-    return [work(zone) for zone in zones] if backend().is_cuda else on_all_cores(work, zones)
+    return [work(zone) for zone in zones] if active_backend().is_cuda else on_all_cores(work, zones)

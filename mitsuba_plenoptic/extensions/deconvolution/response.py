@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_ideal, require_no_shape
+from ...camera import PlenopticCamera, require_ideal, require_no_shape
 from ...design import resolution_limit
 from ...errors import refuse_if
 from ...light.detector import SHARP, mix_pixels
@@ -32,8 +31,7 @@ from ...points.recorder import Recorder
 from ...points.scene_points import sample_pairs
 from ...points.tile import Copies, Scatter
 from ...points.units import radiance_weight
-from ...runtime.backend import backend
-from ...runtime.batches import Box, Job, Part, add
+from ...runtime import Box, Job, Part, active_backend, add
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
 
@@ -375,7 +373,7 @@ class Response(StoredResponse):
             batches = itertools.chain.from_iterable(self._batches(cells, distance, cell, 2))
             with contextlib.closing(job.workers(batches)) as parts:
                 for part in parts:
-                    box, sums = merged(part.box, backend().to_host(part.sums)[0], self._together)
+                    box, sums = merged(part.box, active_backend().to_host(part.sums)[0], self._together)
                     add(Part(box, sums[None]), Box(left, top, 2 * half, 2 * half), image)
             return image
 
@@ -420,7 +418,7 @@ class Response(StoredResponse):
     def forward(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """Return the image that the detector records of planes."""
         width, height = self.cells.size
-        libraries = backend()
+        libraries = active_backend()
         samples = libraries.arrays.zeros((len(self._sampled), height, width), np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, values, strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.vector import CameraVector
+from ...camera import CameraVector, PlenopticCamera
 from ...errors import require_wavelength, warn
-from ...io.checkpoints import Checkpoint
-from ...views.grid_estimation import estimate_lens_grid
+from ...io import Checkpoint
+from ...views import estimate_lens_grid
 from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
 

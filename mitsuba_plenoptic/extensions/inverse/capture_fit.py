@@ -9,8 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.vector import CameraVector
+from ...camera import CameraVector, PlenopticCamera
 from ...choices import MODELS
 from ...errors import (
     refuse_if,
@@ -22,7 +21,7 @@ from ...errors import (
     suggest_keywords,
     warn,
 )
-from ...io.checkpoints import Checkpoint
+from ...io import Checkpoint
 from ...light.lens_kinds import regular_array
 from .fit_light import PixelNoise, Pixels, View, by_model, check_views, kept_numbers, light_digest
 from .fit_result import Fit, doubts, steps_along, summary

@@ -22,24 +22,31 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_ideal, require_no_shape, require_no_warp
+from ...camera import PlenopticCamera, require_ideal, require_no_shape, require_no_warp
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, require_wavelength
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
 from ...prescription.lens_data import image_distance
-from ...refocus.conjugates import ThinConjugates
-from ...refocus.lens_by_lens import fine_bins
-from ...refocus.passages import BinSums
-from ...refocus.planning import plan, require_feasible
-from ...refocus.radiance import LensSpread, divisors, is_reached, lens_scale, white_sums
-from ...refocus.ray_sums import pupil_radius, ray_sums, ray_sums_vjp
-from ...refocus.wave_methods import BackwardFields, signed_parts
+from ...refocus import (
+    BackwardFields,
+    BinSums,
+    LensSpread,
+    ThinConjugates,
+    divisors,
+    fine_bins,
+    is_reached,
+    lens_scale,
+    plan,
+    pupil_radius,
+    ray_sums,
+    ray_sums_vjp,
+    require_feasible,
+    signed_parts,
+    white_sums,
+)
 from ...refocus_options import FOOTPRINTS
-from ...runtime.backend import as_array, backend, drjit_array, one_at_a_time, require_pixels
-from ...runtime.fft import resting_drjit
-from ...runtime.limits import check_memory
+from ...runtime import active_backend, as_array, check_memory, drjit_array, fft, one_at_a_time, require_pixels
 from ..deconvolution.deconvolved import DEFAULT_ITERATIONS, LEAST_SEEN
 from ..deconvolution.fourier import response_of
 from ..deconvolution.solver import RichardsonLucyStep, Values
@@ -361,7 +368,7 @@ class _BinnedPower:
         if checked and sent:
             guards.check(guards.PUPIL, 1 - passed / sent)
         power: Any = sum(field.real**2 + field.imag**2 for field in self._at)
-        bins = backend().to_host(self._sums.forward([(slice(None), power)]))
+        bins = active_backend().to_host(self._sums.forward([(slice(None), power)]))
         spread = bins if refocus._spread is None else refocus._spread.forward(bins)
         self._lit = spread > 0
         self.bins = np.where(self._lit, spread, 0)
@@ -369,10 +376,10 @@ class _BinnedPower:
     def _fields(self, amplitude: NDArray[np.float32]) -> tuple[list[Any], float]:
         """Return all subsets' fields at the object plane's directions, and the power that passed the pupil."""
         chain, step, found, passed = self._refocus._fields, self._refocus._step, [], 0.0
-        with resting_drjit():
+        with fft.resting_drjit():
             for field in chain.at_pupil(amplitude):
                 passed += chain.power(field)
-                found.append(backend().arrays.empty((step.x.new_padded, step.y.new_padded), np.complex64))
+                found.append(active_backend().arrays.empty((step.x.new_padded, step.y.new_padded), np.complex64))
                 for lines, part in chain.to_object(field, self._refocus._zone, step):
                     found[-1][lines] = part
         return found, passed
@@ -381,14 +388,14 @@ class _BinnedPower:
         """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
         power: Any = sum(2 * (field.conj() * other).real for field, other in zip(self._at, moved, strict=True))
-        bins = backend().to_host(self._sums.jvp(power))
+        bins = active_backend().to_host(self._sums.jvp(power))
         return np.where(self._lit, bins if self._refocus._spread is None else self._refocus._spread.forward(bins), 0)
 
     def vjp(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the gradient with respect to the capture, from the gradient with respect to the bins."""
-        arrays, given, refocus = backend().arrays, np.where(self._lit, bins, 0), self._refocus
+        arrays, given, refocus = active_backend().arrays, np.where(self._lit, bins, 0), self._refocus
         power = self._sums.vjp(arrays.asarray(given if refocus._spread is None else refocus._spread.vjp(given)))
-        with resting_drjit():
+        with fft.resting_drjit():
             gradients = ((2 * power * field).astype(np.complex64) for field in self._at)
             return self._slope * refocus._fields.vjp(gradients, refocus._zone, refocus._step)
 

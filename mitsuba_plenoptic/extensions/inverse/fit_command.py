@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...choices import Model
-from ...cli.inputs import named_camera, parse_definitions, require_in_use
-from ...cli.options import RECORDING, CameraFile, Definitions, Resume, Unit, numeric, output_option, wavelength_option
-from ...cli.stopping import checkpoint_of, resumable
+from ...cli import checkpoint_of, named_camera, options, parse_definitions, require_in_use, resumable
 from ...errors import InputError, refuse_if, require_number
-from ...runtime.progress import progress_bar
+from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -25,9 +23,11 @@ _NAMED = 3
 def fit(
     captures: Annotated[
         list[Path],
-        typer.Argument(metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.", callback=RECORDING),
+        typer.Argument(
+            metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.", callback=options.RECORDING
+        ),
     ],
-    output: Annotated[Path, output_option("FILE.json", "File to write: the camera.", ".json")],
+    output: Annotated[Path, options.output_option("FILE.json", "File to write: the camera.", ".json")],
     scenes: Annotated[
         list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
     ],
@@ -37,7 +37,7 @@ def fit(
     ],
     photons: Annotated[
         float | None,
-        numeric(
+        options.numeric(
             "Photons counted in a pixel of value 1, for the noise.",
             "the noise that 'expose' keeps",
             check=partial(require_number, positive=True),
@@ -45,7 +45,7 @@ def fit(
     ] = None,
     saturation: Annotated[
         float | None,
-        numeric(
+        options.numeric(
             "Value from which on pixels are left out as saturated.",
             "what 'expose' keeps, or none",
             unit="VALUE",
@@ -56,11 +56,11 @@ def fit(
         Path | None,
         typer.Option(metavar="FILE.png", help="Picture of the captures' size, not black where pixels are left out."),
     ] = None,
-    camera: CameraFile = None,
+    camera: options.CameraFile = None,
     start: Annotated[
         bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
     ] = False,
-    wavelength: Annotated[float | None, wavelength_option("the captures', or 633")] = None,
+    wavelength: Annotated[float | None, options.wavelength_option("the captures', or 633")] = None,
     points_per_lens: Annotated[
         int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
     ] = 64,
@@ -72,10 +72,10 @@ def fit(
         ),
     ] = False,
     model: Annotated[Model, typer.Option(help="How light propagates; the ray model has no diffraction.")] = "wave",
-    accuracy: Annotated[float, numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
-    resume: Resume = False,
-    unit: Unit = "mm",
-    define: Definitions = None,
+    accuracy: Annotated[float, options.numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
+    resume: options.Resume = False,
+    unit: options.Unit = "mm",
+    define: options.Definitions = None,
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
 
@@ -88,12 +88,9 @@ def fit(
     """
     import numpy as np
 
-    from ...io.captures import read_capture
-    from ...io.checkpoints import SUFFIX
-    from ...io.pictures import read_picture
+    from ...io import CHECKPOINT_SUFFIX, read_capture, read_picture
     from ...light.scene import load_scene
-    from ...runtime.backend import DEFAULT_VARIANT
-    from ...runtime.files import require_apart, require_writable
+    from ...runtime import DEFAULT_VARIANT, require_apart, require_writable
     from . import fitting
     from .point_rays import vector_of
 
@@ -142,7 +139,7 @@ def fit(
         )
         views.append(view)
     # The coarse fit's stays until the end, as the fine fit starts, and has its bounds, from there.
-    coarse = checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{SUFFIX}"))
+    coarse = checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{CHECKPOINT_SUFFIX}"))
     with coarse, checkpoint_of(output, resume) as steps:
         if afar:
             with progress_bar("Coarse fit") as progress, resumable(progress, coarse):
@@ -164,7 +161,7 @@ def fit(
 
 def _write(output: Path, found: Fit) -> None:
     """Write the camera's file, and print parameters, deviations and warnings of the fit."""
-    from ...runtime.files import write_text
+    from ...runtime import write_text
 
     write_text(output, found.camera.to_json(), ".json")
     for name, value in found.values.items():

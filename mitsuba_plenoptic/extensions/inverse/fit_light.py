@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, put, refuse_if, require_count, require_number, require_wavelength
-from ...io.captures import Capture, require_demosaiced, response_of
-from ...io.checkpoints import digest
+from ...io import Capture, digest, require_demosaiced, response_of
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
 from ...light.render_capture import chosen_integrator, plenoptic_sensor
@@ -23,7 +22,7 @@ from ...plugins.other_camera import with_camera
 from ...points.pupil_weights import PupilWeights
 from ...points.scene_points import find_points, require_matte
 from ...points.units import brightness_at
-from ...runtime.backend import as_array, as_pixels, one_at_a_time
+from ...runtime import as_array, as_pixels, one_at_a_time
 
 _LEAST_ELECTRONS = 1.0
 """Variance, in squared electrons, by which pixels are weighted at least: of a stray count in the dark."""

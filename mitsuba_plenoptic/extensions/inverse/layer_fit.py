@@ -12,8 +12,8 @@ import numpy as np
 
 from ...choices import MODELS
 from ...errors import InputError, argument, refuse_if, require_choice, require_count, require_number, suggest_keywords
-from ...io.captures import Capture
-from ...runtime.backend import drjit_array, one_at_a_time
+from ...io import Capture
+from ...runtime import drjit_array, one_at_a_time
 from .layers import Layers
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError, refuse_if, require_number
-from ...runtime.backend import IMAGE, as_array, drjit_array
+from ...runtime import IMAGE, as_array, drjit_array
 
 
 @dataclass(frozen=True, eq=False)

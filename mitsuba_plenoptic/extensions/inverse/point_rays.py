@@ -13,10 +13,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.entry import Captures
-from ...camera.plenoptic_camera import require_known_to, require_no_glass, require_no_shape, require_no_warp
-from ...camera.vector import CameraVector
+from ...camera import (
+    CameraVector,
+    Captures,
+    PlenopticCamera,
+    require_known_to,
+    require_no_glass,
+    require_no_shape,
+    require_no_warp,
+)
 from ...errors import refuse_if, short_repr
 from ...lattice import make_lattice
 from ...lenses.main_lens import MainLens
@@ -27,8 +32,7 @@ from ...points.derivatives import DIFFERENTIABLE, WAVELENGTH, check_names, light
 from ...points.operator import CaptureOperator
 from ...points.pupil_weights import PupilWeights
 from ...points.units import brightness_at
-from ...runtime.backend import array_module, drjit_array, one_at_a_time
-from ...runtime.limits import check_memory
+from ...runtime import array_module, check_memory, drjit_array, one_at_a_time
 from .fit_light import View
 
 

@@ -15,8 +15,7 @@ from ...points.full_field import FullFieldPlan
 from ...points.patch_plan import PatchPlan
 from ...points.recorder import Recorder
 from ...points.tile import Copies, Scatter
-from ...runtime.backend import backend
-from ...runtime.batches import Job, Part, add
+from ...runtime import Job, Part, active_backend, add
 
 _TOGETHER_BYTES = 2**26
 """Memory of the patches that are computed together."""
@@ -69,7 +68,7 @@ class PatchSpreads(PatchPlan):
                 arrived += float(sums.sum(dtype=np.float64)) * int(members[pattern]) / self.gain
                 for points, shift, recorder in self._recorded(pattern):
                     (dx, dy), box = shift.tolist(), recorder.box
-                    samples: Any = backend().arrays.zeros((1, box.rows, box.columns), np.float32)
+                    samples: Any = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
                     moved = replace(made.box, left=made.box.left + dx, top=made.box.top + dy)
                     add(Part(moved, sums[None]), box, samples)
                     yield Spread(points, recorder.window, recorder.integrate(samples[0]))

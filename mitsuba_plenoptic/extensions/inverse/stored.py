@@ -15,9 +15,7 @@ from ...errors import refuse_if, require_number
 from ...optics import guards
 from ...points.mixing import SpectralSum, mix
 from ...points.operator import CaptureOperator
-from ...runtime.backend import one_at_a_time
-from ...runtime.batches import Job
-from ...runtime.limits import require_memory
+from ...runtime import Job, one_at_a_time, require_memory
 from .spreads import FullFieldSpreads, PatchSpreads
 
 _SPREADS: dict[str, type] = {"patch": PatchSpreads, "full_field": FullFieldSpreads}

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, short_repr
 from ...points.operator import CaptureOperator
-from ...runtime.backend import drjit_array
+from ...runtime import drjit_array
 from .array_functions import (
     ONCE,
     CameraCapture,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
-from ...runtime.backend import as_array
+from ...runtime import as_array
 
 
 @suggest_keywords

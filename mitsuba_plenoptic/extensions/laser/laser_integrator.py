@@ -8,8 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_ideal
+from ...camera import PlenopticCamera, require_ideal
 from ...errors import InputError, naming, refuse_if, require_count, require_number, require_wavelength, warn
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -20,7 +19,7 @@ from ...plugins.properties import DEFAULT_WAVELENGTH, make_base, put, read_plain
 from ...points.coherent import require_coherent
 from ...points.operator import CaptureOperator
 from ...points.scene_points import require_matte_surfaces
-from ...runtime.batches import Cost, Job
+from ...runtime import Cost, Job
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
 from .realisations import coherent_capture

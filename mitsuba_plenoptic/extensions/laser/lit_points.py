@@ -29,8 +29,7 @@ from ...light.scene_light import random_numbers, world_ray
 from ...optics import guards
 from ...optics.waves import in_millimetres
 from ...points.units import radiance_weight
-from ...runtime.backend import drjit_array
-from ...runtime.limits import require_memory
+from ...runtime import drjit_array, require_memory
 
 _COARSE = 64
 """Chief rays along each axis that find the distances of the surfaces, and so the width of their blur."""

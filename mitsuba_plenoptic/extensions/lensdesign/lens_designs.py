@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import InputError, naming, refuse_if, short_repr
 from ...prescription import Glass, Prescription
-from ...runtime.files import require_size
+from ...runtime import require_size
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""

@@ -14,12 +14,11 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import convolve1d, uniform_filter
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_round
+from ...camera import PlenopticCamera, require_round
 from ...choices import Axis
 from ...errors import InputError, refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...prescription.lens_data import image_distance
-from ...views.coordinates import require_light_field
+from ...views import require_light_field
 
 _FLAT = 1e-6
 """Least variance in a window, over its mean square, for which there is something to match."""

@@ -9,17 +9,16 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ...choices import PICTURES
-from ...cli.inputs import drawing_of
-from ...cli.options import PICTURE, CaptureFile, output_option
+from ...cli import drawing_of, options
 from ...refocus_options import with_parameters
 
 
-@partial(with_parameters, parameters=PICTURE)
+@partial(with_parameters, parameters=options.PICTURE)
 def dual(
-    capture: CaptureFile,
+    capture: options.CaptureFile,
     output: Annotated[
         Path,
-        output_option(
+        options.output_option(
             "FILE",
             "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
             ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
@@ -30,7 +29,7 @@ def dual(
         Literal["2x1", "1x2", "2x2"],
         typer.Option(help="Photodiodes of a lens: beside each other, above, or four."),
     ] = "2x1",
-    **options: Any,
+    **brightness: Any,
 ) -> None:
     """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
 
@@ -45,22 +44,28 @@ def dual(
     """
     import numpy as np
 
-    from ...io.captures import read_capture
-    from ...report.output_files import as_parts, require_picture_path, write_drawn
-    from ...report.plots import views_figure
-    from ...runtime.files import require_apart
-    from ...views.viewpoints import view_mosaic
+    from ...io import read_capture
+    from ...report import as_parts, plots, require_picture_path, write_drawn
+    from ...runtime import require_apart
+    from ...views import view_mosaic
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
-    drawing = drawing_of(options, output)
+    drawing = drawing_of(brightness, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     white = drawing.brightness.peak([halves.values])
     pictures = {name: halves.values[j, i] for (j, i), name in np.ndenumerate(photodiode_names(halves))}
     parts = as_parts(**pictures, sum=halves.sum(("v", "u")).values)
     write_drawn(
-        output, "photodiodes", halves, parts, view_mosaic(halves), white, drawing, lambda: views_figure(halves, white)
+        output,
+        "photodiodes",
+        halves,
+        parts,
+        view_mosaic(halves),
+        white,
+        drawing,
+        lambda: plots.views_figure(halves, white),
     )
     views, lenses = (f"{halves.sizes[x]} x {halves.sizes[y]}" for x, y in (("u", "v"), ("s", "t")))
     typer.echo(f"{output}: {views} pictures of {lenses} lenses")

@@ -9,9 +9,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import InputError, refuse_if, require_pair, short_repr, suggest_keywords
-from ...io.captures import Capture, mosaic_of
+from ...io import Capture, mosaic_of
 from ...light.detector import filters
-from ...views.coordinates import light_field
+from ...views import light_field
 from .photodiode_response import ACROSS, require_pixel_pairs
 
 LAYOUTS = ((2, 1), (1, 2), (2, 2))

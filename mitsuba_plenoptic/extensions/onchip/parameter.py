@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ...camera.entry import Captures, Form, Parameter
+from ...camera import Captures, Form, Parameter
 from ...errors import refuse_if
 from .photodiode_response import PhotodiodeResponse, known_response, require_pixel_pairs
 
 if TYPE_CHECKING:
-    from ...camera.geometry import CameraGeometry
+    from ...camera import CameraGeometry
 
 PhotodiodeParameter: TypeAlias = Parameter[
     PhotodiodeResponse | str | Path | dict[str, Any] | None, PhotodiodeResponse | None

@@ -23,10 +23,10 @@ from ...errors import (
     require_wavelength,
     short_repr,
 )
-from ...runtime.files import read_text
+from ...runtime import read_text
 
 if TYPE_CHECKING:
-    from ...camera.geometry import CameraGeometry
+    from ...camera import CameraGeometry
 
 ACROSS = 2
 """Pixels across a lens."""

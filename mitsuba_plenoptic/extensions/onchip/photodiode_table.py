@@ -14,7 +14,7 @@ import numpy as np
 from ...lenses.main_lens import Pair
 from ...optics.spectrum import RGB_WAVELENGTHS
 from ...prescription.glass import LINE_D
-from ...runtime.backend import drjit_array
+from ...runtime import drjit_array
 from .photodiode_response import PhotodiodeResponse
 
 

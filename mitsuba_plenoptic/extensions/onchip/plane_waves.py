@@ -27,14 +27,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_round
+from ...camera import PlenopticCamera, require_round
 from ...errors import InputError, refuse_if, short_repr
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Walk
 from ...optics.waves import in_millimetres
-from ...runtime.backend import drjit_array
-from ...runtime.limits import single_threaded_blas
+from ...runtime import drjit_array, single_threaded_blas
 
 NEAR = 5
 """Lenses across the window of the near table."""

@@ -16,7 +16,7 @@ from ...camera import PlenopticCamera
 from ...lenses.main_lens import Pair
 from ...light.random_numbers import chances_of, even_numbers
 from ...light.walk import Walk
-from ...runtime.backend import drjit_array
+from ...runtime import drjit_array
 from .plane_waves import NEAR
 from .response_tables import PhotodiodeResponses, TableWindow
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from ...errors import refuse_if
-from ...runtime.limits import single_threaded_blas, unit_hint
+from ...runtime import single_threaded_blas, unit_hint
 from .plane_waves import NEAR, PlaneWaveResponses, displacement
 
 _OVERSAMPLING = 1.4

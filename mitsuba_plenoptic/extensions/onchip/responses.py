@@ -31,9 +31,7 @@ from ...light.scene_light import SceneLight, require_finite
 from ...light.signed_capture import SignedCapture
 from ...light.signed_colours import Node, SignedColours, mixed
 from ...light.walk import walks_of
-from ...runtime.backend import drjit_array
-from ...runtime.batches import Box, Part, PartialSum
-from ...runtime.fft import busy_drjit
+from ...runtime import Box, Part, PartialSum, drjit_array, fft
 from .plane_waves import NEAR, lens_range
 from .response_draws import Tables
 from .response_tables import PhotodiodeResponses
@@ -159,7 +157,7 @@ class ResponseSum:
         for number in range(first, len(self._blocks)):
             top, rows = self._blocks[number], int(self.items[number]) // columns
             seeds = np.random.SeedSequence([self._seed]).generate_state(self._rounds).tolist()
-            with busy_drjit():
+            with fft.busy_drjit():
                 sums = self._captured(LensCells(self._columns[0], top, columns, rows), seeds)
             pixels = np.stack([np.stack([value.numpy() for value in diodes], -1) for diodes in sums])
             pixels = pixels.reshape(-1, rows, columns, size, size).swapaxes(2, 3)
@@ -191,7 +189,7 @@ class ResponseSum:
         grid = LensCells((left + right - columns) // 2, (top + bottom - rows) // 2, columns, rows)
         for seed in range(3):
             start = time.perf_counter()
-            with busy_drjit():
+            with fft.busy_drjit():
                 dr.eval(self._captured(grid, [seed]))
                 dr.sync_thread()
             around = grid.within(self._tables.margin)

@@ -9,10 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ...report.comparison import find
-from ...report.experiment import TITLES, Experiment
-from ...report.metrics import image_metrics, ssim_text
-from ...report.pages import Section, Table, prose
+from ...report import METHOD_TITLES, Experiment, metrics, pages
 
 CONFIRMED = "confirmed"
 PARTLY = "partly"
@@ -57,30 +54,30 @@ class Claim:
     remark: str
 
 
-def claims_section(claims: Sequence[Claim], measured: dict[str, Any]) -> Section:
+def claims_section(claims: Sequence[Claim], measured: dict[str, Any]) -> pages.Section:
     """Return the part of the report with the conclusions, and the interference that they rest on."""
     texts = Markup('<div><p class="statement">{}</p><p>{}</p><p class="note">{}</p></div>')
     items = [
         Markup('<li><span class="verdict {}">{}</span>{}</li>').format(
             claim.verdict.replace(" ", "-"),
             claim.verdict,
-            texts.format(prose(claim.statement), prose(claim.measured), prose(claim.remark)),
+            texts.format(pages.prose(claim.statement), pages.prose(claim.measured), pages.prose(claim.remark)),
         )
         for claim in claims
     ]
     columns = {
         "Letter": "at {shape_distance:g} mm",
         "Focus": "{distance:g} mm",
-        TITLES["coherent"]: "{coherent:.1%}",
-        TITLES["partial"]: "{partial:.1%}",
+        METHOD_TITLES["coherent"]: "{coherent:.1%}",
+        METHOD_TITLES["partial"]: "{partial:.1%}",
     }
     blurred = [row for row in measured["interference"] if row["shape_distance"] != row["distance"]]
-    return Section(
+    return pages.Section(
         "The paper's conclusions",
         [
             "Each verdict is computed from the results next to it.",
             Markup('<ul class="claims">{}</ul>').format(Markup("").join(items)),
-            Table(columns, blurred, "Interference within each letter that is out of focus."),
+            pages.Table(columns, blurred, "Interference within each letter that is out of focus."),
         ],
     )
 
@@ -95,8 +92,8 @@ def check_claims(
     first = experiment.settings.distances[0]
     last = experiment.settings.distances[-1]
     blurred = [
-        find(measured["interference"], shape=shape, distance=distance)
-        | find(measured["readings"], shape=shape, distance=distance)
+        _row(measured["interference"], shape=shape, distance=distance)
+        | _row(measured["readings"], shape=shape, distance=distance)
         for shape, distance in ((near, last), (far, first))
     ]
     sizes = {tuple(row["bins"]) for row in measured["reconstructions"]}
@@ -153,11 +150,11 @@ def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict
     ]
 
 
-def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> Section:
+def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> pages.Section:
     """Return the part of the report with the rows of `timing_table`."""
     columns = {"Method": "{title}", "Seconds": "{seconds:.3g}", "Paper": "{paper_seconds:g}"}
     caption = "Ours: processor time, the shorter of two runs."
-    records = [row | {"title": TITLES[row["method"]]} for row in rows]
+    records = [row | {"title": METHOD_TITLES[row["method"]]} for row in rows]
     if experiment.camera.resolution == PAPER_RESOLUTION:
         columns["Paper over ours"] = "{ratio}"
         records = [row | {"ratio": _two_digits(row["paper_over_ours"])} for row in records]
@@ -168,7 +165,7 @@ def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> Se
         "Seconds of a processor core to reconstruct one distance. The paper's core was one of about 2012: a part of "
         "the ratio is due to the machine."
     )
-    return Section("Time on one core", [text, Table(columns, records, caption)])
+    return pages.Section("Time on one core", [text, pages.Table(columns, records, caption)])
 
 
 def _two_digits(value: float) -> str:
@@ -186,12 +183,11 @@ def _similarity_to_rays(experiment: Experiment, distances: tuple[float, ...]) ->
     near = []
     for distance in distances:
         partial, coherent = (
-            image_metrics(experiment.images[method, distance], experiment.images["ray", distance])
+            metrics.image_metrics(experiment.images[method, distance], experiment.images["ray", distance])
             for method in ("partial", "coherent")
         )
-        texts.append(
-            f"{partial.psnr:.1f} dB, SSIM {ssim_text(partial.ssim)} at {distance:g} mm, coherent {coherent.psnr:.1f} dB"
-        )
+        ssim = metrics.ssim_text(partial.ssim)
+        texts.append(f"{partial.psnr:.1f} dB, SSIM {ssim} at {distance:g} mm, coherent {coherent.psnr:.1f} dB")
         alike = partial.psnr > 30.0 and (partial.ssim or 0) > 0.95
         near.append(alike and partial.psnr - coherent.psnr > 3.0)
     return Claim(
@@ -274,3 +270,8 @@ def _in_letters(rows: list[dict[str, Any]], reading: str) -> str:
 
 def _both(values: list[float], form: str = ".1%") -> str:
     return " and ".join(format(value, form) for value in values)
+
+
+def _row(rows: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
+    """Return the first row of a table that has the given values."""
+    return next(row for row in rows if all(row[name] == value for name, value in values.items()))

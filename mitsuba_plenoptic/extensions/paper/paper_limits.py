@@ -17,7 +17,7 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...prescription.lens_data import image_distance
-from ...refocus.ray_sums import pupil_radius, ray_sums
+from ...refocus import pupil_radius, ray_sums
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
 

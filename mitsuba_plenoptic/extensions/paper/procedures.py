@@ -13,7 +13,7 @@ from ...camera import PlenopticCamera
 from ...light.walk import follow_back
 from ...optics import rays
 from ...prescription.lens_data import image_distance
-from ...report.plots import FAINT, INK, Plot, bare, styled
+from ...report import plots
 
 _LIGHT = "#d08700"
 _RAYS = 7
@@ -60,22 +60,22 @@ def micro_image(camera: PlenopticCamera, lens: float) -> np.ndarray:
     return middle + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
 
 
-@styled
+@plots.styled
 def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) -> None:
     """Draw the paper's figure 1: the setup, with rays from a point of each object to the array."""
     far = max(objects.values())
     b = camera.mla_distance
-    plot = Plot(10.5, 4.7)
+    plot = plots.Plot(10.5, 4.7)
     axes = plot.subplots()
     _axis(axes, (-1.12 * far, 1.25 * b), 2.0 * camera.aperture_radius)
-    axes.set_title("Setup; heights are enlarged", size=10, color=INK, loc="left", pad=6)
+    axes.set_title("Setup; heights are enlarged", size=10, color=plots.INK, loc="left", pad=6)
     pupil = np.linspace(-1, 1, _RAYS) * camera.aperture_radius
     for index, (name, distance) in enumerate(objects.items()):
         height = 0.4 * camera.aperture_radius * (1 - index)
         for path_ in light_path(camera, (height, distance), pupil):
             axes.plot(*path_.T, color=f"C{index}", linewidth=0.7, alpha=0.8)
         top = (1 + 0.3 * index) * camera.aperture_radius
-        axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=FAINT, linewidth=1)
+        axes.plot([-distance] * 2, [-camera.aperture_radius, top], color=plots.FAINT, linewidth=1)
         image = image_distance(camera.focal_length, distance)
         axes.annotate(
             f"{name}, g = {distance:g} mm\nimage at {image:.4g} mm", (-distance, top), (0, 4),
@@ -84,15 +84,15 @@ def figure_1(path: Path, camera: PlenopticCamera, objects: Mapping[str, float]) 
     _main_lens(axes, camera)
     _array(axes, camera)
     below = -1.25 * camera.aperture_radius
-    axes.annotate("", (b, below), (0, below), arrowprops={"arrowstyle": "<->", "color": FAINT, "linewidth": 0.8})
-    axes.text(b / 2, below, f"b = {b:g} mm", ha="center", va="bottom", size=8, color=FAINT)
+    axes.annotate("", (b, below), (0, below), arrowprops={"arrowstyle": "<->", "color": plots.FAINT, "linewidth": 0.8})
+    axes.text(b / 2, below, f"b = {b:g} mm", ha="center", va="bottom", size=8, color=plots.FAINT)
     plot.save_both(path)
 
 
-@styled
+@plots.styled
 def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
     """Draw the paper's figure 3: reconstruction back to an object plane, by rays and by waves."""
-    plot = Plot(10.5, 5.6)
+    plot = plots.Plot(10.5, 5.6)
     axes, steps = plot.subplots(2, 1, height_ratios=(3.2, 1.3))
     _axis(axes, (-1.1 * distance, 1.25 * camera.mla_distance), 1.6 * camera.aperture_radius)
     axes.set_title(f"(a)  By rays: each pixel through the centre of its lens, to {distance:g} mm", size=10, loc="left")
@@ -100,7 +100,7 @@ def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
         centre = lens * camera.mla_pitch
         for path_ in back_path(camera, centre, micro_image(camera, centre), distance):
             axes.plot(*_stretched(path_, camera).T, color=f"C{index}", linewidth=0.7)
-    axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=FAINT, linewidth=1)
+    axes.plot([-distance] * 2, [-camera.aperture_radius, camera.aperture_radius], color=plots.FAINT, linewidth=1)
     _main_lens(axes, camera)
     _array(axes, camera)
     _waves(steps, camera, distance)
@@ -109,7 +109,7 @@ def figure_3(path: Path, camera: PlenopticCamera, distance: float) -> None:
 
 def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
     """Draw the steps of the wave reconstruction, from the detector on the right to the object on the left."""
-    bare(axes).set(xlim=(0, 1), ylim=(0, 1))
+    plots.bare(axes).set(xlim=(0, 1), ylim=(0, 1))
     axes.set_title("(b)  By waves: one field for all lenses, or one for each subset, whose intensities are added",
                    size=10, loc="left")  # fmt: skip
     steps = (
@@ -125,8 +125,10 @@ def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
     )
     middles = np.linspace(0.9, 0.1, len(steps))
     for middle, (name, formula, value) in zip(middles, steps, strict=True):
-        box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": FAINT}
-        axes.text(middle, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=INK, bbox=box)
+        box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": plots.FAINT}
+        axes.text(
+            middle, 0.6, f"{name}\n{formula}\n{value}", ha="center", va="center", size=9, color=plots.INK, bbox=box
+        )
     for first, second, text in zip(middles, middles[1:], between, strict=False):
         axes.add_patch(FancyArrowPatch((first - 0.085, 0.6), (second + 0.085, 0.6), arrowstyle="->", mutation_scale=12,
                                        color=_LIGHT))  # fmt: skip
@@ -135,8 +137,8 @@ def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
 
 def _axis(axes: Axes, along: tuple[float, float], across: float) -> None:
     """Draw the optical axis of a setup, within limits along it and across."""
-    bare(axes).set(xlim=along, ylim=(-across, across))
-    axes.axhline(0, color=FAINT, linewidth=0.5, linestyle="dashdot")
+    plots.bare(axes).set(xlim=along, ylim=(-across, across))
+    axes.axhline(0, color=plots.FAINT, linewidth=0.5, linestyle="dashdot")
 
 
 def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
@@ -151,17 +153,19 @@ def _stretched(points: np.ndarray, camera: PlenopticCamera) -> np.ndarray:
 def _main_lens(axes: Axes, camera: PlenopticCamera) -> None:
     radius = camera.aperture_radius
     width = 0.06 * camera.mla_distance
-    axes.add_patch(Ellipse((0, 0), width, 2 * radius, facecolor="#dbe9f6", edgecolor=INK, linewidth=0.8))
+    axes.add_patch(Ellipse((0, 0), width, 2 * radius, facecolor="#dbe9f6", edgecolor=plots.INK, linewidth=0.8))
     text = f"main lens\n$f_1$ = {camera.focal_length:g} mm\n$D_1$ = {2 * radius:g} mm"
-    axes.annotate(text, (0, radius), (0, 4), textcoords="offset points", ha="center", va="bottom", size=7, color=INK)
+    axes.annotate(
+        text, (0, radius), (0, 4), textcoords="offset points", ha="center", va="bottom", size=7, color=plots.INK
+    )
 
 
 def _array(axes: Axes, camera: PlenopticCamera) -> None:
     b = camera.mla_distance
     half = camera.detector_width / 2
-    axes.plot([b, b], [-half, half], color=INK, linewidth=2.5)
+    axes.plot([b, b], [-half, half], color=plots.INK, linewidth=2.5)
     detector = (1 + _BEHIND) * b
-    axes.plot([detector] * 2, [-half, half], color=INK, linewidth=1)
+    axes.plot([detector] * 2, [-half, half], color=plots.INK, linewidth=1)
     columns, rows = camera.bin_count
     text = (
         f"{columns} x {rows} microlenses,\n$D_2$ = {camera.mla_pitch:g} mm, $f_2$ = {camera.mla_focal_length:g} mm;\n"
@@ -169,5 +173,5 @@ def _array(axes: Axes, camera: PlenopticCamera) -> None:
         f"{1000 * camera.pixel_size:.3g} µm"
     )
     axes.annotate(
-        text, (detector, half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=INK
+        text, (detector, half), (0, 4), textcoords="offset points", ha="right", va="bottom", size=7, color=plots.INK
     )

@@ -17,13 +17,11 @@ from scipy.sparse import csr_matrix
 
 from ...camera import PlenopticCamera
 from ...errors import InputError
-from ...io.cache import Cache
-from ...io.captures import Capture
+from ...io import Cache, Capture
 from ...light.walk import follow_back
 from ...optics import rays
 from ...refocus import reconstruct
-from ...report.experiment import Experiment
-from ...report.metrics import interference, shape_window
+from ...report import Experiment, metrics
 
 
 def quarters(i: NDArray[Any], j: NDArray[Any]) -> NDArray[Any]:
@@ -58,7 +56,7 @@ def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) 
 
 def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
     camera = experiment.camera
-    window = shape_window(camera, *experiment.boxes[shape])
+    window = metrics.shape_window(camera, *experiment.boxes[shape])
     if window is None:
         raise InputError(f"{shape}: it is not in the camera's view")
     capture = surroundings(experiment.wave, window, distance)
@@ -77,7 +75,7 @@ def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
         "coherent_from_rays": (experiment.images["coherent", distance], rays_alone),
         "limit_from_rays": (limit, rays_alone),
     }
-    values = {name: round(interference(*pair, window), 5) for name, pair in compared.items()}
+    values = {name: round(metrics.interference(*pair, window), 5) for name, pair in compared.items()}
     return {"shape": shape, "distance": distance, "colours": colour_count(experiment.wave, distance), **values}
 
 

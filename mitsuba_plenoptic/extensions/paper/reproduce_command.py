@@ -6,19 +6,18 @@ from typing import Annotated, Literal
 
 import typer
 
-from ...cli.options import OutputFolder, Resume
-from ...cli.stopping import stage_lines
+from ...cli import options, stage_lines
 
 
 def reproduce(
-    output: OutputFolder,
+    output: options.OutputFolder,
     preset: Annotated[
         Literal["quick", "paper"],
         typer.Option(
             help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels.",
         ),
     ] = "quick",
-    resume: Resume = False,
+    resume: options.Resume = False,
 ) -> None:
     """Compute the paper's figures, timing and conclusions again.
 

@@ -13,15 +13,25 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...errors import require_choice
-from ...io.cache import StageOptions
-from ...io.captures import Capture
+from ...io import Capture, StageOptions
 from ...refocus import Reconstruction, reconstruct
-from ...report.comparison import draw_comparison, measure
-from ...report.comparison_page import write_growing, write_report
-from ...report.experiment import METHODS, TITLES, Experiment, Images, Settings, open_store, run_experiment
-from ...report.images import Brightness, shrink
-from ...report.plots import ON_DETECTOR, Plot, bare, contact_sheet, mark, object_bar, scale_bar, show, styled
-from ...report.windows import Zoom, lit_window, zoom_at
+from ...report import (
+    COMPARED_METHODS,
+    METHOD_TITLES,
+    Experiment,
+    Images,
+    Settings,
+    Zoom,
+    comparison,
+    images,
+    lit_window,
+    open_store,
+    plots,
+    run_experiment,
+    write_growing,
+    write_report,
+    zoom_at,
+)
 from .claims import PAPER_SECONDS, check_claims, claims_section, timing_section, timing_table
 from .paper_limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
@@ -75,14 +85,14 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     near, _, far = _LETTERS
     objects = dict(zip((title.partition(" (")[0] for title in _LETTERS.values()), settings.distances, strict=True))
 
-    def first(camera: PlenopticCamera, images: Images) -> None:
+    def first(camera: PlenopticCamera, pictures: Images) -> None:
         results_shown = [
-            Reconstruction(images[name, distance], distance, camera.bin_size(distance), model, camera)
+            Reconstruction(pictures[name, distance], distance, camera.bin_size(distance), model, camera)
             for name, model in (("ray_of_ray", "rays"), ("partial", "waves"))
             for distance in settings.distances
-            if (name, distance) in images
+            if (name, distance) in pictures
         ]
-        sheet = contact_sheet(results_shown)
+        sheet = plots.contact_sheet(results_shown)
         there = ["first.png"]
         if len(results_shown) == len(settings.distances):
             # That of the waves replaces it.
@@ -101,7 +111,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
     panels = [("ray", last), ("coherent", last), ("partial", last), ("partial", settings.distances[0])]
     figure_4(output / "fig4.png", experiment, panels)
     write_growing(output, _PLATES)
-    measured = measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
+    measured = comparison.measure(experiment) | {"readings": measure_readings(experiment, store, near, far)}
     seconds = store.facts(
         "seconds_of_processor",
         {"capture": experiment.wave_key, "distance": last},
@@ -127,7 +137,7 @@ def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | Non
         experiment,
         measured,
         zooms=zooms,
-        plates=_PLATES | draw_comparison(output, experiment, measured, zooms),
+        plates=_PLATES | comparison.draw_comparison(output, experiment, measured, zooms),
         command=f"mitsuba-plenoptic reproduce --preset {preset}",
         others=[claims_section(claims, measured), timing_section(experiment, measured["timing"])],
     )
@@ -139,7 +149,7 @@ def processor_seconds(capture: Capture, distance: float) -> dict[str, float]:
     Processor time does not grow with other work on the machine. The shorter of two runs counts, with compiled kernels.
     """
     seconds = {}
-    for method in METHODS:
+    for method in COMPARED_METHODS:
         if method.name in PAPER_SECONDS:
             runs = []
             for _ in range(2):
@@ -156,7 +166,7 @@ def _letter_zooms(experiment: Experiment, letters: Mapping[str, str]) -> list[Zo
     return [zoom_at(title, experiment.camera, -middle[:2] / middle[2]) for title, middle in middles.items()]
 
 
-@styled
+@plots.styled
 def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> None:
     """Draw the paper's figure 2: the object, its detector image by waves, and micro-images close up.
 
@@ -166,18 +176,18 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     wave = experiment.wave.image
     window = lit_window([experiment.pinhole, *experiment.truths.values()])
     zooms = _letter_zooms(experiment, letters)
-    plot = Plot(10.9, 5.4 * window.aspect + 4.4)
+    plot = plots.Plot(10.9, 5.4 * window.aspect + 4.4)
     rows = plot.add_gridspec(2, 1, height_ratios=(5.4 * window.aspect, 3.5))
     upper = rows[0].subgridspec(1, 2).subplots(squeeze=False)[0]
     lower = rows[1].subgridspec(1, len(zooms)).subplots(squeeze=False)[0]
     for panels, aspect in ((upper, window.aspect), (lower, 1)):
         for axes in panels:
-            bare(axes).set_box_aspect(aspect)
+            plots.bare(axes).set_box_aspect(aspect)
     axes = upper[0]
     view_of_window = window.of(experiment.pinhole)
-    show(axes, view_of_window, "Object, seen from the centre of the main lens")
+    plots.show(axes, view_of_window, "Object, seen from the centre of the main lens")
     in_view = (window.right - window.left) * design.field_width(camera, camera.focus_distance)
-    scale_bar(axes, in_view, f"at {camera.focus_distance:g} mm")
+    plots.scale_bar(axes, in_view, f"at {camera.focus_distance:g} mm")
     for name in letters:
         low, high = experiment.boxes[name]
         z = (low[2] + high[2]) / 2
@@ -198,28 +208,28 @@ def figure_2(path: Path, experiment: Experiment, letters: Mapping[str, str]) -> 
     axes = upper[1]
     peak = float(np.quantile(wave[wave > 0.01 * wave.max()], 0.95))
     view_of_window = window.of(wave)
-    small = shrink(view_of_window, 1400)
+    small = images.shrink(view_of_window, 1400)
     # Averaging pixels dims the micro-images, which do not fill their cells.
-    show(axes, small, "Detector image, by waves", peak=0.7 * peak)
-    scale_bar(axes, view_of_window.shape[1] * camera.pixel_size, ON_DETECTOR)
+    plots.show(axes, small, "Detector image, by waves", peak=0.7 * peak)
+    plots.scale_bar(axes, view_of_window.shape[1] * camera.pixel_size, plots.ON_DETECTOR)
     corner = round(window.top * wave.shape[0]), round(window.left * wave.shape[1])
     for below, letter, zoom in zip(lower, "abc", zooms, strict=True):
-        mark(axes, zoom, corner, view_of_window.shape[1] / small.shape[1], letter)
+        plots.mark(axes, zoom, corner, view_of_window.shape[1] / small.shape[1], letter)
         cut = wave[zoom.rows, zoom.columns]
-        show(below, cut, f"({letter})  Micro-images of {zoom.title}", peak=peak)
-        scale_bar(below, cut.shape[1] * camera.pixel_size, ON_DETECTOR, below=True)
+        plots.show(below, cut, f"({letter})  Micro-images of {zoom.title}", peak=peak)
+        plots.scale_bar(below, cut.shape[1] * camera.pixel_size, plots.ON_DETECTOR, below=True)
     plot.save_both(path)
 
 
-@styled
+@plots.styled
 def figure_4(path: Path, experiment: Experiment, panels: Sequence[tuple[str, float]]) -> None:
     """Draw the paper's figure 4: four reconstructions, by method and distance."""
     window = lit_window(list(experiment.truths.values()))
-    images = [experiment.images[panel] for panel in panels]
-    peak = Brightness().peak([window.of(image) for image in images])
-    plot = Plot(10.6)
+    pictures = [experiment.images[panel] for panel in panels]
+    peak = images.Brightness().peak([window.of(image) for image in pictures])
+    plot = plots.Plot(10.6)
     axes_of_all = plot.panels(2, 2, window.aspect).flat
-    for axes, letter, (name, distance), image in zip(axes_of_all, "abcd", panels, images, strict=True):
-        show(axes, window.of(image), f"({letter})  {TITLES[name]}, {distance:g} mm", peak=peak, size=11)
-        object_bar(axes, experiment.camera, distance, window)
+    for axes, letter, (name, distance), image in zip(axes_of_all, "abcd", panels, pictures, strict=True):
+        plots.show(axes, window.of(image), f"({letter})  {METHOD_TITLES[name]}, {distance:g} mm", peak=peak, size=11)
+        plots.object_bar(axes, experiment.camera, distance, window)
     plot.save_both(path)

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_count, require_number, require_numbers, suggest_keywords
-from ...runtime.batches import Progress, counted
+from ...runtime import Progress, counted
 from .voxels import values_of
 
 MEDIAN_LIMIT, MEDIAN_FLOOR = 2.0, 0.1

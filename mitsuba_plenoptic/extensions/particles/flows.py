@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
 from ...errors import InputError, put, refuse_if, require_choice, require_length, require_number, require_numbers
-from ...runtime.backend import MILLIMETRES, as_array, require_units
+from ...runtime import MILLIMETRES, as_array, require_units
 from .labelled_files import read_netcdf
 
 Points = NDArray[np.float64]

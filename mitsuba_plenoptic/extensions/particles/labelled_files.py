@@ -7,8 +7,7 @@ from pathlib import Path
 import xarray as xr
 
 from ...errors import refuse_if, refusing
-from ...runtime.files import atomic_output, require_file
-from ...runtime.limits import require_memory
+from ...runtime import atomic_output, require_file, require_memory
 
 _PER_BYTE = 3
 """Bytes that reading takes for each of a file."""

@@ -24,17 +24,14 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from ...camera import PlenopticCamera
-from ...camera.aperture import Round
+from ...camera import PlenopticCamera, Round
 from ...choices import MODELS
 from ...errors import refuse_if, require_choice, require_count, require_wavelength, suggest_keywords
-from ...io.captures import Capture
-from ...io.checkpoints import Checkpoint
+from ...io import Capture, Checkpoint
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...points.pupil_weights import BORDER, PupilWeights
-from ...runtime.batches import Job, Progress
-from ...runtime.limits import require_memory
+from ...runtime import Job, Progress, require_memory
 from ..inverse.point_rays import PointRays
 from .entrance_pupil import EntrancePupil
 from .mie import amplitudes

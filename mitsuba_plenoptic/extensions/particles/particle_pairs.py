@@ -10,7 +10,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_choice, require_number
-from ...io.captures import Capture
+from ...io import Capture
 from .flows import FLOWS, Flow
 from .particle_images import ParticleImages
 from .seeding import LightSheet, ParticleVolume, Seeding

@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...choices import Model
-from ...cli.inputs import named_camera
-from ...cli.options import CameraFile, OutputFolder, Resume, Seed, numeric, wavelength_option
-from ...cli.stopping import checkpoint_of, resumable
+from ...cli import checkpoint_of, named_camera, options, resumable
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_count, require_known, short_repr
-from ...runtime.progress import progress_bar
+from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from .flows import Flow
@@ -23,7 +21,7 @@ _FILE = "particles.nc"
 
 
 def particles(
-    output: OutputFolder,
+    output: options.OutputFolder,
     volume: Annotated[
         str,
         typer.Option(
@@ -38,33 +36,33 @@ def particles(
             "hill:speed=4,radius=5, in mm and mm/s; its centre=X/Y/Z is that of the volume by default.",
         ),
     ],
-    interval: Annotated[float, numeric("Time from frame to frame.", unit="SECONDS")],
-    camera: CameraFile = None,
-    frames: Annotated[int, numeric("Number of frames.", check=require_count)] = 2,
+    interval: Annotated[float, options.numeric("Time from frame to frame.", unit="SECONDS")],
+    camera: options.CameraFile = None,
+    frames: Annotated[int, options.numeric("Number of frames.", check=require_count)] = 2,
     per_lens: Annotated[
-        float | None, numeric("Particles over the microlenses on which the volume is imaged; give one density.")
+        float | None, options.numeric("Particles over the microlenses on which the volume is imaged; give one density.")
     ] = None,
-    per_volume: Annotated[float | None, numeric("Particles in a cubic millimetre.")] = None,
-    count: Annotated[float | None, numeric("Mean number of particles in the volume.")] = None,
-    diameter: Annotated[float, numeric("Median diameter of particles.", unit="UM")] = 10.0,
-    spread: Annotated[float, numeric("Standard deviation of the logarithm of diameters.")] = 0.0,
-    index: Annotated[float, numeric("Refractive index of particles.")] = 1.59,
-    medium: Annotated[float, numeric("Refractive index of the fluid.")] = 1.333,
+    per_volume: Annotated[float | None, options.numeric("Particles in a cubic millimetre.")] = None,
+    count: Annotated[float | None, options.numeric("Mean number of particles in the volume.")] = None,
+    diameter: Annotated[float, options.numeric("Median diameter of particles.", unit="UM")] = 10.0,
+    spread: Annotated[float, options.numeric("Standard deviation of the logarithm of diameters.")] = 0.0,
+    index: Annotated[float, options.numeric("Refractive index of particles.")] = 1.59,
+    medium: Annotated[float, options.numeric("Refractive index of the fluid.")] = 1.333,
     direction: Annotated[
         str, typer.Option(metavar="X,Y,Z", help="Direction in which the sheet's light travels.")
     ] = "1,0,0",
     thickness: Annotated[
-        float | None, numeric("Thickness of the light sheet, across the axis.", "light everywhere", unit="MM")
+        float | None, options.numeric("Thickness of the light sheet, across the axis.", "light everywhere", unit="MM")
     ] = None,
     model: Annotated[Model, typer.Option(help="How light propagates.")] = "wave",
-    wavelength: Annotated[float, wavelength_option(None)] = 550.0,
-    accuracy: Annotated[float | None, numeric("Allowed relative error of captures by waves.", "0.01")] = None,
+    wavelength: Annotated[float, options.wavelength_option(None)] = 550.0,
+    accuracy: Annotated[float | None, options.numeric("Allowed relative error of captures by waves.", "0.01")] = None,
     photons: Annotated[
         float | None,
-        numeric("Record with noise: photons of a mean particle through the pupil.", "without noise", unit="N"),
+        options.numeric("Record with noise: photons of a mean particle through the pupil.", "without noise", unit="N"),
     ] = None,
-    seed: Seed = 0,
-    resume: Resume = False,
+    seed: options.Seed = 0,
+    resume: options.Resume = False,
 ) -> None:
     """Capture particles in a flow at several times, with their exact displacements.
 
@@ -83,7 +81,7 @@ def particles(
       --flow hill:speed=4,radius=5 --interval 0.1 --model ray --photons 1e5
     """
     from ...camera import PlenopticCamera
-    from ...io.captures import write_capture
+    from ...io import write_capture
     from ...light.detector import Detector, expose
     from .flows import FLOWS
     from .labelled_files import write_netcdf

@@ -16,8 +16,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_accuracy, require_count, require_number, require_wavelength, suggest_keywords
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
-from ...runtime.backend import POINTS, as_array
-from ...runtime.batches import Job, Progress, counted
+from ...runtime import POINTS, Job, Progress, as_array, counted
 from ..inverse.point_rays import PointRays
 from ..inverse.stored import StoredOperator
 from .seeding import ParticleVolume

@@ -9,10 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_camera
+from ...camera import PlenopticCamera, require_camera
 from ...errors import refuse_if, require_count, require_number, suggest_keywords, warn
-from ...io.versions import stamped
+from ...io import stamped
 from .flows import Flow
 from .seeding import MOST, LightSheet, ParticleVolume, Seeding
 

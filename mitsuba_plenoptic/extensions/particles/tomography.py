@@ -23,10 +23,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
-from ...io.captures import Capture
-from ...io.checkpoints import Checkpoint, digest
-from ...runtime.backend import as_array
-from ...runtime.batches import Progress
+from ...io import Capture, Checkpoint, digest
+from ...runtime import Progress, as_array
 from .voxels import VoxelGrid
 
 METHODS = ("mart", "sirt")

@@ -14,9 +14,8 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_count, require_number, require_numbers, require_wavelength, suggest_keywords
-from ...io.captures import Capture
-from ...runtime.backend import MILLIMETRES, POINTS, as_array
-from ...runtime.batches import Progress
+from ...io import Capture
+from ...runtime import MILLIMETRES, POINTS, Progress, as_array
 from ..inverse.stored import StoredOperator
 from .voxels import elongation, require_points, values_of
 

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
-from ...runtime.backend import MILLIMETRES, POINTS, as_array, require_units
+from ...runtime import MILLIMETRES, POINTS, as_array, require_units
 
 MOST_VOXELS = 10**8
 

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ...camera import PlenopticCamera
-from ...camera.vignetting import Vignetting
+from ...camera import PlenopticCamera, Vignetting
 from ...errors import InputError
 from ...light.optical_system import OpticalSystem
 from ...light.walk import Passage, Walk

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from ...runtime.limits import require_memory
+from ...runtime import require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane, pixels_across
 

@@ -8,8 +8,7 @@ import typer
 
 from ...camera import PlenopticCamera
 from ...errors import naming, refuse_if, refusing
-from ...io.cache import Cache, StageOptions
-from ...io.checkpoints import write_json
+from ...io import Cache, StageOptions, write_json
 from ..calibrate.white_command import sensor_values
 from .real_page import write_page
 from .study import LIGHTS, Pictures, Study

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from ...report.pages import Page, Picture, Section, Table
-from ...report.plots import INK, Plot, annotate, show, show_difference, styled
+from ...report import pages, plots
 from .array_part import ArrayPart
 from .study import CAMERAS, LIGHTS, Answer, Setup, Study
 from .withheld import TESTS
@@ -28,7 +27,7 @@ _BRIGHT = 0.998
 
 def write_page(path: Path, study: Study, answer: Answer) -> None:
     """Write the page, with all figures in it."""
-    results = Table(
+    results = pages.Table(
         {
             "camera": "{camera}",
             "withheld": "{test}",
@@ -70,16 +69,16 @@ def write_page(path: Path, study: Study, answer: Answer) -> None:
         f"{study.wavelength:g} nm and by rays; it predicts those that are withheld."
     )
     sections = [
-        Section("Predictions", [how, Picture(pictures(study).png(), shown), results]),
-        Section("Controls", [controls]),
-        Section("The volume", [Picture(slices(study).png(), volume)]),
+        pages.Section("Predictions", [how, pages.Picture(pictures(study).png(), shown), results]),
+        pages.Section("Controls", [controls]),
+        pages.Section("The volume", [pages.Picture(slices(study).png(), volume)]),
     ]
     verdict = Markup("<strong>{}</strong>").format(answer.verdict)
-    Page("A real light field beside simulated ones", verdict, sections).write(path)
+    pages.Page("A real light field beside simulated ones", verdict, sections).write(path)
 
 
-@styled
-def pictures(study: Study) -> Plot:
+@plots.styled
+def pictures(study: Study) -> plots.Plot:
     """Return a figure of recorded and predicted pixels, their differences, and a line of pixels through them."""
     part = study.part(Setup("fitted", "waves"))
     recorded, predicted = _picture(study, part, study.electrons(None)), {}
@@ -88,13 +87,13 @@ def pictures(study: Study) -> Plot:
         predicted[light] = _picture(study, part, found)
     rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
-    plot = Plot(11.7)
+    plot = plots.Plot(11.7)
     (first, *above), (axes, *below) = plot.panels(2, 3)
-    show(first, recorded[rows, columns], "Recorded", peak=peak)
+    plots.show(first, recorded[rows, columns], "Recorded", peak=peak)
     for light, simulated, difference in zip(LIGHTS, above, below, strict=True):
-        show(simulated, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
-        drawn = show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
-        annotate(difference, title=f"Recorded less {light}")
+        plots.show(simulated, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
+        drawn = plots.show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
+        plots.annotate(difference, title=f"Recorded less {light}")
     plot.colour_bar(drawn, below, "of bright pixels")
     axes.set_frame_on(True)
     row = (rows.start + rows.stop) // 2
@@ -102,7 +101,7 @@ def pictures(study: Study) -> Plot:
     shown = across < 4 * part.model.pitch.max()
     for name, image, colour in (
         ("recorded", recorded, "#8a94a3"),
-        ("waves", predicted["waves"], INK),
+        ("waves", predicted["waves"], plots.INK),
         ("rays", predicted["rays"], "#d1495b"),
     ):
         style = "o" if name == "recorded" else "-"
@@ -110,7 +109,7 @@ def pictures(study: Study) -> Plot:
     axes.set(xticks=np.arange(0, across[shown][-1] + 1, 25), yticks=[0, 0.5, 1], ylim=(0, None))
     axes.tick_params(labelsize=8)
     axes.legend(frameon=False, fontsize=8)
-    annotate(axes, title="A line of pixels", foot="pixels")
+    plots.annotate(axes, title="A line of pixels", foot="pixels")
     return plot
 
 
@@ -136,20 +135,20 @@ def _most_structured(image: np.ndarray, size: int) -> tuple[slice, slice]:
     return slice(int(row), int(row) + size), slice(int(column), int(column) + size)
 
 
-@styled
-def slices(study: Study) -> Plot:
+@plots.styled
+def slices(study: Study) -> plots.Plot:
     """Return a figure of the volume's planes, by waves and by rays, from all pixels."""
     volumes = {light: planes_of(study, light) for light in LIGHTS}
     depths = sorted(volumes["waves"], key=lambda depth: -float(np.ptp(volumes["waves"][depth])))
     chosen = sorted(depths[:_SLICES])
     across, down = study.part(Setup("fitted", "waves")).lenses
-    plot = Plot(2.2 * _SLICES + 0.3)
+    plot = plots.Plot(2.2 * _SLICES + 0.3)
     panels = plot.panels(len(LIGHTS), _SLICES, down / across)
     for row, light in zip(panels, LIGHTS, strict=True):
         for axes, depth in zip(row, chosen, strict=False):
             image = volumes[light][depth]
             peak = float(np.quantile(image, _BRIGHT))
-            show(axes, image, f"{1000 * depth:+.1f} µm by {light}", peak=peak, size=8)
+            plots.show(axes, image, f"{1000 * depth:+.1f} µm by {light}", peak=peak, size=8)
     return plot
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_wavelength
-from ...io.cache import Cache, Progress
-from ...io.checkpoints import digest
+from ...io import Cache, Progress, digest
 from ..calibrate.photon_transfer import PhotonTransfer, photon_transfer
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, single_channel

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from ...choices import MOSAICS
 from ...errors import InputError, argument, refuse_if, require_choice, suggest_keywords
-from ...io.captures import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
+from ...io import EXPOSED, RECORDED, Capture, mosaic_of, recording_of
 from ...light.detector import filters
-from ...views.lens_grid import lens_numbers
-from ...views.white_image import recorded_white, white_image
+from ...views import lens_numbers, recorded_white, white_image
 
 METHODS = ("micro-images", "plain")
 

@@ -9,14 +9,13 @@ from typing import Annotated
 import typer
 
 from ...choices import Mosaic
-from ...cli.inputs import named_camera, require_linear
-from ...cli.options import CameraFile, CaptureFile, Linear, numeric, output_option
+from ...cli import named_camera, options, require_linear
 from ...errors import refuse_if
 
 
 def demosaic(
-    capture: CaptureFile,
-    output: Annotated[Path, output_option("FILE.exr", "File to write.", ".exr")],
+    capture: options.CaptureFile,
+    output: Annotated[Path, options.output_option("FILE.exr", "File to write.", ".exr")],
     mosaic: Annotated[
         Mosaic | None,
         typer.Option(
@@ -33,10 +32,11 @@ def demosaic(
             "Lytro camera its white picture, or a folder of them, of which the nearest in zoom and focus is taken.",
         ),
     ] = None,
-    camera: CameraFile = None,
-    linear: Linear = False,
+    camera: options.CameraFile = None,
+    linear: options.Linear = False,
     black_level: Annotated[
-        float, numeric("Number without light in a raw picture, in its own numbers; needs --camera and --linear.")
+        float,
+        options.numeric("Number without light in a raw picture, in its own numbers; needs --camera and --linear."),
     ] = 0,
 ) -> None:
     """Estimate all three colours of every pixel, micro-image by micro-image.
@@ -55,8 +55,8 @@ def demosaic(
 
       mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
-    from ...io.captures import mosaic_of, read_capture, write_capture
-    from ...runtime.files import require_apart, require_writable
+    from ...io import mosaic_of, read_capture, write_capture
+    from ...runtime import require_apart, require_writable
     from .lytro_file import nearest_white
 
     require_writable(output)

@@ -1,15 +1,17 @@
 """Light-field files: NetCDF and Zarr, and formats of other programs: LFToolbox, mosaics and plain raw pictures."""
 
-from ...io.pictures import read_picture
-from ...views.light_field_files import (
+from ...io import read_picture
+from ...views import (
+    LAYOUTS,
     open_light_field,
     open_micro_images,
     read_labelled,
+    read_mosaic,
     require_light_field_path,
     save_light_field,
     write_labelled,
+    write_mosaic,
 )
-from ...views.mosaics import LAYOUTS, read_mosaic, write_mosaic
 from .hci import read_hci
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .lytro_file import nearest_white, read_lytro

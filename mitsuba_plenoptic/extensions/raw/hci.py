@@ -18,13 +18,10 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number
-from ...io.pictures import read_picture
-from ...report.images import Brightness, write_png
-from ...runtime.files import atomic_output, read_text, write_text
-from ...runtime.limits import require_memory
-from ...views import disparity
-from ...views.coordinates import camera_of, light_field
-from ...views.lens_grid import bin_grid
+from ...io import read_picture
+from ...report import images
+from ...runtime import atomic_output, read_text, require_memory, write_text
+from ...views import bin_grid, camera_of, disparity, light_field
 
 PARAMETERS = "parameters.cfg"
 SECTION = "mitsuba_plenoptic"
@@ -128,11 +125,11 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: np.ndarray | None, *, name:
     refuse_if(lf.sizes["u"] != lf.sizes["v"], f"light field of {views} views: a folder has as many down as across")
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
-    white = Brightness().peak([lf.values])
+    white = images.Brightness().peak([lf.values])
     folder.mkdir(parents=True, exist_ok=True)
     for index, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
         colours = picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
-        write_png(folder / f"input_Cam{index:03d}.png", colours, peak=white)
+        images.write_png(folder / f"input_Cam{index:03d}.png", colours, peak=white)
     shifts = (0.0, 0.0)
     if depth is not None:
         shift = -np.reshape([disparity(lf, distance) for distance in depth.ravel()], depth.shape)

@@ -22,10 +22,8 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
-from ...runtime.files import atomic_output, h5py_module, require_file, stored_array
-from ...runtime.limits import require_memory
-from ...views.coordinates import grid_of, light_field, require_light_field
-from ...views.lens_grid import LensGrid, bin_grid
+from ...runtime import atomic_output, h5py_module, require_file, require_memory, stored_array
+from ...views import LensGrid, bin_grid, grid_of, light_field, require_light_field
 
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")

@@ -29,9 +29,8 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
-from ...io.captures import RECORDED, Capture, recording_of
-from ...runtime.files import read_text, require_size
-from ...runtime.limits import require_memory
+from ...io import RECORDED, Capture, recording_of
+from ...runtime import read_text, require_memory, require_size
 
 CONTAINERS = (".lfp", ".lfr")
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...cli.inputs import named_camera, require_in_sight
-from ...cli.options import RECORDING, CameraFile, Linear, Method, numeric
+from ...cli import named_camera, options, require_in_sight
 from ...errors import naming, refuse_if
 
 if TYPE_CHECKING:
@@ -22,22 +21,22 @@ def mtf(
         typer.Argument(
             metavar="CAPTURE",
             help="A capture, which is refocused to --distance, one without microlenses, or what 'reconstruct' wrote.",
-            callback=RECORDING,
+            callback=options.RECORDING,
         ),
     ],
-    distance: Annotated[float | None, numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
+    distance: Annotated[float | None, options.numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
     method: Annotated[
-        Method | None, typer.Option(show_default="ray", help="Of a capture: how it is refocused.")
+        options.Method | None, typer.Option(show_default="ray", help="Of a capture: how it is refocused.")
     ] = None,
-    oversample: Annotated[int | None, numeric("Of a capture: bins per microlens along each axis.", "1")] = None,
+    oversample: Annotated[int | None, options.numeric("Of a capture: bins per microlens along each axis.", "1")] = None,
     region: Annotated[
         str | None,
         typer.Option(
             metavar="LEFT,TOP,WIDTH,HEIGHT", show_default="all", help="Bins to look at, where there are several edges."
         ),
     ] = None,
-    camera: CameraFile = None,
-    linear: Linear = False,
+    camera: options.CameraFile = None,
+    linear: options.Linear = False,
 ) -> None:
     """Measure the modulation transfer function from one slanted edge in a refocused image.
 
@@ -58,10 +57,10 @@ def mtf(
         require_in_sight(source, known, distance)
 
     # Brings libraries that take a while to load.
-    from ...io.captures import read_capture
+    from ...io import read_capture
     from ...refocus import read_reconstruction
     from ...refocus import reconstruct as refocus
-    from ...report.edge import edge_sharpness
+    from ...report import edge_sharpness
 
     given = {"method": method, "oversample": oversample, "camera": camera, "linear": linear or None}
     if distance is None:
@@ -87,8 +86,7 @@ def mtf(
 
 def _photograph(source: Path) -> Reconstruction | None:
     """Return a capture without a microlens array as an image of the plane in focus; None for other files."""
-    from ...io.captures import read_capture
-    from ...io.exr import read_attributes
+    from ...io import read_attributes, read_capture
     from ...refocus import Reconstruction
 
     if source.suffix.lower() != ".exr" or read_attributes(source).get("kind") != "capture":

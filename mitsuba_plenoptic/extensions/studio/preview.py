@@ -13,10 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.ticker import MaxNLocator
 
-from ...camera import PlenopticCamera
-from ...camera.plenoptic_camera import require_round
-from ...report.images import Brightness
-from ...report.plots import IN_FOCUS, Plot, scale_bar, show, styled
+from ...camera import PlenopticCamera, require_round
+from ...report import images, plots
 from .preview_views import LensView, view_of
 
 # Columns of pictures at least, and samples of each of their pixels. Small luminous things blur widely through an
@@ -105,18 +103,18 @@ def framing_warnings(preview: Preview) -> list[str]:
     return warnings
 
 
-@styled
+@plots.styled
 def draw_preview(path: str | Path, title: str, preview: Preview) -> None:
     """Draw a preview with the region in focus tinted, that within reach of refocusing outlined, and from above."""
-    plot = Plot(9.8, 4.9)
+    plot = plots.Plot(9.8, 4.9)
     ((axes, from_above),) = plot.panels(1, 2)
     rows, columns = preview.picture.shape[:2]
     # One line of the picture's width.
     named = title if len(title) <= 30 else f"{title[:27]}..."
     heading = f"{named or 'What the main lens sees'}, {preview.view.focus_label}"
-    show(axes, preview.picture, heading, peak=Brightness().peak([preview.picture]))
+    plots.show(axes, preview.picture, heading, peak=images.Brightness().peak([preview.picture]))
     if preview.view.in_units(preview.view.focus) != preview.view.in_units(math.inf):
-        scale_bar(axes, preview.view.field(preview.view.focus)[0], IN_FOCUS)
+        plots.scale_bar(axes, preview.view.field(preview.view.focus)[0], plots.IN_FOCUS)
     axes.set(frame_on=True, box_aspect=rows / columns, anchor="NW")
     _outline(axes, preview)
     _draw_from_above(from_above, preview)

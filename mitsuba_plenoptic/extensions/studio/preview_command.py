@@ -7,26 +7,25 @@ from typing import Annotated
 
 import typer
 
-from ...cli.inputs import open_scene, parse_definitions
-from ...cli.options import CameraFile, Definitions, Samples, Scene, Unit, Variant, output_option
+from ...cli import open_scene, options, parse_definitions
 from ...errors import InputError
-from ...runtime.progress import in_words, progress_bar
+from ...runtime import in_words, progress_bar
 
 
 def preview(
-    scene: Scene,
+    scene: options.Scene,
     output: Annotated[
         Path | None,
-        output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.", ".png", ".pdf"),
+        options.output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.", ".png", ".pdf"),
     ] = None,
-    camera: CameraFile = None,
-    unit: Unit = "mm",
+    camera: options.CameraFile = None,
+    unit: options.Unit = "mm",
     waves: Annotated[
         bool, typer.Option("--waves", help="Estimate what a wave capture takes, too, which may take a while.")
     ] = False,
-    spp: Samples = None,
-    variant: Variant = None,
-    define: Definitions = None,
+    spp: options.Samples = None,
+    variant: options.Variant = None,
+    define: options.Definitions = None,
 ) -> None:
     """See in seconds what a camera will see of a scene, before it is captured.
 
@@ -46,7 +45,7 @@ def preview(
     from ...camera import PlenopticCamera
     from ...light.render_capture import estimate_capture, plenoptic_sensor
     from ...optics.guards import PhysicsError
-    from ...runtime.files import require_writable
+    from ...runtime import require_writable
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     with progress_bar("Previewing") as progress:

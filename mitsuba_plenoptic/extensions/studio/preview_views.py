@@ -15,7 +15,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...lenses.telecentric import TelecentricLens
 from ...prescription.lens_data import defocus_factor, image_distance
-from ...report.experiment import photograph, photographic_sensor
+from ...report import photograph, photographic_sensor
 
 _FAR = 1e5
 """Distance in focal lengths that represents infinity."""

@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ...camera import PlenopticCamera
-from ...camera.matched import MATCHED, sheet_of
-from ...camera.parameters import PARAMETERS
+from ...camera import MATCHED, PARAMETERS, PlenopticCamera, sheet_of
 from ...capture_spec import CaptureSpec
 from ...errors import (
     InputError,
@@ -27,17 +25,13 @@ from ...errors import (
     require_number,
     require_wavelength,
 )
-from ...io.cache import Cache, Progress, StageOptions
-from ...io.captures import Capture
-from ...io.checkpoints import Checkpoint
+from ...io import Cache, Capture, Checkpoint, Progress, StageOptions
 from ...light.render_capture import is_wave_capture, plenoptic_sensor, refuse_by_rays
 from ...light.scene import check_scene_file, scene_defaults
 from ...prescription.lens_data import image_distance
-from ...refocus.methods import registered
-from ...report.experiment import refocused
-from ...runtime.batches import BatchMap
-from ...runtime.files import Sink, atomic_output, read_yaml, remove_leftovers, require_writable
-from ...runtime.limits import software
+from ...refocus import registered
+from ...report import refocused
+from ...runtime import BatchMap, Sink, atomic_output, read_yaml, remove_leftovers, require_writable, software
 from ...scene_files import scene_path
 
 __all__ = ["check_grid", "merge_grids", "parse_grid", "read_grid", "sweep"]

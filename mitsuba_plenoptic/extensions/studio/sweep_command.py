@@ -7,29 +7,13 @@ from typing import Annotated
 
 import typer
 
-from ...cli.inputs import batches_on, camera_instead, parse_definitions
-from ...cli.options import (
-    CameraFile,
-    Definitions,
-    Method,
-    Model,
-    Resume,
-    Samples,
-    Scene,
-    Scheduler,
-    Seed,
-    Unit,
-    Variant,
-    Workers,
-    output_option,
-)
-from ...cli.stopping import stage_lines
+from ...cli import batches_on, camera_instead, options, parse_definitions, stage_lines
 from ...errors import refuse_if
 
 
 def sweep(
-    scene: Scene,
-    output: Annotated[Path, output_option("FILE.nc", "NetCDF file to write.", ".nc")],
+    scene: options.Scene,
+    output: Annotated[Path, options.output_option("FILE.nc", "NetCDF file to write.", ".nc")],
     grid: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="The grid: names, each with a list of numbers.")
     ] = None,
@@ -41,17 +25,19 @@ def sweep(
             "sheet, 'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.",
         ),
     ] = None,
-    model: Model = None,
-    method: Annotated[Method | None, typer.Option(show_default="ray", help="How captures are refocused.")] = None,
-    spp: Samples = None,
-    seed: Seed = 0,
-    resume: Resume = False,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    camera: CameraFile = None,
-    unit: Unit = "mm",
-    define: Definitions = None,
-    variant: Variant = None,
+    model: options.Model = None,
+    method: Annotated[
+        options.Method | None, typer.Option(show_default="ray", help="How captures are refocused.")
+    ] = None,
+    spp: options.Samples = None,
+    seed: options.Seed = 0,
+    resume: options.Resume = False,
+    workers: options.Workers = None,
+    scheduler: options.Scheduler = None,
+    camera: options.CameraFile = None,
+    unit: options.Unit = "mm",
+    define: options.Definitions = None,
+    variant: options.Variant = None,
 ) -> None:
     """Render a scene over a grid of cameras and wavelengths, refocus to distances.
 
@@ -70,10 +56,9 @@ def sweep(
       mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
     """
     # Datasets need libraries that take a second to load, which other commands need not wait for.
-    from ...camera.matched import MATCHED
-    from ...camera.parameters import PARAMETERS
+    from ...camera import MATCHED, PARAMETERS
     from ...capture_spec import CaptureSpec
-    from ...runtime.backend import DEFAULT_VARIANT
+    from ...runtime import DEFAULT_VARIANT
     from .sweep import check_grid, merge_grids, parse_grid, prepare, read_grid
 
     checked = check_grid(merge_grids(read_grid(grid) if grid else {}, parse_grid(vary or [])))

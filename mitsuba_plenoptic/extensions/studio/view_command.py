@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from ...cli.inputs import named_camera
-from ...cli.options import RECORDING, CameraFile, Linear, ViewCount, White, output_option
+from ...cli import named_camera, options
 from ...errors import refuse_if
-from ...runtime.progress import progress_bar
+from ...runtime import progress_bar
 
 
 def view(
@@ -20,17 +19,17 @@ def view(
             metavar="SOURCE",
             help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
             "reconstructions, a depth map.",
-            callback=RECORDING,
+            callback=options.RECORDING,
         ),
     ],
     output: Annotated[
         Path | None,
-        output_option("FILE.html", "File to write. Default: named as the first source.", ".html"),
+        options.output_option("FILE.html", "File to write. Default: named as the first source.", ".html"),
     ] = None,
-    white: White = None,
-    view_count: ViewCount = None,
-    linear: Linear = False,
-    camera: CameraFile = None,
+    white: options.White = None,
+    view_count: options.ViewCount = None,
+    linear: options.Linear = False,
+    camera: options.CameraFile = None,
 ) -> None:
     """Make a page to look at a capture: viewpoint, focus, micro-images.
 
@@ -46,7 +45,7 @@ def view(
 
       mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
-    from ...runtime.files import require_apart, require_writable
+    from ...runtime import require_apart, require_writable
     from .viewer import Recording
     from .viewer import view as make_page
     from .viewer_sources import read_source

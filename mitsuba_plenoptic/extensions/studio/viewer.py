@@ -13,14 +13,24 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
-from ...io.captures import Capture
+from ...io import Capture
 from ...refocus import Reconstruction
-from ...report.images import Brightness, encode, shrink
-from ...report.pages import scene_name, template
-from ...runtime.files import write_text
-from ...views import camera_of, decode, disparity, distance_of, grid_of, pick_views, view_mosaic
-from ...views.coordinates import DIMS, light_field, require_light_field, view_steps
-from ...views.lens_grid import bin_grid
+from ...report import images, pages
+from ...runtime import write_text
+from ...views import (
+    DIMS,
+    bin_grid,
+    camera_of,
+    decode,
+    disparity,
+    distance_of,
+    grid_of,
+    light_field,
+    pick_views,
+    require_light_field,
+    view_mosaic,
+    view_steps,
+)
 
 # Bytes before compression of all raw pictures, and of the views of all light fields.
 _RAW_BYTES = 2**24
@@ -45,7 +55,7 @@ class Recording:
     @classmethod
     def of(cls, capture: Capture, name: str, lf: xr.DataArray) -> Recording:
         """Return the recording of a capture with its light field."""
-        scene = scene_name(str(capture.metadata.get("scene", "")))
+        scene = pages.scene_name(str(capture.metadata.get("scene", "")))
         title = ", ".join(words for words in (scene, _through(capture.camera)) if words)
         return cls(name, lf, capture.image, capture.model, title)
 
@@ -161,8 +171,8 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     refuse_if(
         len({image.shape for _, image, _ in planes}) > 1, "sources: focal stack: all of its images must be of one size"
     )
-    images = [recording.light_field.values for recording in recordings] or [image for _, image, _ in planes]
-    white = Brightness().peak(images or [np.asarray(depths[0]["image"])])
+    pictures = [recording.light_field.values for recording in recordings] or [image for _, image, _ in planes]
+    white = images.Brightness().peak(pictures or [np.asarray(depths[0]["image"])])
     # Alike for both, so that they have the same views.
     wide = any(float(recording.light_field.max()) > _WIDE * white for recording in recordings)
     thinned = [
@@ -189,7 +199,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         or " and ".join(dict.fromkeys(recording.title for recording in recordings if recording.title))
         or "Light field"
     )
-    page = template("view.html", Path(__file__).parent / "templates")
+    page = pages.template("view.html", Path(__file__).parent / "templates")
     return Viewer(page.render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
 
 
@@ -242,8 +252,8 @@ def _recording(
     facts = [(f"Views, {name}", f"{lf.sizes['u']} x {lf.sizes['v']}{left_out}; {size}{below}")]
     content: dict[str, Any] = {
         "name": name,
-        "views": encode(view_mosaic(lf), bits, full),
-        "weight": encode(view_mosaic(lf["weight"]), 8, 1.0),
+        "views": images.encode(view_mosaic(lf), bits, full),
+        "weight": images.encode(view_mosaic(lf["weight"]), 8, 1.0),
         "raw": None,
         **_geometry(lf),
     }
@@ -296,14 +306,14 @@ def _geometry(lf: xr.DataArray) -> dict[str, Any]:
 def _raw(image: np.ndarray, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
     """Return the raw picture with positions of micro-images and bins, and a sentence that describes it."""
     factor = math.ceil(math.sqrt(image.size * count / _RAW_BYTES))
-    small = shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
+    small = images.shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
     full = min(max(float(small.max()), white), _WIDE * white)
     rows, columns = small.shape[:2]
     averaged = f", averaged over {factor} x {factor} pixels" if factor > 1 else ""
     grid = grid_of(lf)
     bins = _bins(lf)
     content = {
-        "picture": encode(small, 8, full),
+        "picture": images.encode(small, 8, full),
         "rows": rows,
         "columns": columns,
         "factor": factor,
@@ -335,7 +345,7 @@ def _planes(planes: list[tuple[float, np.ndarray, str]], white: float) -> list[d
     full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
     bits = 16 if full > _WIDE * white else 8
     return [
-        {"distance": _plain(distance), "method": method, "picture": encode(image, bits, full)}
+        {"distance": _plain(distance), "method": method, "picture": images.encode(image, bits, full)}
         for distance, image, method in planes
     ]
 
@@ -353,7 +363,7 @@ def _depth(estimate: xr.Dataset) -> dict[str, Any]:
     inverse = np.where(np.asarray(estimate["confidence"]) > 0.5, 1 / depth, np.nan)
     finite = inverse[np.isfinite(inverse)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    return {"picture": encode(inverse, 16, high or 1.0), "low": low, "high": high}
+    return {"picture": images.encode(inverse, 16, high or 1.0), "low": low, "high": high}
 
 
 def _plain(distance: Any) -> Any:

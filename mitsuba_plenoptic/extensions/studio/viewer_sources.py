@@ -12,10 +12,8 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...choices import RAW_SUFFIXES
 from ...errors import InputError, naming, refuse_if, require_number
-from ...io.captures import Capture, read_capture
-from ...io.exr import read_attributes, read_exr, read_exr_parts
-from ...io.pictures import read_picture
-from ...views.light_field_files import open_light_field, read_recording
+from ...io import Capture, read_attributes, read_capture, read_exr, read_exr_parts, read_picture
+from ...views import open_light_field, read_recording
 from .viewer import Recording, decoded
 
 

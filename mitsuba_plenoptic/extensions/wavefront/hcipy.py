@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...camera import PlenopticCamera
-from ...camera.phase_screen import PhaseScreen
-from ...camera.plenoptic_camera import require_camera, require_ideal
+from ...camera import PhaseScreen, PlenopticCamera, require_camera, require_ideal
 from ...errors import WAVEFRONT_UNIT, WAVELENGTHS, InputError, refuse_if, require_number
 from ...light.lens_kinds import regular_array
 from ...light.optical_system import OpticalSystem
@@ -21,7 +19,7 @@ from ...optics.waves import band_edge_fraction
 from ...points.arrival import SampledField
 from ...points.full_field import full_field
 from ...prescription.collimator import Collimator
-from ...runtime.backend import one_at_a_time
+from ...runtime import one_at_a_time
 from .far_sources import INFINITY
 
 try:

@@ -27,7 +27,7 @@ from ...errors import InputError, refuse_if, require_accuracy, require_count, re
 from ...light.optical_system import OpticalSystem
 from ...points.operator import CaptureOperator
 from ...points.units import brightness_at
-from ...runtime.backend import as_array, as_pixels
+from ...runtime import as_array, as_pixels
 from .zone_search import Zone
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from ...lenses.common import main_lens
 from ...lenses.thin import Wavefront
 from ...light.sampling import check_positions
 from ...optics import rays
-from ...runtime.backend import as_pixels
+from ...runtime import as_pixels
 
 Array = NDArray[np.float64]
 

@@ -31,7 +31,7 @@ from ...light.optical_system import OpticalSystem
 from ...light.sampling import check_positions
 from ...points.operator import CaptureOperator
 from ...points.units import brightness_at
-from ...runtime.backend import as_array
+from ...runtime import as_array
 from ..inverse.fit_light import Pixels, check_views
 from ..inverse.fitting import Fit, PixelNoise, View, fit
 from .slopes import lenses_of_pixels, modes_from_slopes, view_slopes

@@ -10,17 +10,14 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ...camera import PlenopticCamera
-from ...camera.entry import Captures
-from ...camera.plenoptic_camera import require_no_warp
-from ...camera.vector import change_of, parts_of, size_of, with_gradient
+from ...camera import Captures, PlenopticCamera, change_of, parts_of, require_no_warp, size_of, with_gradient
 from ...errors import WAVEFRONT_UNIT, InputError, did_you_mean, require_number, short_repr
 from ...lattice import make_lattice, turn
 from ...lenses.thin import Wavefront, zernike
 from ...light.microlens_orders import VaryingArrayFactor
 from ...light.optical_system import OpticalSystem
 from ...optics.waves import in_millimetres
-from ...runtime.backend import array_module, backend, drjit_array, is_zero
+from ...runtime import active_backend, array_module, drjit_array, is_zero
 from ..field_grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness, detector_brightness
@@ -48,7 +45,7 @@ class _VaryingPath(dr.CustomOp):
         self.set_grad_out(Wavefront(some, self._radius).path(*self._points) + dr.zeros(kind, dr.width(self._points[0])))
 
     def backward(self) -> None:
-        libraries = backend()
+        libraries = active_backend()
         gradient, x, y = map(libraries.from_drjit, (self.grad_out(), *self._points))
         # The sums over the samples of each polynomial times the gradient of the path, from the sums of powers.
         polynomials = [zernike(j) for j in range(1, self._count + 1)]

@@ -15,9 +15,19 @@ from ...errors import InputError
 from ...lattice import turn
 from ...light.optical_system import OpticalSystem
 from ...optics import guards
-from ...runtime.backend import backend
-from ...runtime.batches import BatchMap, Job, PartialSum, SumTask, Threads, add
-from ...runtime.limits import MEMORY_LIMIT, largest_fitting, single_threaded_blas, work_limit
+from ...runtime import (
+    MEMORY_LIMIT,
+    BatchMap,
+    Job,
+    PartialSum,
+    SumTask,
+    Threads,
+    active_backend,
+    add,
+    largest_fitting,
+    single_threaded_blas,
+    work_limit,
+)
 from ..accuracy import derivative_band_for, derivatives_share
 from ..mixing import WavelengthPlans, groups, mix
 from ..patch_factors import Fields
@@ -111,7 +121,7 @@ class DerivativePlan(PatchPlan):
                 yield waiting[-1]
 
         products, box = np.zeros((2, 2, 2)), self._recorder.box
-        sums: Any = backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
+        sums: Any = active_backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
         for result in job.each(batches(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(result, parameters)
             products[0] += result.products
@@ -190,7 +200,7 @@ class JvpSum:
     def __init__(self, plan: DerivativePlan, weights: NDArray[np.float64], directions: list[Direction]) -> None:
         self._plan, self._weights, self._directions = plan, weights, directions
         self._chunks, self.items = plan.lit_chunks(weights)
-        self.arrays: Any = backend().arrays
+        self.arrays: Any = active_backend().arrays
         self._placed = plan._shifted(name for changes in directions for name in changes)
         self.box = plan._recorder.box
         self.channels = (len(directions) + (3 if self._placed else 1)) * weights.shape[1]

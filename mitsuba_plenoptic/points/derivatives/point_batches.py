@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from ...camera import PlenopticCamera
 from ...lattice import turn
-from ...runtime.backend import array_module, backend, backend_of, drjit_array
-from ...runtime.batches import Box, Part
-from ...runtime.fft import Field, as_field, as_words, pack, unpack
+from ...runtime import Box, Part, active_backend, array_module, backend_of, drjit_array, fft
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, CopySum, FieldBatch, reached
@@ -141,14 +139,14 @@ def _changed(fields: Fields, parameters: VaryingParameters) -> Parts:
     if varying := [value for value in values if dr.grad_enabled(value)]:
         dr.forward_to(*varying)
     changes = [
-        as_field(pack(dr.grad(value)), shape) if dr.grad_enabled(value) else None
+        fft.as_field(fft.pack(dr.grad(value)), shape) if dr.grad_enabled(value) else None
         for value, shape in zip(values, made.shapes, strict=True)
     ]
     # A parameter of several components, of which some are fixed, leaves factors as they are.
     given = [change for change in changes if change is not None]
     if not given:
         return changes
-    libraries = backend()
+    libraries = active_backend()
     moved = iter(libraries.to_host(libraries.arrays.stack([change.any() for change in given])).tolist())
     return [change if change is not None and next(moved) else None for change in changes]
 
@@ -247,7 +245,7 @@ class VjpBatch(FieldBatch):
         total, words = 0, array_module().ad.UInt64
         for part, cotangent in zip(_factors(self.fields, parameters).values(), result.factors, strict=True):
             if cotangent is not None and dr.grad_enabled(part):
-                given = unpack(drjit_array(words, as_words(cotangent)))
+                given = fft.unpack(drjit_array(words, fft.as_words(cotangent)))
                 products = part.real * given.real + part.imag * given.imag
                 total = total + dr.sum(parameters.types.Float64(products))
         if dr.grad_enabled(total):
@@ -303,7 +301,7 @@ def _vjp(work: VjpBatch, batch: PatchBatch, lattice: list[Parts]) -> VjpResult:
     return VjpResult(cotangents, products, None if spreads is None else Part(box, spreads.total()))
 
 
-def _added_directions(total: Field, parts: Field, starts: NDArray[np.int64]) -> Field:
+def _added_directions(total: fft.Field, parts: fft.Field, starts: NDArray[np.int64]) -> fft.Field:
     """Return cotangents of a transfer function with those of points (n, rows, columns) added to their windows."""
     if backend_of(total).is_cuda:
         windows = Windows(np.arange(len(parts)), starts * np.array([1, 2]))

@@ -15,7 +15,7 @@ from mitsuba_plenoptic.extensions.paper.paper_limits import (
     pixels_against_range,
     run_plain_sums,
 )
-from mitsuba_plenoptic.refocus.ray_sums import pupil_radius, ray_sums
+from mitsuba_plenoptic.refocus.projection import pupil_radius, ray_sums
 
 PAPER, WAVELENGTH = PlenopticCamera(), 633.0
 

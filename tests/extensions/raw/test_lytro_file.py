@@ -11,7 +11,7 @@ from foreign_files import lytro_metadata, write_lytro, write_lytro_white
 
 from mitsuba_plenoptic import Capture, Detector, InputError, demosaic, expose
 from mitsuba_plenoptic.exchange import nearest_white, read_lytro
-from mitsuba_plenoptic.views.lens_grid import micro_image_centres
+from mitsuba_plenoptic.views.grid import micro_image_centres
 
 COLUMNS, ROWS = 120, 90
 

@@ -15,7 +15,7 @@ from mitsuba_plenoptic.lenses.thin import Wavefront
 from mitsuba_plenoptic.points.point_spread import point_fields
 from mitsuba_plenoptic.prescription.collimator import Collimator
 from mitsuba_plenoptic.report.animations import write_animation
-from mitsuba_plenoptic.report.design_sheet import design_sheet
+from mitsuba_plenoptic.report.sheet import design_sheet
 
 WAVELENGTH = 633.0
 AIRY_STEP = math.degrees(WAVELENGTH * 1e-6 / 10) * 3600

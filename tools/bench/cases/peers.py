@@ -24,7 +24,7 @@ from mitsuba_plenoptic.points.full_field import pass_microlenses
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.views import LensGrid, focal_stack, white_image
 from mitsuba_plenoptic.views.coordinates import disparity
-from mitsuba_plenoptic.views.lens_grid import lens_grid
+from mitsuba_plenoptic.views.grid import lens_grid
 
 from .. import Row, at_least, at_most, case
 from ..speed import beam

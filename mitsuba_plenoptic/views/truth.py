@@ -13,14 +13,13 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..choices import QUANTITIES
 from ..errors import refuse_if, suggest_keywords
-from ..io.truth_files import GroundTruth, require_quantities
+from ..io import GroundTruth, require_quantities
 from ..light.lens_kinds import regular_array
 from ..light.render_capture import plenoptic_sensor
-from ..runtime.backend import drjit_array, one_at_a_time
-from ..runtime.limits import require_memory
+from ..runtime import drjit_array, one_at_a_time, require_memory
 from .coordinates import lens_places, pupil_places
-from .decode import view_window
-from .lens_grid import bin_grid, lens_grid
+from .decoding import view_window
+from .grid import bin_grid, lens_grid
 
 _LANES = 2**21
 """Rays that are traced at once."""

@@ -15,21 +15,18 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..camera import PlenopticCamera, are_alike
-from ..camera.aperture import Opening, Round
+from ..camera import Opening, PlenopticCamera, Round, are_alike
 from ..design import crosstalk_neighbours
 from ..errors import InputError, refuse_if, short_repr, warn
-from ..io.captures import Capture, recording_of, require_demosaiced
+from ..io import Capture, recording_of, require_demosaiced
 from ..lattice.lens_shifts import hashed
 from ..light.detector import mix_pixels
 from ..light.lens_kinds import regular_array
 from ..light.random_numbers import even_steps
 from ..light.walk import Passage, Walk, detector_rows
 from ..optics import rays
-from ..runtime.backend import array_module, as_pixels
-from ..runtime.fft import blur
-from ..runtime.limits import require_memory
-from .lens_grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
+from ..runtime import array_module, as_pixels, fft, require_memory
+from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
 
 # Samples that see less of the pupil than this are left out: dividing by so little would only raise their noise.
 MINIMUM_WEIGHT = 0.1
@@ -73,7 +70,7 @@ class PupilFraction:
             pupil = _square_in_disc(axis, axis[:, None], radius)
         else:
             pupil = _square_in_aperture(half, samples, camera.aperture, radius)
-        fraction = blur(pupil, lens)
+        fraction = fft.blur(pupil, lens)
         # The rounding of the transform is not light.
         self._table = np.where(fraction > 1e-6, fraction, 0).clip(max=pupil.max()).astype(np.float32)
         self._half = half

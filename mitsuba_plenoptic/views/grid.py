@@ -17,7 +17,7 @@ from ..camera import PlenopticCamera
 from ..errors import MOST_PIXELS, put, refuse_if, require_count, require_number, require_pair, require_warp
 from ..lattice.lens_shifts import WARP_POWERS, Displacement
 from ..optics import rays
-from ..runtime.limits import require_memory
+from ..runtime import require_memory
 
 
 @dataclass(frozen=True)

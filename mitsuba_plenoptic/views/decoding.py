@@ -12,15 +12,13 @@ import xarray as xr
 from ..camera import PlenopticCamera, are_alike, require_camera
 from ..design.microscope import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords
-from ..io.captures import Capture, require_demosaiced
-from ..io.truth_files import COORDINATES, GroundTruth, channel_planes
+from ..io import TRUTH_COORDINATES, Capture, GroundTruth, channel_planes, require_demosaiced
 from ..light.lens_kinds import regular_array
-from ..runtime.backend import as_pixels
-from ..runtime.limits import require_memory
+from ..runtime import as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
-from .lens_grid import LensGrid, bin_grid, lens_grid
-from .white_image import divide_by_weight, recorded_white, white_image
+from .grid import LensGrid, bin_grid, lens_grid
+from .white import divide_by_weight, recorded_white, white_image
 
 
 @suggest_keywords
@@ -51,7 +49,7 @@ def decode(
         The camera of a plain array, or another one than the capture's.
     white : Capture or (rows, columns[, 3]) array, optional
         A picture of something evenly white that fills the view, with the same camera. It is scaled to a radiance of 1
-        (see `mitsuba_plenoptic.views.white_image.recorded_white`). Default: computed by rays from the camera's pupil;
+        (see `mitsuba_plenoptic.views.white.recorded_white`). Default: computed by rays from the camera's pupil;
         diffraction blurs the rims of micro-images, so that for wave captures a white wave capture is better. Without a
         camera a white picture is needed; its brightness in the middle of micro-images counts as 1.
     grid : LensGrid, optional
@@ -112,7 +110,7 @@ def decode(
     lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses)
     if truth is None:
         return lf
-    planes = {COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
+    planes = {TRUTH_COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
     refuse_if(
         not are_alike(regular_array(truth.camera), camera)
         or any(plane.shape != lf.shape[:4] for plane in planes.values()),

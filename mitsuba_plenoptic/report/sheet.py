@@ -6,8 +6,7 @@ import math
 from typing import NamedTuple
 
 from .. import design
-from ..camera import PlenopticCamera
-from ..camera.aperture import Round
+from ..camera import PlenopticCamera, Round
 from ..errors import InputError
 from ..prescription import Prescription, paraxial
 from ..prescription.collimator import Collimator

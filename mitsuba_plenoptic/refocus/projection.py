@@ -23,8 +23,7 @@ from ..design import focus_type, lens_footprint, pixel_footprint
 from ..errors import refuse_if
 from ..light.walk import follow_back
 from ..optics import rays
-from ..runtime.backend import array_module, drjit_array
-from ..runtime.limits import require_memory
+from ..runtime import array_module, drjit_array, require_memory
 from .splatting import Splat
 
 

@@ -1,0 +1,298 @@
+"""The command ``mitsuba-plenoptic``: reads options, calls the library, prints.
+
+Commands import the library in their bodies, so that help, completion and refused options need not wait for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import logging
+import os
+import re
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Collection, Iterator, Sequence
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from ..errors import InputError, at_shell, did_you_mean, relation, require_choice
+from ..extension import entries, missing
+from ..runtime import INTERRUPTED, plain_lines
+
+PROGRAM = "mitsuba-plenoptic"
+
+_logger = logging.getLogger(__package__.partition(".")[0])
+
+_COMMANDS_OF_CORE = {
+    "example": ("example", "Write a finished capture, with its ground truth next to it, to try the other commands on."),
+    "render": ("render_command", "Render what a scene's plenoptic camera records."),
+    "reconstruct": ("reconstruct", "Refocus a capture to one or several distances."),
+    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method, a column a distance."),
+    "views": ("light_field", "Show the scene from many positions on the main lens."),
+    "epi": ("light_field", "Show one line of the scene from every view along the same direction."),
+    "stack": ("light_field", "Make a focal stack: one image for each distance, in focus there."),
+    "depth": ("light_field", "Estimate depth, and an image in focus everywhere, from how views agree."),
+    "expose": ("render_command", "Add what a real detector does: noise, saturation, digital numbers."),
+    "convert": ("light_field", "Decode a capture into a light field, or change a light field's format."),
+    "compare": ("compare", "Capture a scene by rays and by waves, refocus it by every method, and compare."),
+    "info": ("info", "Print what follows from a camera's parameters, and warnings about its design."),
+    "doctor": ("info", "Check the installation: versions, LLVM, Mitsuba variants, threads and GPU."),
+}
+
+COMMANDS = {name: (f"{__package__}.{module}", line) for name, (module, line) in _COMMANDS_OF_CORE.items()} | {
+    name: (f"{package}.{module}", line) for package, name, (module, line) in entries("commands")
+}
+"""In the order of the help: the module of each command, a function of its name, and its line of help."""
+
+# Options that are not called as the arguments of the library that they are for.
+_OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
+
+
+_STOPPED = 130
+"""Exit status after Ctrl-C."""
+
+
+class StoppedError(Exception):
+    """Ends a command after Ctrl-C with a line that says how to go on."""
+
+
+class _Commands(TyperGroup):
+    """The commands by their lines of help; the module of the one that is called, or completed, is imported."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the name, the command and the words that follow."""
+        name, command, following = super().resolve_command(ctx, args)
+        return name, command and load(str(name)), following
+
+
+def command_group() -> Any:
+    """Return the command with its subcommands, none of which is imported."""
+    application = typer.Typer(
+        cls=_Commands,
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    application.callback(invoke_without_command=True)(_root)
+    group: Any = typer.main.get_command(application)
+    group.commands |= {name: TyperCommand(name, help=line) for name, (_, line) in COMMANDS.items()}
+    return group
+
+
+@functools.cache
+def load(name: str) -> Any:
+    """Return a command with the options that every command has."""
+    from ..refocus_options import with_parameters
+
+    command = getattr(importlib.import_module(COMMANDS[name][0]), name)
+
+    @functools.wraps(command)
+    def called(quiet: bool, verbose: bool, **options: Any) -> None:
+        command(**options)
+
+    alone = typer.Typer(rich_markup_mode="rich", add_completion=False)
+    alone.command(name)(with_parameters(called, _FOR_ALL))
+    return typer.main.get_command(alone)
+
+
+def _print_version(flag: bool) -> None:
+    if flag:
+        from importlib.metadata import version
+
+        typer.echo(f"{PROGRAM} {version(PROGRAM)}")
+        raise typer.Exit
+
+
+def _root(
+    context: typer.Context,
+    show_version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Simulate plenoptic (light-field) cameras in Mitsuba 3 and refocus what they record.
+
+    A [bold]capture[/bold] is the image on the camera's detector, a field of
+    micro-images; a [bold]reconstruction[/bold] is an image refocused from it.
+    Lengths are scene units, taken as millimetres; wavelengths are nanometres.
+
+    [bold]Start here:[/bold]
+
+      mitsuba-plenoptic render letters -o raw.exr --spp 4
+
+      mitsuba-plenoptic reconstruct raw.exr -o out.png --distance 240
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def _be_quiet(flag: bool) -> None:
+    if flag:
+        # Progress, too, is silent at this level.
+        _logger.setLevel(logging.CRITICAL)
+        warnings.showwarning = lambda *_, **__: None
+
+
+def _be_verbose(flag: bool) -> None:
+    if flag:
+        _logger.setLevel(logging.DEBUG)
+
+
+_FOR_ALL: dict[str, Any] = {
+    name: Annotated[
+        bool,
+        typer.Option(
+            f"-{name[0]}",
+            f"--{name}",
+            help=text,
+            callback=callback,
+            is_eager=True,
+            rich_help_panel="Every command",
+        ),
+    ]
+    for name, text, callback in (
+        ("quiet", "Print results and errors alone: no progress, notes or warnings.", _be_quiet),
+        ("verbose", "Print details, too: what is read, written and set, with times.", _be_verbose),
+    )
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status.
+
+    A user's mistake gives one line on standard error and status 2; an exception that is a mistake of ours
+    passes through with its traceback.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    # Figures are written to files: no display is needed, and a notebook's is not there.
+    os.environ["MPLBACKEND"] = "agg"
+    if words and (absent := missing("commands", words[0])):
+        return _fail(absent)
+    group = command_group()
+    called = words[0] if words and words[0] in COMMANDS else None
+    if called:
+        # Options before the command, of which none is given: Typer would import pydantic to judge them.
+        group.params.clear()
+        group.add_help_option = False
+    with _remarks(), _interrupts():
+        try:
+            # Progress begins before the options are read, thus before --quiet is.
+            has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
+            # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
+            with at_shell(_OPTIONS), plain_lines(words[0]) if has_progress else contextlib.nullcontext():
+                status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
+            # Typer makes a status of Ctrl-C.
+            if status == _STOPPED:
+                raise KeyboardInterrupt
+            return status if isinstance(status, int) else 0
+        except (KeyboardInterrupt, typer.Abort, StoppedError) as stopped:
+            _complain(str(stopped) or "stopped: nothing is kept; the same command begins anew")
+            return _STOPPED
+        except Exception as error:
+            command = load(called) if called else group
+            message = _mistake(error, {option for parameter in command.params for option in parameter.opts})
+            if message is None:
+                raise
+            return _fail(message)
+
+
+def _mistake(error: Exception, options: Collection[str]) -> str | None:
+    """Return the line that describes a user's mistake; None for other exceptions, which are faults of the program.
+
+    Arguments named in the message are spelled as options of the command.
+    """
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}" if error.filename and error.strerror else str(error)
+    # The class of usage errors of Typer has no public name in all versions.
+    if hasattr(error, "format_message"):
+        unknown = getattr(error, "option_name", "")
+        message = str(error.format_message()).rstrip(".")
+        name = unknown.strip("-").replace("-", "_")
+        if absent := missing("commands", unknown):
+            message = absent
+        elif hasattr(error, "possibilities"):
+            rule = relation(name)
+            message = f"no such option: {unknown}" + (f"; {rule}" if rule else did_you_mean(unknown, options))
+        elif chosen := re.search(r"(?s)'(.*)' is not one of (.*)", getattr(error, "message", "")):
+            name = max(error.param.opts, key=len).strip("-").replace("-", "_")  # type: ignore[attr-defined]
+            try:
+                require_choice(name, chosen[1], re.findall(r"'(.*?)'", chosen[2]))
+            except InputError as refused:
+                return _with_options(str(refused), options)
+        context = getattr(error, "ctx", None)
+        return f"{message} (see {context.command_path if context else PROGRAM} --help)"
+    return _with_options(str(error), options) if isinstance(error, InputError) else None
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[None]:
+    """Note Ctrl-C for bars of progress, which end the command where a library has dropped the KeyboardInterrupt."""
+    INTERRUPTED.clear()
+
+    def stop(signal_number: int, frame: object) -> None:
+        INTERRUPTED.set()
+        raise KeyboardInterrupt
+
+    # Other handlers, and threads that receive no signals, keep what they have.
+    ours = threading.current_thread() is threading.main_thread() and (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
+    if ours:
+        signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        INTERRUPTED.clear()
+
+
+@contextlib.contextmanager
+def _remarks() -> Iterator[None]:
+    """Print the library's warnings and remarks, such as the time of a long rendering, on standard error."""
+
+    def emit(record: logging.LogRecord) -> None:
+        detail = f"{record.relativeCreated / 1000:.2f} s: " if record.levelno < logging.INFO else ""
+        _complain(f"{detail}{record.getMessage()}")
+
+    handler = logging.Handler()
+    level = _logger.level
+    handler.emit = emit  # type: ignore[method-assign]
+    _logger.addHandler(handler)
+    _logger.setLevel(logging.INFO)
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: _complain(f"warning: {message}")
+            yield
+    finally:
+        _logger.setLevel(level)
+        _logger.removeHandler(handler)
+
+
+def _with_options(message: str, options: Collection[str]) -> str:
+    """Return a message in which arguments, ``name = value: ...``, are spelt as options of the command."""
+
+    def spelled(argument: re.Match[str]) -> str:
+        option = _OPTIONS.get(argument[1], f"--{argument[1].replace('_', '-')}")
+        if option not in options:
+            return argument[0]
+        # At a shell flags and what is not given have no value.
+        return option if argument[2] else f"{option} = "
+
+    about, colon, rule = message.partition(": ")
+    return re.sub(r"\b(?<!-)([a-z]\w*) = (None\b|True\b)?", spelled, about) + colon + rule
+
+
+def _fail(message: str) -> int:
+    _complain(f"error: {message}")
+    return 2
+
+
+def _complain(message: str) -> None:
+    # In one piece, so that neither Ctrl-C nor a line of progress comes between the text and the end of its line.
+    print(f"{PROGRAM}: {' '.join(message.split())}\n", end="", file=sys.stderr)
