@@ -30,7 +30,7 @@ test: $(VENV)/.ready llvm
 TENSORS := .venv-tensors
 test-tensors: $(TENSORS)/.ready llvm
 	$(TENSORS)/bin/python -m pytest tests/extensions/inverse/test_torch.py tests/extensions/inverse/test_jax.py tests/docs/test_reference.py \
-		tests/extensions/inverse/test_differentiable.py tests/extensions/inverse/test_coherent_derivatives.py tests/extensions/data/test_dataset.py
+		tests/extensions/inverse/test_refocus_derivatives.py tests/extensions/data/test_dataset.py
 
 $(TENSORS)/.ready: pyproject.toml $(VENV)/.ready
 	$(BIN)/python -m venv --clear $(TENSORS)

@@ -135,28 +135,38 @@ def test_channels_are_solved_one_by_one_and_the_reverse_pass_repeats_no_sum(monk
     assert [calls.count(name) for name in ("forward", "adjoint")] == [2, 2]
 
 
-@pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
-def test_gradients_of_drjit_and_pytorch(model):
-    torch = pytest.importorskip("torch")
-    camera = small_camera(3 if model == "ray" else 2)
-    refocus = RayRefocus(camera, 225.0) if model == "ray" else CoherentRefocus(camera, 225.0, WAVELENGTH)
-    x = lit(camera)
-    change = x * np.random.default_rng(4).uniform(-1, 1, x.shape).astype(np.float32)
+def linearised(model, x):
+    """Return refocusing by a model, the derivative along a change, and the gradient of the sum of squares, at x."""
     if model == "ray":
-        forward, backward = refocus.forward(change), refocus.adjoint(2 * refocus.forward(x))
-    else:
-        forward, backward = refocus.derivative(x, change), refocus.gradient(x, 2 * refocus.forward(x))
+        refocus = RayRefocus(small_camera(3), 225.0)
+        return refocus, refocus.forward, refocus.adjoint(2 * refocus.forward(x))
+    refocus = CoherentRefocus(small_camera(2), 225.0, WAVELENGTH)
+    return refocus, lambda change: refocus.derivative(x, change), refocus.gradient(x, 2 * refocus.forward(x))
+
+
+@pytest.mark.parametrize(("model", "lenses"), [("ray", 3), pytest.param("wave", 2, marks=pytest.mark.slow)])
+def test_gradients_of_drjit(model, lenses):
+    x = np.repeat(lit(small_camera(lenses))[..., None], 2, 2)
+    change = x * np.random.default_rng(4).uniform(-1, 1, x.shape).astype(np.float32)
+    refocus, derivative, gradient = linearised(model, x)
     capture = mi.TensorXf(x)
     dr.enable_grad(capture)
     image = refocus(capture)
     dr.set_grad(capture, mi.TensorXf(change))
-    np.testing.assert_allclose(np.array(dr.forward_to(image)), forward, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(np.array(dr.forward_to(image)), derivative(change), rtol=1e-5, atol=1e-6)
     capture = mi.TensorXf(x)
     dr.enable_grad(capture)
     image = refocus(capture)
     dr.backward(dr.sum(image * image, axis=None))
-    np.testing.assert_allclose(np.array(dr.grad(capture)), backward, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(np.array(dr.grad(capture)), gradient, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("model", "lenses"), [("ray", 3), ("wave", 2)])
+def test_gradients_of_pytorch(model, lenses):
+    torch = pytest.importorskip("torch")
+    x = lit(small_camera(lenses))
+    refocus, _, gradient = linearised(model, x)
     given = torch.tensor(x, requires_grad=True)
-    made = dr.wrap(source="torch", target="drjit")(lambda capture: refocus(capture))(given)
-    (made * made).sum().backward()
-    np.testing.assert_allclose(given.grad.numpy(), backward, rtol=1e-4, atol=1e-6)
+    image = dr.wrap(source="torch", target="drjit")(lambda capture: refocus(capture))(given)
+    (image * image).sum().backward()
+    np.testing.assert_allclose(given.grad.numpy(), gradient, rtol=1e-4, atol=1e-6)
